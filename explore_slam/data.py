@@ -1,0 +1,234 @@
+"""The records that travel between rooms: frozen, checked when made, arrays with shape and unit.
+
+Stamps are seconds (float, ROS time). Vehicle frame: x forward, y left, z up (REP-103).
+A malformed record is refused with a DataError that names the field and the value.
+"""
+
+import math
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from explore_slam.errors import DataError
+from explore_slam.geometry import Array, Pose2
+
+DESCRIPTOR_LENGTH = 128
+
+
+def _check_stamp(record: object, stamp: float) -> None:
+    if not math.isfinite(stamp) or stamp < 0.0:
+        raise DataError(
+            f'{type(record).__name__}: stamp is {stamp!r}, expected finite seconds >= 0'
+        )
+
+
+def _check_shape(record: object, name: str, array: NDArray[Any], shape: tuple[int, ...]) -> None:
+    if array.shape != shape:
+        raise DataError(
+            f'{type(record).__name__}: {name} has shape {array.shape}, expected {shape}'
+        )
+
+
+def _check_finite(record: object, name: str, array: NDArray[Any]) -> None:
+    if not np.isfinite(array).all():
+        bad = int(np.count_nonzero(~np.isfinite(array)))
+        raise DataError(f'{type(record).__name__}: {name} holds {bad} values that are not finite')
+
+
+@dataclass(frozen=True)
+class OdometryReading:
+    """Pose of the vehicle in its odometry frame, with its covariance (3, 3) where the base has one."""
+
+    stamp: float
+    pose: Pose2
+    covariance: Array | None = None
+
+    def __post_init__(self) -> None:
+        _check_stamp(self, self.stamp)
+        if not self.pose.is_finite():
+            raise DataError(f'OdometryReading: pose is {tuple(self.pose)}, expected finite values')
+        if self.covariance is not None:
+            _check_shape(self, 'covariance', self.covariance, (3, 3))
+
+
+@dataclass(frozen=True)
+class LaserScan:
+    """One sweep: ranges (B,) m, beam i at angle_min + i * angle_increment in the laser frame.
+
+    REP-117: -inf is too close, NaN invalid, +inf no return; values outside
+    [range_min, range_max] are no measurement.
+    """
+
+    stamp: float
+    angle_min: float
+    angle_increment: float
+    ranges: NDArray[np.float32]
+    range_min: float
+    range_max: float
+
+    def __post_init__(self) -> None:
+        _check_stamp(self, self.stamp)
+        if self.ranges.ndim != 1 or self.ranges.size == 0:
+            raise DataError(
+                f'LaserScan: ranges has shape {self.ranges.shape}, expected one beam or more'
+            )
+        if not (math.isfinite(self.angle_min) and math.isfinite(self.angle_increment)):
+            raise DataError(
+                f'LaserScan: angle_min {self.angle_min} or angle_increment '
+                f'{self.angle_increment} is not finite'
+            )
+        if self.angle_increment == 0.0 and self.ranges.size > 1:
+            raise DataError('LaserScan: angle_increment is 0')
+        if not 0.0 <= self.range_min < self.range_max:
+            raise DataError(
+                f'LaserScan: range_min {self.range_min} and range_max {self.range_max}, '
+                'expected 0 <= range_min < range_max'
+            )
+
+    @property
+    def angles(self) -> Array:
+        """Beam angles (B,) rad in the laser frame."""
+        return self.angle_min + self.angle_increment * np.arange(self.ranges.size)
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """Pinhole camera: image size (pixels), focal lengths and principal point (pixels)."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    def __post_init__(self) -> None:
+        if self.width <= 0 or self.height <= 0:
+            raise DataError(f'Intrinsics: image size is {self.width} x {self.height}')
+        values = (self.fx, self.fy, self.cx, self.cy)
+        if not all(map(math.isfinite, values)) or self.fx <= 0.0 or self.fy <= 0.0:
+            raise DataError(
+                f'Intrinsics: fx, fy, cx, cy are {values}, expected finite, fx, fy > 0'
+            )
+
+
+@dataclass(frozen=True)
+class RgbdFrame:
+    """Colour image (H, W, 3) RGB uint8, or (H, W) grey, with registered depth (H, W).
+
+    Depth is uint16 in mm (0 is no data) or float32 in m (NaN or 0 is no data), REP-118.
+    """
+
+    stamp: float
+    rgb: NDArray[np.uint8]
+    depth: NDArray[np.uint16] | NDArray[np.float32]
+    intrinsics: Intrinsics
+
+    def __post_init__(self) -> None:
+        _check_stamp(self, self.stamp)
+        size = (self.intrinsics.height, self.intrinsics.width)
+        if self.rgb.dtype != np.uint8:
+            raise DataError(f'RgbdFrame: rgb is of type {self.rgb.dtype}, expected uint8')
+        if self.rgb.shape not in (size, (*size, 3)):
+            raise DataError(f'RgbdFrame: rgb has shape {self.rgb.shape}, expected {(*size, 3)}')
+        if self.depth.dtype not in (np.uint16, np.float32):
+            raise DataError(
+                f'RgbdFrame: depth is of type {self.depth.dtype}, '
+                'expected uint16 (mm) or float32 (m)'
+            )
+        _check_shape(self, 'depth', self.depth, size)
+
+
+@dataclass(frozen=True)
+class LandmarkObservations:
+    """K landmarks seen at once, in the vehicle frame at the stamp.
+
+    positions (K, 3) m, covariances (K, 3, 3) m², descriptors (K, 128) float32 of unit length.
+    """
+
+    stamp: float
+    positions: Array
+    covariances: Array
+    descriptors: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        _check_stamp(self, self.stamp)
+        count = len(self.positions)
+        _check_shape(self, 'positions', self.positions, (count, 3))
+        _check_shape(self, 'covariances', self.covariances, (count, 3, 3))
+        _check_shape(self, 'descriptors', self.descriptors, (count, DESCRIPTOR_LENGTH))
+        for name in ('positions', 'covariances', 'descriptors'):
+            _check_finite(self, name, getattr(self, name))
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    @classmethod
+    def empty(cls, stamp: float) -> 'LandmarkObservations':
+        """Make a record without any landmark."""
+        return cls(
+            stamp,
+            np.empty((0, 3)),
+            np.empty((0, 3, 3)),
+            np.empty((0, DESCRIPTOR_LENGTH), np.float32),
+        )
+
+
+@dataclass(frozen=True)
+class VehicleSighting:
+    """One vehicle seen by another: position (2,) m and covariance (2, 2) m² in the seer's frame."""
+
+    stamp: float
+    vehicle: str
+    position: Array
+    covariance: Array
+
+    def __post_init__(self) -> None:
+        _check_stamp(self, self.stamp)
+        _check_shape(self, 'position', self.position, (2,))
+        _check_shape(self, 'covariance', self.covariance, (2, 2))
+        _check_finite(self, 'position', self.position)
+        _check_finite(self, 'covariance', self.covariance)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A path for one vehicle in the map frame: waypoints (W, 2) m, the last one is the goal."""
+
+    stamp: float
+    vehicle: str
+    goal: Pose2
+    waypoints: Array
+
+    def __post_init__(self) -> None:
+        _check_stamp(self, self.stamp)
+        _check_shape(self, 'waypoints', self.waypoints, (len(self.waypoints), 2))
+        _check_finite(self, 'waypoints', self.waypoints)
+
+
+class VehicleState(Enum):
+    """What a vehicle is doing, as the agent sees it."""
+
+    WAITING = 'waiting'
+    DRIVING = 'driving'
+    BLOCKED = 'blocked'
+    LOST = 'lost'
+    SILENT = 'silent'
+    RETURNING = 'returning'
+    HOME = 'home'
+    DONE = 'done'
+
+
+@dataclass(frozen=True)
+class VehicleStatus:
+    """One vehicle at one time: pose and covariance (3, 3) in the map, what it does, where it goes."""
+
+    stamp: float
+    vehicle: str
+    state: VehicleState
+    pose: Pose2
+    covariance: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    goal: Pose2 | None = None

@@ -1,0 +1,1 @@
+"""Room 'exploration'; see doc/architecture."""

@@ -1,0 +1,1 @@
+"""Room 'mapping'; see doc/architecture."""

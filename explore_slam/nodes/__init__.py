@@ -1,0 +1,1 @@
+"""Room 'nodes'; see doc/architecture."""

@@ -1,0 +1,1 @@
+"""Room 'recording'; see doc/architecture."""

@@ -1,0 +1,187 @@
+"""Settings: dataclass fields that carry unit, range and meaning, from which all else is derived.
+
+ROS parameters, YAML files and command line options are read off the same tree: sections nest,
+the names of their leaves are unique in the whole tree, so a setting is known by its leaf name.
+"""
+
+import dataclasses
+import difflib
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+
+from explore_slam.errors import ConfigError
+
+Value = bool | int | float | str | tuple[Any, ...]
+S = TypeVar('S', bound='Section')
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What is known of one setting beside its value; low and high are inclusive."""
+
+    name: str
+    default: Value
+    doc: str
+    unit: str
+    low: float | None
+    high: float | None
+    choices: tuple[str, ...]
+
+    def check(self, value: Any) -> Value:
+        """Return the value in the type of the default, or raise ConfigError."""
+        checked = _as_type_of(self.default, value)
+        if checked is None:
+            raise ConfigError(f'{self.name} is {value!r}, expected {type(self.default).__name__}')
+        if self.choices and checked not in self.choices:
+            raise ConfigError(f'{self.name} is {value!r}, expected one of {list(self.choices)}')
+        if isinstance(checked, int | float) and not isinstance(checked, bool):
+            low, high = self.low, self.high
+            if (
+                math.isnan(checked)
+                or (low is not None and checked < low)
+                or (high is not None and checked > high)
+            ):
+                raise ConfigError(
+                    f'{self.name} is {value!r}, expected {_range_text(low, high)} {self.unit}'.strip()
+                )
+        return checked
+
+
+def _range_text(low: float | None, high: float | None) -> str:
+    if low is None:
+        return 'any number' if high is None else f'at most {high}'
+    return f'at least {low}' if high is None else f'{low} to {high}'
+
+
+def _as_type_of(default: Value, value: Any) -> Value | None:
+    if isinstance(default, bool):
+        return value if isinstance(value, bool) else None
+    if isinstance(default, int):
+        return value if isinstance(value, int) and not isinstance(value, bool) else None
+    if isinstance(default, float):
+        numeric = isinstance(value, int | float) and not isinstance(value, bool)
+        return float(value) if numeric else None
+    if isinstance(default, str):
+        return value if isinstance(value, str) else None
+    if isinstance(value, str) or not hasattr(value, '__iter__'):
+        return None
+    if default and isinstance(default[0], float):
+        return tuple(float(item) for item in value)
+    return tuple(value)
+
+
+def setting(
+    default: Any,
+    doc: str,
+    *,
+    unit: str = '',
+    low: float | None = None,
+    high: float | None = None,
+    choices: tuple[str, ...] = (),
+) -> Any:
+    """Declare a setting as the field of a Section; low and high are inclusive."""
+    info = {'doc': doc, 'unit': unit, 'low': low, 'high': high, 'choices': choices}
+    return field(default=default, metadata=info)
+
+
+@dataclass(frozen=True)
+class Section:
+    """Base of all configuration dataclasses: values are checked when the object is made."""
+
+    def __post_init__(self) -> None:
+        for item in dataclasses.fields(self):
+            if 'doc' in item.metadata:
+                checked = _setting_of(item).check(getattr(self, item.name))
+                object.__setattr__(self, item.name, checked)
+
+
+def _setting_of(item: 'dataclasses.Field[Any]') -> Setting:
+    return Setting(item.name, item.default, **item.metadata)
+
+
+def section(cls: type[S]) -> S:
+    """Declare a nested section with its defaults as the field of another section."""
+    made: S = field(default_factory=cls)
+    return made
+
+
+def settings_of(tree: Section) -> Iterator[tuple[Setting, Value]]:
+    """Yield every leaf setting of the tree with its present value."""
+    for item in dataclasses.fields(tree):
+        value = getattr(tree, item.name)
+        if isinstance(value, Section):
+            yield from settings_of(value)
+        elif 'doc' in item.metadata:
+            yield _setting_of(item), value
+
+
+def values_of(tree: Section) -> dict[str, Value]:
+    """Return leaf name -> value for the whole tree."""
+    return {info.name: value for info, value in settings_of(tree)}
+
+
+def with_values(tree: S, values: Mapping[str, Any]) -> S:
+    """Return the tree with leaves replaced by name; an unknown name is a ConfigError."""
+    known = values_of(tree)
+    for name in values:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            hint = f"; did you mean '{near[0]}'?" if near else ''
+            raise ConfigError(f"there is no setting '{name}'{hint}")
+    return _replace(tree, values)
+
+
+def _replace(tree: S, values: Mapping[str, Any]) -> S:
+    changes: dict[str, Any] = {}
+    for item in dataclasses.fields(tree):
+        value = getattr(tree, item.name)
+        if isinstance(value, Section):
+            changes[item.name] = _replace(value, values)
+        elif item.name in values:
+            changes[item.name] = values[item.name]
+    return dataclasses.replace(tree, **changes)
+
+
+def load_settings(tree: S, path: Path) -> S:
+    """Return the tree with the values of a ROS parameter file (`/**: ros__parameters: ...`)."""
+    try:
+        content = yaml.safe_load(path.read_text(encoding='utf-8'))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f'{path} cannot be read: {error}') from error
+    except yaml.YAMLError as error:
+        raise ConfigError(f'{path} is not YAML: {error}') from error
+    values: dict[str, Any] = {}
+    if isinstance(content, Mapping):
+        for node in content.values():
+            parameters = node.get('ros__parameters') if isinstance(node, Mapping) else None
+            if not isinstance(parameters, Mapping):
+                raise ConfigError(f"{path}: expected '/**:' with 'ros__parameters:' below it")
+            values.update(parameters)
+    elif content is not None:
+        raise ConfigError(f'{path}: expected a mapping, found {type(content).__name__}')
+    try:
+        return with_values(tree, values)
+    except ConfigError as error:
+        raise ConfigError(f'{path}: {error}') from error
+
+
+def save_settings(tree: Section, path: Path) -> None:
+    """Write the whole tree as a ROS parameter file with meaning, unit and range as comments."""
+    lines = ['/**:', '  ros__parameters:']
+    for info, value in settings_of(tree):
+        bounds = '' if info.low is None and info.high is None else _range_text(info.low, info.high)
+        notes = ', '.join(part for part in (info.unit, bounds, '|'.join(info.choices)) if part)
+        lines.append(f'    # {info.doc}' + (f' ({notes})' if notes else ''))
+        plain = list(value) if isinstance(value, tuple) else value
+        lines.append(f'    {info.name}: {_yaml_value(plain)}')
+    path.write_text('\n'.join(lines) + '\n', encoding='utf-8')
+
+
+def _yaml_value(value: Any) -> str:
+    text = yaml.safe_dump(value, default_flow_style=True, width=10**6).strip()
+    return text.removesuffix('\n...').strip()

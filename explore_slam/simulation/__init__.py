@@ -1,0 +1,1 @@
+"""Room 'simulation'; see doc/architecture."""

@@ -1,0 +1,1 @@
+"""Room 'slam'; see doc/architecture."""

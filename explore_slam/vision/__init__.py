@@ -1,0 +1,1 @@
+"""Room 'vision'; see doc/architecture."""

@@ -1,0 +1,53 @@
+"""ament_python package; name and version stand in package.xml alone."""
+
+from glob import glob
+from pathlib import Path
+from xml.etree import ElementTree
+
+from setuptools import find_packages, setup
+
+manifest = ElementTree.parse(Path(__file__).parent / 'package.xml').getroot()
+name = manifest.findtext('name')
+
+
+def files(pattern):
+    """Files only: a pattern must not pick up __pycache__ or folders."""
+    return sorted(path for path in glob(pattern) if Path(path).is_file())
+
+
+def requirements(path):
+    lines = Path(__file__).with_name(path).read_text().splitlines()
+    return [line for line in lines if line and not line.startswith(('#', '-'))]
+
+
+setup(
+    name=name,
+    version=manifest.findtext('version'),
+    description=manifest.findtext('description'),
+    maintainer=manifest.findtext('maintainer'),
+    maintainer_email=manifest.find('maintainer').get('email'),
+    license=manifest.findtext('license'),
+    packages=find_packages(include=[name, f'{name}.*']),
+    package_data={name: ['py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{name}']),
+        (f'share/{name}', ['package.xml']),
+        (f'share/{name}/config', files('config/*.*')),
+        (f'share/{name}/config/worlds', files('config/worlds/*.*')),
+        (f'share/{name}/launch', files('launch/*.launch.*')),
+    ],
+    python_requires='>=3.12',
+    install_requires=['setuptools', *requirements('requirements.txt')],
+    zip_safe=True,
+    tests_require=['pytest'],
+    entry_points={
+        'console_scripts': [
+            'explore_slam = explore_slam.cli.main:main',
+            'agent = explore_slam.nodes.agent_node:main',
+            'pioneer_driver = explore_slam.nodes.pioneer_driver:main',
+            'path_follower = explore_slam.nodes.path_follower:main',
+            'feature_extractor = explore_slam.nodes.feature_extractor:main',
+            'simulator = explore_slam.nodes.simulator:main',
+        ],
+    },
+)

@@ -1,0 +1,25 @@
+"""Fixtures that every room shares."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
+os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+
+
+@pytest.fixture(scope='session')
+def recordings() -> Callable[[str], Path]:
+    """Return a function: name of a recorded data set -> its folder, or a skip with the reason."""
+    root = Path(os.environ.get('EXPLORE_SLAM_DATA', REPOSITORY.parent / 'shared' / 'data'))
+
+    def folder(name: str) -> Path:
+        path = root / name
+        if not path.exists():
+            pytest.skip(f'recording {name!r} is absent: set EXPLORE_SLAM_DATA to its folder')
+        return path
+
+    return folder
