@@ -40,7 +40,7 @@ def _check_finite(record: object, name: str, array: NDArray[Any]) -> None:
 
 @dataclass(frozen=True)
 class OdometryReading:
-    """Pose of the vehicle in its odometry frame, with its covariance (3, 3) where the base has one."""
+    """Pose of the vehicle in its odometry frame, covariance (3, 3) where the base has one."""
 
     stamp: float
     pose: Pose2
@@ -91,7 +91,8 @@ class LaserScan:
     @property
     def angles(self) -> Array:
         """Beam angles (B,) rad in the laser frame."""
-        return self.angle_min + self.angle_increment * np.arange(self.ranges.size)
+        steps = np.arange(self.ranges.size, dtype=np.float64)
+        return self.angle_min + self.angle_increment * steps
 
 
 @dataclass(frozen=True)
@@ -179,7 +180,7 @@ class LandmarkObservations:
 
 @dataclass(frozen=True)
 class VehicleSighting:
-    """One vehicle seen by another: position (2,) m and covariance (2, 2) m² in the seer's frame."""
+    """One vehicle seen by another: position (2,) m, covariance (2, 2) m², seer's frame."""
 
     stamp: float
     vehicle: str
@@ -224,7 +225,7 @@ class VehicleState(Enum):
 
 @dataclass(frozen=True)
 class VehicleStatus:
-    """One vehicle at one time: pose and covariance (3, 3) in the map, what it does, where it goes."""
+    """One vehicle at one time: pose and covariance (3, 3) in the map, state, goal."""
 
     stamp: float
     vehicle: str

@@ -2,7 +2,7 @@
 
 
 class ExploreSlamError(Exception):
-    """Root of all errors of the package; its message names the input, the value and what was expected."""
+    """Root of all errors; a message names the input, the value and what was expected."""
 
 
 class ConfigError(ExploreSlamError):

@@ -18,7 +18,8 @@ def wrap_angle(angle: float) -> float:
 def wrap_angles(angles: ArrayLike) -> Array:
     """Return angles (rad, any shape) brought into (-pi, pi]."""
     values = np.asarray(angles, dtype=np.float64)
-    return np.pi - np.mod(np.pi - values, 2.0 * np.pi)
+    wrapped: Array = np.pi - np.mod(np.pi - values, 2.0 * np.pi)
+    return wrapped
 
 
 class Pose2(NamedTuple):
@@ -63,7 +64,7 @@ IDENTITY = Pose2(0.0, 0.0, 0.0)
 
 
 def compose(poses: ArrayLike, increments: ArrayLike) -> Array:
-    """Compose arrays of poses (..., 3) with increments (..., 3), broadcasting; see Pose2.compose."""
+    """Compose poses (..., 3) with increments (..., 3), broadcasting; see Pose2.compose."""
     a, b = np.asarray(poses, dtype=np.float64), np.asarray(increments, dtype=np.float64)
     c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
     return np.stack(

@@ -10,14 +10,13 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import yaml
 
 from explore_slam.errors import ConfigError
 
 Value = bool | int | float | str | tuple[Any, ...]
-S = TypeVar('S', bound='Section')
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,8 @@ class Setting:
                 or (high is not None and checked > high)
             ):
                 raise ConfigError(
-                    f'{self.name} is {value!r}, expected {_range_text(low, high)} {self.unit}'.strip()
+                    f'{self.name} is {value!r}, '
+                    f'expected {_range_text(low, high)} {self.unit}'.strip()
                 )
         return checked
 
@@ -59,20 +59,17 @@ def _range_text(low: float | None, high: float | None) -> str:
 
 
 def _as_type_of(default: Value, value: Any) -> Value | None:
-    if isinstance(default, bool):
-        return value if isinstance(value, bool) else None
-    if isinstance(default, int):
-        return value if isinstance(value, int) and not isinstance(value, bool) else None
-    if isinstance(default, float):
-        numeric = isinstance(value, int | float) and not isinstance(value, bool)
-        return float(value) if numeric else None
-    if isinstance(default, str):
-        return value if isinstance(value, str) else None
-    if isinstance(value, str) or not hasattr(value, '__iter__'):
-        return None
-    if default and isinstance(default[0], float):
-        return tuple(float(item) for item in value)
-    return tuple(value)
+    """Return the value in the type of the default, None where it does not fit."""
+    if isinstance(default, tuple):
+        if isinstance(value, str) or not hasattr(value, '__iter__'):
+            return None
+        numeric = bool(default) and isinstance(default[0], float)
+        return tuple(float(item) if numeric else item for item in value)
+    if isinstance(default, bool) or isinstance(value, bool):
+        return value if isinstance(value, type(default)) and isinstance(default, bool) else None
+    if isinstance(default, float) and isinstance(value, int | float):
+        return float(value)
+    return value if isinstance(value, type(default)) else None
 
 
 def setting(
@@ -101,10 +98,11 @@ class Section:
 
 
 def _setting_of(item: 'dataclasses.Field[Any]') -> Setting:
-    return Setting(item.name, item.default, **item.metadata)
+    default: Any = item.default
+    return Setting(item.name, default, **item.metadata)
 
 
-def section(cls: type[S]) -> S:
+def section[S: Section](cls: type[S]) -> S:
     """Declare a nested section with its defaults as the field of another section."""
     made: S = field(default_factory=cls)
     return made
@@ -125,7 +123,7 @@ def values_of(tree: Section) -> dict[str, Value]:
     return {info.name: value for info, value in settings_of(tree)}
 
 
-def with_values(tree: S, values: Mapping[str, Any]) -> S:
+def with_values[S: Section](tree: S, values: Mapping[str, Any]) -> S:
     """Return the tree with leaves replaced by name; an unknown name is a ConfigError."""
     known = values_of(tree)
     for name in values:
@@ -136,7 +134,7 @@ def with_values(tree: S, values: Mapping[str, Any]) -> S:
     return _replace(tree, values)
 
 
-def _replace(tree: S, values: Mapping[str, Any]) -> S:
+def _replace[S: Section](tree: S, values: Mapping[str, Any]) -> S:
     changes: dict[str, Any] = {}
     for item in dataclasses.fields(tree):
         value = getattr(tree, item.name)
@@ -147,7 +145,7 @@ def _replace(tree: S, values: Mapping[str, Any]) -> S:
     return dataclasses.replace(tree, **changes)
 
 
-def load_settings(tree: S, path: Path) -> S:
+def load_settings[S: Section](tree: S, path: Path) -> S:
     """Return the tree with the values of a ROS parameter file (`/**: ros__parameters: ...`)."""
     try:
         content = yaml.safe_load(path.read_text(encoding='utf-8'))
