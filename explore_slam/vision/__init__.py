@@ -1,1 +1,18 @@
-"""Room 'vision'; see doc/architecture."""
+"""Vision: RGB-D frames to landmark observations, keyframe choice, compressed images."""
+
+from explore_slam.vision.camera_mount import CameraMount
+from explore_slam.vision.compression import decode_compressed, encode_depth, encode_rgb
+from explore_slam.vision.config import VisionConfig
+from explore_slam.vision.features import FeatureExtractor, Features
+from explore_slam.vision.keyframes import KeyframeSelector
+
+__all__ = [
+    'CameraMount',
+    'FeatureExtractor',
+    'Features',
+    'KeyframeSelector',
+    'VisionConfig',
+    'decode_compressed',
+    'encode_depth',
+    'encode_rgb',
+]

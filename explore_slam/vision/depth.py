@@ -1,0 +1,73 @@
+"""Depth images: both encodings to metres, what of them is valid, where their edges lie."""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from explore_slam.data import Intrinsics
+from explore_slam.geometry import Array
+from explore_slam.vision.config import DepthConfig
+
+MILLIMETRE = np.float32(0.001)
+_EDGE_WINDOW = np.ones((5, 5), np.uint8)
+_FAR = np.float32(1e6)
+
+
+class DepthLayers(NamedTuple):
+    """Depth (H, W) m with 0 where invalid; spread (H, W) m of the valid depths around a pixel."""
+
+    depth: NDArray[np.float32]
+    spread: NDArray[np.float32]
+
+
+def depth_in_metres(depth: NDArray[np.uint16] | NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return depth (H, W) in m from uint16 mm or float32 m; 0 where there is no data."""
+    if depth.dtype == np.uint16:
+        return depth.astype(np.float32) * MILLIMETRE
+    metres = np.asarray(depth, dtype=np.float32)
+    return np.where(np.isfinite(metres) & (metres > 0.0), metres, np.float32(0.0))
+
+
+def analyse_depth(
+    depth: NDArray[np.uint16] | NDArray[np.float32], config: DepthConfig
+) -> DepthLayers:
+    """Return depth freed of speckle and of values out of range, and its local spread.
+
+    The median of 3 x 3 removes single wild pixels; the spread over 5 x 5 sees an edge of depth
+    before the feature's centre lies on it. Depths out of range count for the spread: a feature
+    in front of a far wall is on an edge although the wall itself is no measurement.
+    """
+    metres = depth_in_metres(depth)
+    smooth = cv2.medianBlur(metres, 3)
+    highest = cv2.dilate(metres, _EDGE_WINDOW)
+    lowest = cv2.erode(np.where(metres > 0.0, metres, _FAR), _EDGE_WINDOW)
+    valid = (metres > 0.0) & (smooth >= config.min_depth) & (smooth <= config.max_depth)
+    zero = np.float32(0.0)
+    return DepthLayers(np.where(valid, smooth, zero), np.where(valid, highest - lowest, zero))
+
+
+def back_project(pixels: Array, depths: Array, camera: Intrinsics) -> Array:
+    """Return points (N, 3) m in the optical frame of pixels (N, 2) (u, v) and depths (N,) m."""
+    x = (pixels[:, 0] - camera.cx) / camera.fx * depths
+    y = (pixels[:, 1] - camera.cy) / camera.fy * depths
+    return np.stack([x, y, depths], axis=1)
+
+
+def point_covariances(
+    pixels: Array, depths: Array, camera: Intrinsics, pixel_noise: Array, depth_noise: Array
+) -> Array:
+    """Return covariances (N, 3, 3) m² of back-projected points, to first order.
+
+    pixel_noise (N,) px and depth_noise (N,) m are standard deviations. With
+    X = (u - cx) z / fx: J = dX/d(u, v, z), covariance = J diag(noise²) Jᵀ.
+    """
+    jacobian = np.zeros((len(depths), 3, 3))
+    jacobian[:, 0, 0] = depths / camera.fx * pixel_noise
+    jacobian[:, 1, 1] = depths / camera.fy * pixel_noise
+    jacobian[:, 0, 2] = (pixels[:, 0] - camera.cx) / camera.fx * depth_noise
+    jacobian[:, 1, 2] = (pixels[:, 1] - camera.cy) / camera.fy * depth_noise
+    jacobian[:, 2, 2] = depth_noise
+    covariances: Array = jacobian @ jacobian.transpose(0, 2, 1)
+    return covariances
