@@ -1,1 +1,24 @@
-"""Room 'evaluation'; see doc/architecture."""
+"""Metrics of trajectories and runs, run folders and their reports, the experiments."""
+
+from explore_slam.evaluation.run_data import RunData, RunRecorder, Series, VehicleRun
+from explore_slam.evaluation.run_folder import RunFolder
+from explore_slam.evaluation.trajectory import (
+    ErrorStatistics,
+    Trajectory,
+    load_tum,
+    save_tum,
+    trajectory_metrics,
+)
+
+__all__ = [
+    'ErrorStatistics',
+    'RunData',
+    'RunFolder',
+    'RunRecorder',
+    'Series',
+    'Trajectory',
+    'VehicleRun',
+    'load_tum',
+    'save_tum',
+    'trajectory_metrics',
+]
