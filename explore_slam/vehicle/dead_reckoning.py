@@ -1,0 +1,80 @@
+"""The vehicle's pose in the map now: the latest map pose carried on by odometry."""
+
+import math
+from collections import deque
+
+from explore_slam.data import OdometryReading
+from explore_slam.geometry import IDENTITY, Pose2, wrap_angle
+
+_HORIZON = 60.0  # s of odometry kept; a map pose older than that cannot be carried on
+_EXTRAPOLATION = 0.3  # s beyond the last reading
+_JUMP = 1.0  # m between readings, beyond what speed explains: the base was reset
+
+
+class DeadReckoning:
+    """Interpolates odometry and anchors it in the map. Stamps in seconds, all of one clock."""
+
+    def __init__(self) -> None:
+        self._readings: deque[OdometryReading] = deque()
+        self._map_to_odometry: Pose2 | None = None
+        self._pending: tuple[float, Pose2] | None = None
+        self.pose_stamp = -math.inf
+
+    @property
+    def odometry_stamp(self) -> float:
+        """Stamp (s) of the newest odometry, -inf when there is none."""
+        return self._readings[-1].stamp if self._readings else -math.inf
+
+    def add_odometry(self, reading: OdometryReading) -> None:
+        """Take the next odometry reading; a jump in time or place starts afresh."""
+        if self._readings:
+            last = self._readings[-1]
+            gap = reading.stamp - last.stamp
+            if gap == 0.0:
+                return
+            moved = math.hypot(reading.pose.x - last.pose.x, reading.pose.y - last.pose.y)
+            if gap < 0.0 or moved > _JUMP + 3.0 * gap:
+                self._readings.clear()
+                self._map_to_odometry = None
+                self.pose_stamp = -math.inf
+        self._readings.append(reading)
+        while self._readings[0].stamp < reading.stamp - _HORIZON:
+            self._readings.popleft()
+        if self._pending is not None:
+            self.set_pose(*self._pending)
+
+    def set_pose(self, stamp: float, pose: Pose2) -> None:
+        """Anchor: the vehicle was at this map pose at the stamp. Kept until odometry reaches it."""
+        if not self._readings or stamp > self._readings[-1].stamp + _EXTRAPOLATION:
+            self._pending = (stamp, pose)
+            return
+        self._pending = None
+        if stamp < self._readings[0].stamp - _EXTRAPOLATION:
+            return
+        self._map_to_odometry = pose.compose(self.odometry_at(stamp).inverse())
+        self.pose_stamp = stamp
+
+    def odometry_at(self, stamp: float) -> Pose2:
+        """Return the odometry pose at a stamp, carried on from the newest readings if need be."""
+        readings = self._readings
+        if len(readings) < 2 or stamp <= readings[0].stamp:
+            return readings[0].pose if readings else IDENTITY
+        if stamp >= readings[-1].stamp:
+            ahead = min(stamp - readings[-1].stamp, _EXTRAPOLATION)
+            a, b = readings[-2], readings[-1]
+            step = a.pose.between(b.pose)
+            f = min(ahead / (b.stamp - a.stamp), 3.0)
+            return b.pose.compose(Pose2(f * step.x, f * step.y, wrap_angle(f * step.theta)))
+        i = len(readings) - 1
+        while readings[i - 1].stamp > stamp:  # what is asked for is mostly recent
+            i -= 1
+        a, b = readings[i - 1], readings[i]
+        f = (stamp - a.stamp) / (b.stamp - a.stamp)
+        step = a.pose.between(b.pose)
+        return a.pose.compose(Pose2(f * step.x, f * step.y, f * step.theta))
+
+    def map_pose(self, now: float) -> Pose2 | None:
+        """Return the pose in the map at now, or None as long as there is no anchor."""
+        if self._map_to_odometry is None:
+            return None
+        return self._map_to_odometry.compose(self.odometry_at(now))

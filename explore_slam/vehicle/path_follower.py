@@ -1,0 +1,289 @@
+"""Follows a plan: pure pursuit on dead-reckoned poses, with stops for obstacles and silence.
+
+Pure pursuit after Coulter (1992). Nothing here knows ROS or a clock: every call carries its time.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from explore_slam.data import LaserScan, OdometryReading, Plan
+from explore_slam.geometry import Array, Pose2, to_world
+from explore_slam.vehicle.clearance import free_distance, scan_points
+from explore_slam.vehicle.config import PathFollowerConfig
+from explore_slam.vehicle.dead_reckoning import DeadReckoning
+from explore_slam.vehicle.reference_path import ReferencePath
+
+_PROJECTION_WINDOW = 2.0  # m of path searched for the nearest point: paths may cross themselves
+_CREEP = 0.05  # m/s, so that the last centimetres are driven too
+_PROGRESS_STEP = 0.05  # m or rad that count as getting on
+
+
+class FollowerState(Enum):
+    """What the follower does with its plan."""
+
+    WAITING = 'waiting'
+    DRIVING = 'driving'
+    ARRIVED = 'arrived'
+    BLOCKED = 'blocked'
+
+
+@dataclass(frozen=True)
+class VelocityCommand:
+    """What the base shall do: m/s forward, rad/s to the left; and why."""
+
+    linear: float
+    angular: float
+    state: FollowerState
+    reason: str
+
+
+@dataclass
+class FollowerProgress:
+    """Where the follower is on its plan, for reports: metres; inf where unknown."""
+
+    remaining: float = math.inf
+    cross_track: float = 0.0
+    free: float = math.inf
+
+
+@dataclass
+class _Timers:
+    """Since when (s) something has been the case; -inf or None is not."""
+
+    agent: float = -math.inf
+    odometry: float = -math.inf
+    scan: float = -math.inf
+    obstacle: float | None = None
+    progress: float | None = None
+    last_command: float | None = None
+
+
+@dataclass
+class _Best:
+    """The furthest the follower got: what it must beat to count as getting on."""
+
+    remaining: float = math.inf
+    bearing: float = math.inf
+
+
+@dataclass
+class _Motion:
+    """The velocity commanded last."""
+
+    linear: float = 0.0
+    angular: float = 0.0
+    turning: bool = False
+
+
+class PathFollower:
+    """Turns plan, map pose, odometry and scans into velocity commands for one vehicle.
+
+    The set_ methods take what came and, where it matters, when it came (received, s; by default
+    its stamp): silence is judged by receipt, geometry by stamps.
+    """
+
+    def __init__(self, config: PathFollowerConfig | None = None) -> None:
+        self.config = config or PathFollowerConfig()
+        self.progress = FollowerProgress()
+        self.plan: Plan | None = None
+        self._laser = Pose2.from_array(self.config.laser_mount)
+        self._path: ReferencePath | None = None
+        self._s = 0.0
+        self._reckoning = DeadReckoning()
+        self._points: Array = np.empty((0, 2))
+        self._scan_stamp = 0.0
+        self._times = _Timers()
+        self._best = _Best()
+        self._motion = _Motion()
+        self._arrived = False
+
+    def set_plan(self, plan: Plan, received: float | None = None) -> None:
+        """Take a plan in the map frame; one without waypoints means: stay."""
+        self._times.agent = max(self._times.agent, plan.stamp if received is None else received)
+        if self.plan is not None and np.array_equal(plan.waypoints, self.plan.waypoints):
+            return
+        same_goal = (
+            self.plan is not None
+            and len(plan.waypoints) > 0
+            and len(self.plan.waypoints) > 0
+            and bool(np.allclose(plan.waypoints[-1], self.plan.waypoints[-1], atol=0.05))
+        )
+        self.plan = plan
+        self._path = ReferencePath(plan.waypoints) if len(plan.waypoints) else None
+        self._s = 0.0
+        self._arrived = False
+        if not same_goal:  # a path redrawn to the same goal does not excuse standing still
+            self._times.obstacle = self._times.progress = None
+            self._best = _Best()
+        else:
+            self._best.remaining = min(self._best.remaining, self._path_length())
+
+    def _path_length(self) -> float:
+        return self._path.length if self._path is not None else math.inf
+
+    def set_pose(self, stamp: float, pose: Pose2, received: float | None = None) -> None:
+        """Take the vehicle's pose in the map at a stamp (s)."""
+        self._times.agent = max(self._times.agent, stamp if received is None else received)
+        self._reckoning.set_pose(stamp, pose)
+
+    def set_odometry(self, reading: OdometryReading, received: float | None = None) -> None:
+        """Take the next odometry reading."""
+        self._times.odometry = reading.stamp if received is None else received
+        self._reckoning.add_odometry(reading)
+
+    def set_scan(self, scan: LaserScan, received: float | None = None) -> None:
+        """Take the next scan."""
+        self._times.scan = scan.stamp if received is None else received
+        self._scan_stamp = scan.stamp
+        self._points = scan_points(scan, self._laser)
+
+    def map_pose(self, now: float) -> Pose2 | None:
+        """Return the dead-reckoned pose in the map, None as long as there is none."""
+        return self._reckoning.map_pose(now)
+
+    def command(self, now: float) -> VelocityCommand:
+        """Return what the base shall do now (s); to be called at control_frequency."""
+        step = self._time_step(now)
+        silence = self._silence(now)
+        pose = self._reckoning.map_pose(now)
+        if silence or pose is None:
+            return self._stop(FollowerState.WAITING, silence or 'no map pose yet')
+        if self._path is None:
+            return self._stop(FollowerState.WAITING, 'no plan')
+        position = np.array([pose.x, pose.y])
+        self._s, cross = self._path.project(position, self._s, _PROJECTION_WINDOW)
+        to_goal = float(np.linalg.norm(position - self._path.points[-1]))
+        self.progress.remaining = self._path.length - self._s + min(abs(cross), to_goal)
+        self.progress.cross_track = cross
+        near_end = self._path.length - self._s <= self.config.goal_tolerance
+        if self._arrived or (near_end and to_goal <= self.config.goal_tolerance):
+            self._arrived = True
+            return self._stop(FollowerState.ARRIVED, 'goal reached')
+        if abs(cross) > self.config.maximum_deviation:
+            return self._stop(FollowerState.BLOCKED, f'{abs(cross):.2f} m off the plan')
+        return self._drive(now, step, pose)
+
+    def _time_step(self, now: float) -> float:
+        last = self._times.last_command
+        if last is not None and now < last:  # time jumped back: what was heard is of another time
+            self._times = _Timers()
+            self._motion = _Motion()
+            last = None
+        self._times.last_command = now
+        return 1.0 / self.config.control_frequency if last is None else min(now - last, 0.5)
+
+    def _silence(self, now: float) -> str:
+        """Return what has gone silent, or ''."""
+        c, t = self.config, self._times
+        if self.plan is None:
+            return 'no plan yet'
+        checks = [
+            ('agent', t.agent, c.agent_timeout),
+            ('odometry', t.odometry, c.odometry_timeout),
+            ('map pose', self._reckoning.pose_stamp, c.pose_timeout),
+        ]
+        if c.obstacle_stop:
+            checks.append(('laser', t.scan, c.scan_timeout))
+        for name, last, limit in checks:
+            if last == -math.inf:
+                return f'no {name} yet'
+            if now - last > limit:
+                return f'{name} silent for {now - last:.1f} s'
+        return ''
+
+    def _drive(self, now: float, step: float, pose: Pose2) -> VelocityCommand:
+        assert self._path is not None
+        c = self.config
+        ahead = max(c.minimum_lookahead, abs(self._motion.linear) * c.lookahead_time)
+        target = self._path.point_at(self._s + ahead)
+        x, y = to_world(pose.inverse(), target[None, :])[0]
+        distance, bearing = math.hypot(x, y), math.atan2(y, x)
+        limit = 0.35 * c.turn_in_place_angle if self._motion.turning else c.turn_in_place_angle
+        self._motion.turning = abs(bearing) > limit
+        stuck = self._stuck(now, bearing)
+        if stuck:
+            return self._stop(FollowerState.BLOCKED, stuck)
+        if self._motion.turning:
+            self._times.obstacle = None
+            linear = self._ramp(self._motion.linear, 0.0, c.follow_acceleration, step)
+            return self._send(step, max(linear, 0.0), 2.0 * bearing, 'turning to the plan')
+        curvature = 2.0 * y / max(distance * distance, 1e-6)
+        speed = min(c.follow_speed, c.follow_turn_rate / max(abs(curvature), 1e-6))
+        speed = min(speed, _braking_speed(self.progress.remaining, c.follow_acceleration))
+        speed, blocked = self._limit_for_obstacles(now, pose, curvature, max(speed, _CREEP))
+        if blocked:
+            late = now - (self._times.obstacle or now) > c.blocked_timeout
+            state = FollowerState.BLOCKED if late else FollowerState.WAITING
+            return self._stop(state, f'obstacle {self.progress.free:.2f} m ahead')
+        linear = self._ramp(self._motion.linear, speed, c.follow_acceleration, step)
+        return self._send(step, linear, linear * curvature, '')
+
+    def _limit_for_obstacles(
+        self, now: float, pose: Pose2, curvature: float, speed: float
+    ) -> tuple[float, bool]:
+        """Return the speed that can still be braked before what lies on the arc, and: stop."""
+        c = self.config
+        if not c.obstacle_stop:
+            return speed, False
+        moved = self._reckoning.odometry_at(now).between(
+            self._reckoning.odometry_at(self._scan_stamp)
+        )
+        points = to_world(moved, self._points)
+        body = c.vehicle_radius + c.side_clearance
+        free = free_distance(points, curvature, body)
+        straight = free_distance(points, 0.0, body) if abs(curvature) < 0.5 else free
+        self.progress.free = free = min(free, straight) + c.side_clearance
+        room = free - c.stop_distance
+        # once stopped, a little more room than it takes to stop: no creeping up on what moves
+        if room <= (0.05 if self._times.obstacle is not None else 0.0):
+            if self._times.obstacle is None:
+                self._times.obstacle = now
+            return 0.0, True
+        self._times.obstacle = None
+        a, t = 0.6 * c.follow_acceleration, c.reaction_time
+        return min(speed, max(a * (math.sqrt(t * t + 2.0 * room / a) - t), 0.02)), False
+
+    def _stuck(self, now: float, bearing: float) -> str:
+        """Return why this is no progress, or '' ; waiting for an obstacle is not counted here."""
+        turning = self._motion.turning
+        remaining = self.progress.remaining
+        better = remaining < self._best.remaining - _PROGRESS_STEP or (
+            turning and abs(bearing) < self._best.bearing - _PROGRESS_STEP
+        )
+        if better or self._times.progress is None or self._times.obstacle is not None:
+            self._best = _Best(min(remaining, self._best.remaining), abs(bearing))
+            self._times.progress = now
+        elif now - self._times.progress > self.config.stuck_timeout:
+            return f'no progress for {now - self._times.progress:.0f} s'
+        return ''
+
+    @staticmethod
+    def _ramp(present: float, wanted: float, acceleration: float, step: float) -> float:
+        """Return wanted, reached no faster than the acceleration; slowing down is twice as quick."""
+        return min(max(wanted, present - 2.0 * acceleration * step), present + acceleration * step)
+
+    def _send(self, step: float, linear: float, angular: float, reason: str) -> VelocityCommand:
+        c = self.config
+        bound = c.follow_turn_acceleration * step
+        wanted = min(max(angular, -c.follow_turn_rate), c.follow_turn_rate)
+        present = self._motion.angular
+        self._motion.linear = linear
+        self._motion.angular = min(max(wanted, present - bound), present + bound)
+        return VelocityCommand(
+            float(linear), float(self._motion.angular), FollowerState.DRIVING, reason
+        )
+
+    def _stop(self, state: FollowerState, reason: str) -> VelocityCommand:
+        self._motion.linear = self._motion.angular = 0.0
+        self._motion.turning = False
+        if state is FollowerState.WAITING and self._times.obstacle is None:
+            self._times.progress = None
+        return VelocityCommand(0.0, 0.0, state, reason)
+
+
+def _braking_speed(distance: float, deceleration: float) -> float:
+    """Return the speed (m/s) from which the deceleration (m/s²) stops within the distance (m)."""
+    return math.sqrt(max(2.0 * deceleration * distance, 0.0))
