@@ -1,0 +1,54 @@
+# Two commands do everything on a fresh machine: `make demo` and `make test`.
+SHELL := /bin/bash
+VENV ?= .venv
+PY := $(VENV)/bin/python
+PIP := $(PY) -m pip --disable-pip-version-check
+export PIP_NO_WARN_SCRIPT_LOCATION := 1
+
+.PHONY: demo test lint types unit bench experiments test-lowest setup setup-dev clean
+
+demo: setup
+	@$(VENV)/bin/explore_slam demo $(ARGS)
+
+test: setup-dev lint types unit
+
+lint: setup-dev
+	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/ruff check .
+
+types: setup-dev
+	$(VENV)/bin/mypy
+
+unit: setup-dev
+	$(PY) -m pytest $(ARGS)
+
+bench: setup-dev
+	$(PY) benchmarks/run.py $(ARGS)
+
+experiments: setup-dev
+	for n in 1 2 3 4; do $(VENV)/bin/explore_slam experiment $$n || exit 1; done
+
+# the versions that Ubuntu 24.04 has
+test-lowest:
+	$(MAKE) VENV=.venv-lowest CONSTRAINTS=requirements-lowest.txt unit
+
+setup: $(VENV)/.ready
+setup-dev: $(VENV)/.ready-dev
+
+$(VENV)/bin/python:
+	@python=$$(tools/find_python) && echo "Making $(VENV) with $$python" && "$$python" -m venv $(VENV)
+
+$(VENV)/.ready: requirements.txt requirements-ros.txt setup.py package.xml $(CONSTRAINTS) | $(VENV)/bin/python
+	@echo "Installing ROS 2 Jazzy and what else is needed from PyPI (a minute or two) ..."
+	@$(PIP) install -q -r requirements.txt -r requirements-ros.txt $(if $(CONSTRAINTS),-c $(CONSTRAINTS)) 'setuptools<80' 2> >(grep -v 'is ignored: it is neither' >&2)
+	@$(PIP) install -q --no-deps --no-build-isolation -e .
+	@tools/check_libraries $(PY)
+	@touch $@
+
+$(VENV)/.ready-dev: requirements-dev.txt $(VENV)/.ready
+	@echo "Installing what tests and benchmarks need ..."
+	@$(PIP) install -q -r requirements-dev.txt $(if $(CONSTRAINTS),-c $(CONSTRAINTS)) 2> >(grep -v 'is ignored: it is neither' >&2)
+	@touch $@
+
+clean:
+	rm -rf .venv .venv-lowest build install log .mypy_cache .ruff_cache .pytest_cache

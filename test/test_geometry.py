@@ -1,0 +1,57 @@
+"""SE(2): the array functions agree with the scalar ones, and both with the group's laws."""
+
+import math
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from explore_slam import geometry
+from explore_slam.geometry import IDENTITY, Pose2
+
+coordinates = st.floats(-1e3, 1e3)
+poses = st.builds(Pose2, coordinates, coordinates, st.floats(-math.pi, math.pi))
+
+
+def assert_same(a, b):
+    assert math.isclose(a.x, b.x, abs_tol=1e-8)
+    assert math.isclose(a.y, b.y, abs_tol=1e-8)
+    assert abs(geometry.wrap_angle(a.theta - b.theta)) < 1e-9
+
+
+@given(poses, poses)
+def test_between_undoes_compose(a, b):
+    assert_same(a.compose(a.between(b)), b)
+    assert_same(a.compose(a.inverse()), IDENTITY)
+
+
+@given(poses, poses)
+def test_arrays_agree_with_scalars(a, b):
+    np.testing.assert_allclose(geometry.compose(a, b), a.compose(b), atol=1e-9)
+    expected = a.between(b)
+    found = geometry.between(np.array([a, a]), np.array([b, b]))
+    np.testing.assert_allclose(found[1, :2], expected[:2], atol=1e-9)
+    assert abs(geometry.wrap_angle(found[0, 2] - expected.theta)) < 1e-9
+
+
+@given(st.floats(-1e4, 1e4))
+def test_wrapped_angles_lie_in_the_half_open_interval(angle):
+    wrapped = geometry.wrap_angle(angle)
+    assert -math.pi < wrapped <= math.pi
+    assert math.isclose(math.cos(wrapped), math.cos(angle), abs_tol=1e-9)
+    both = geometry.wrap_angles(np.array([angle]))[0]
+    assert -math.pi < both <= math.pi
+
+
+@given(poses)
+def test_points_move_like_poses(pose):
+    moved = geometry.to_world(pose, np.array([[1.0, 2.0, 3.0]]))[0]
+    expected = pose.compose(Pose2(1.0, 2.0, 0.0))
+    np.testing.assert_allclose(moved, [expected.x, expected.y, 3.0], atol=1e-9)
+
+
+def test_rotation_matrix_of_yaw_turns_left():
+    turned = geometry.rotation_matrix(0.0, 0.0, math.pi / 2) @ [1.0, 0.0, 0.0]
+    np.testing.assert_allclose(turned, [0.0, 1.0, 0.0], atol=1e-12)
+    tilted = geometry.rotation_matrix(0.0, 0.1, 0.0) @ [1.0, 0.0, 0.0]
+    assert tilted[2] < 0.0  # positive pitch looks down (REP-103)

@@ -1,0 +1,89 @@
+"""Settings: checked when made, found by leaf name, saved and loaded as ROS parameter files."""
+
+from dataclasses import dataclass
+
+import pytest
+
+from explore_slam.errors import ConfigError
+from explore_slam.settings import (
+    Section,
+    load_settings,
+    save_settings,
+    section,
+    setting,
+    values_of,
+    with_values,
+)
+
+
+@dataclass(frozen=True)
+class Inner(Section):
+    particles: int = setting(100, 'Number of particles', low=1, high=10000)
+    engine: str = setting('paper', 'Which engine', choices=('paper', 'fastslam2'))
+
+
+@dataclass(frozen=True)
+class Outer(Section):
+    inner: Inner = section(Inner)
+    resolution: float = setting(0.05, 'Cell size', unit='m', low=0.01)
+    draw: bool = setting(True, 'Draw it')
+    vehicles: tuple[str, ...] = setting(('robot1',), 'Names')
+
+
+def test_values_are_found_and_replaced_by_leaf_name():
+    tree = with_values(Outer(), {'particles': 7, 'resolution': 1, 'vehicles': ['a', 'b']})
+    assert tree.inner.particles == 7
+    assert values_of(tree) == {
+        'particles': 7,
+        'engine': 'paper',
+        'resolution': 1.0,
+        'draw': True,
+        'vehicles': ('a', 'b'),
+    }
+
+
+@pytest.mark.parametrize(
+    ('values', 'message'),
+    [
+        ({'particles': 0}, 'particles is 0, expected 1 to 10000'),
+        ({'particles': 1.5}, 'particles is 1.5, expected int'),
+        ({'particles': True}, 'particles is True, expected int'),
+        ({'engine': 'magic'}, "engine is 'magic', expected one of"),
+        ({'resolution': float('nan')}, 'resolution is nan, expected at least 0.01 m'),
+        ({'draw': 1}, 'draw is 1, expected bool'),
+        ({'particle': 3}, "no setting 'particle'; did you mean 'particles'"),
+        ({'vehicles': 'robot1'}, "vehicles is 'robot1', expected tuple"),
+    ],
+)
+def test_bad_values_are_named(values, message):
+    with pytest.raises(ConfigError, match=message):
+        with_values(Outer(), values)
+
+
+def test_round_trip_through_a_parameter_file(tmp_path):
+    tree = with_values(Outer(), {'particles': 9, 'draw': False, 'vehicles': ['x', 'y: z']})
+    save_settings(tree, tmp_path / 'config.yaml')
+    assert load_settings(Outer(), tmp_path / 'config.yaml') == tree
+    assert '# Cell size (m, at least 0.01)' in (tmp_path / 'config.yaml').read_text()
+
+
+@pytest.mark.parametrize(
+    ('text', 'message'),
+    [
+        ('a: [', 'is not YAML'),
+        ('- 1', 'expected a mapping'),
+        ('agent: {particles: 3}', 'ros__parameters'),
+        ('/**: {ros__parameters: {nothing: 3}}', "no setting 'nothing'"),
+    ],
+)
+def test_bad_files_are_named(tmp_path, text, message):
+    path = tmp_path / 'bad.yaml'
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=message) as caught:
+        load_settings(Outer(), path)
+    assert 'bad.yaml' in str(caught.value)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(ConfigError, match=r'absent\.yaml cannot be read'):
+        load_settings(Outer(), tmp_path / 'absent.yaml')
