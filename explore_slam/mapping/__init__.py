@@ -1,1 +1,30 @@
-"""Room 'mapping'; see doc/architecture."""
+"""Scans and the best particle's path -> occupancy grid; map files."""
+
+import numpy as np
+
+from explore_slam.data import LaserScan
+from explore_slam.geometry import IDENTITY
+from explore_slam.mapping.config import GridConfig
+from explore_slam.mapping.laser_map import Body, KeyframeScan, LaserMap, RedrawSummary
+from explore_slam.mapping.map_files import load_map, read_pgm, save_map
+from explore_slam.mapping.occupancy_grid import OccupancyGrid
+
+__all__ = [
+    'Body',
+    'GridConfig',
+    'KeyframeScan',
+    'LaserMap',
+    'OccupancyGrid',
+    'RedrawSummary',
+    'load_map',
+    'read_pgm',
+    'save_map',
+    'warm_up',
+]
+
+
+def warm_up() -> None:
+    """Compile every kernel of the room, so that no later call waits for the compiler."""
+    grid = OccupancyGrid()
+    scan = LaserScan(0.0, 0.0, 0.1, np.array([1.0, 2.0], np.float32), 0.0, 10.0)
+    grid.insert_scan(IDENTITY, scan, [(1.0, 0.0, 0.2)])

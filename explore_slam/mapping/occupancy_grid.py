@@ -1,0 +1,238 @@
+"""Occupancy grid: clamped log-odds per cell, growing in any direction, the same bits every time.
+
+Row is the index in y, column the index in x; `origin` is the lower left corner of cell [0, 0].
+Cell edges lie on multiples of the resolution, whatever direction the grid grew in.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from explore_slam.data import LaserScan
+from explore_slam.errors import MappingError
+from explore_slam.geometry import Array, Pose2
+from explore_slam.mapping.config import GridConfig
+from explore_slam.mapping.ray_model import (
+    NATS,
+    NOTHING,
+    UNKNOWN,
+    classify_beams,
+    draw_beams,
+    drop_bodies,
+)
+
+BLOCK = 64  # the grid grows by whole blocks of cells, so that it rarely needs to grow
+NO_BODIES = np.empty((0, 3))
+
+
+def _log_odds(probability: float) -> int:
+    return round(NATS * math.log(probability / (1.0 - probability)))
+
+
+def _probability_table() -> NDArray[np.float32]:
+    """Probability for every int16 evidence, indexed by its bits as uint16; unknown is one half."""
+    values = np.arange(65536, dtype=np.uint16).view(np.int16).astype(np.float64)
+    table = 1.0 / (1.0 + np.exp(-np.clip(values / NATS, -30.0, 30.0)))
+    table[np.uint16(32768)] = 0.5
+    return table.astype(np.float32)
+
+
+_PROBABILITY = _probability_table()
+
+
+class OccupancyGrid:
+    """Evidence for occupation of square cells, in the map frame."""
+
+    def __init__(self, config: GridConfig | None = None) -> None:
+        self.config = config or GridConfig()
+        self._first_col = self._first_row = 0
+        self._evidence = np.empty((0, 0), np.int16)
+        self._touched = np.empty((0, 0), np.int32)
+        self._scan_number = 0
+        self._steps = np.array(
+            [
+                _log_odds(self.config.hit_probability),
+                _log_odds(self.config.miss_probability),
+                _log_odds(self.config.clamp_low),
+                _log_odds(self.config.clamp_high),
+            ],
+            np.int32,
+        )
+
+    @classmethod
+    def from_probability(
+        cls,
+        probability: ArrayLike,
+        known: ArrayLike,
+        origin: tuple[float, float] = (0.0, 0.0),
+        config: GridConfig | None = None,
+    ) -> 'OccupancyGrid':
+        """Make a grid of probabilities (H, W) and known cells (H, W).
+
+        The origin (m) must be a multiple of the resolution (to a hundredth of a cell), because a
+        grid grows by whole cells; otherwise, or for NaN in known cells, MappingError.
+        """
+        grid = cls(config)
+        p, seen = np.asarray(probability, np.float64), np.asarray(known, np.bool_)
+        if p.ndim != 2 or p.shape != seen.shape:
+            raise MappingError(
+                f'probability has shape {p.shape} and known {seen.shape}, expected both (H, W)'
+            )
+        values = p[seen]
+        if not (np.isfinite(values).all() and (values >= 0.0).all() and (values <= 1.0).all()):
+            raise MappingError('probability holds NaN or values outside 0..1 in known cells')
+        first = [grid._whole_cells(name, value) for name, value in zip('xy', origin, strict=True)]
+        grid._first_col, grid._first_row = first
+        low, high = grid.config.clamp_low, grid.config.clamp_high
+        clipped = np.clip(np.where(seen, p, 0.5), low, high)
+        evidence = np.rint(NATS * np.log(clipped / (1.0 - clipped))).astype(np.int16)
+        grid._evidence = np.where(seen, evidence, UNKNOWN)
+        grid._touched = np.zeros(p.shape, np.int32)
+        return grid
+
+    def _whole_cells(self, name: str, value: float) -> int:
+        cells = value / self.resolution if math.isfinite(value) else math.nan
+        if not abs(cells - np.rint(cells)) < 0.01:
+            raise MappingError(
+                f'origin {name} is {value}, expected a multiple of resolution {self.resolution}'
+            )
+        return int(np.rint(cells))
+
+    @property
+    def resolution(self) -> float:
+        """Side of a cell (m)."""
+        return self.config.resolution
+
+    @property
+    def origin(self) -> tuple[float, float]:
+        """Lower left corner (x, y) m of cell [0, 0]."""
+        return self._first_col * self.resolution, self._first_row * self.resolution
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self._evidence.shape[0], self._evidence.shape[1]
+
+    def evidence(self) -> NDArray[np.int16]:
+        """Return the log-odds (H, W) in thousandths of a nat or UNKNOWN; read only."""
+        view = self._evidence.view()
+        view.flags.writeable = False
+        return view
+
+    def probability(self) -> NDArray[np.float32]:
+        """Return the probability (H, W) that a cell is occupied; 0.5 where unknown."""
+        return np.take(_PROBABILITY, self._evidence.view(np.uint16))
+
+    def known(self) -> NDArray[np.bool_]:
+        """Return (H, W): a beam touched the cell."""
+        seen: NDArray[np.bool_] = self._evidence != UNKNOWN
+        return seen
+
+    def to_cell(self, points: ArrayLike) -> NDArray[np.int64]:
+        """Return the cells (N, 2) (row, col) of points (N, 2) m; they may lie outside the grid."""
+        scaled = np.asarray(points, np.float64).reshape(-1, 2) / self.resolution
+        cells = np.floor(scaled).astype(np.int64)
+        return np.stack([cells[:, 1] - self._first_row, cells[:, 0] - self._first_col], axis=1)
+
+    def to_point(self, cells: ArrayLike) -> Array:
+        """Return the centers (N, 2) m of cells (N, 2) (row, col)."""
+        index = np.asarray(cells, np.int64).reshape(-1, 2)
+        first = np.array([self._first_col, self._first_row])
+        points: Array = (index[:, ::-1] + first + 0.5) * self.resolution
+        return points
+
+    def contains(self, cells: ArrayLike) -> NDArray[np.bool_]:
+        """Tell for cells (N, 2) whether they lie inside the grid."""
+        index = np.asarray(cells, np.int64).reshape(-1, 2)
+        return ((index >= 0) & (index < np.array(self.shape))).all(axis=1)
+
+    def insert_scan(self, pose: Pose2, scan: LaserScan, ignore: ArrayLike = NO_BODIES) -> None:
+        """Add one scan taken at the pose of the laser in the map.
+
+        ignore (V, 3): x, y, radius (m) of vehicles whose bodies must not become walls.
+        """
+        bodies = np.asarray(ignore, np.float64).reshape(-1, 3)
+        if not pose.is_finite() or not np.isfinite(bodies).all():
+            raise MappingError(f'pose {tuple(pose)} or bodies {bodies.tolist()} are not finite')
+        config, scale = self.config, self.resolution
+        lengths, kinds = classify_beams(
+            scan.ranges,
+            scan.range_min,
+            scan.range_max,
+            config.max_laser_range,
+            config.no_return_range,
+        )
+        headings = scan.angles + pose.theta
+        if len(bodies):
+            drop_bodies(pose.x, pose.y, headings, lengths, kinds, bodies)
+        used = kinds != NOTHING
+        if not used.any():
+            return
+        self._make_room(pose, headings, lengths)
+        self._scan_number += 1
+        draw_beams(
+            self._evidence,
+            self._touched,
+            self._scan_number,
+            pose.x / scale - self._first_col,
+            pose.y / scale - self._first_row,
+            headings,
+            lengths / scale,
+            kinds,
+            self._steps,
+        )
+
+    def _make_room(self, pose: Pose2, headings: Array, lengths: Array) -> None:
+        """Grow so that the laser and all ends of beams lie inside, with a cell to spare."""
+        ends_x = pose.x + np.append(lengths * np.cos(headings), 0.0)
+        ends_y = pose.y + np.append(lengths * np.sin(headings), 0.0)
+        corners = np.array([[ends_x.min(), ends_y.min()], [ends_x.max(), ends_y.max()]])
+        if np.abs(corners).max() > 1e9:
+            raise MappingError(f'pose {tuple(pose)} lies too far out for a grid')
+        cells = np.floor(corners / self.resolution).astype(np.int64) + np.array([[-1], [2]])
+        rows, cols = self.shape
+        first = np.array([self._first_col, self._first_row])
+        if rows and (cells[0] >= first).all() and (cells[1] <= first + (cols, rows)).all():
+            return
+        low, high = cells[0] // BLOCK * BLOCK, -(-cells[1] // BLOCK) * BLOCK
+        if rows:
+            low, high = np.minimum(low, first), np.maximum(high, first + (cols, rows))
+        side = float((high - low).max()) * self.resolution
+        if side > self.config.maximum_map_side:
+            raise MappingError(
+                f'a scan at {tuple(pose)} needs a grid of {side:.0f} m, '
+                f'expected at most maximum_map_side = {self.config.maximum_map_side:.0f} m'
+            )
+        self._grow(low, high, first)
+
+    def _grow(self, low: NDArray[Any], high: NDArray[Any], first: NDArray[Any]) -> None:
+        width, height = (high - low).tolist()
+        evidence = np.full((height, width), UNKNOWN, np.int16)
+        touched = np.zeros((height, width), np.int32)
+        rows, cols = self.shape
+        if rows:
+            col, row = (first - low).tolist()
+            evidence[row : row + rows, col : col + cols] = self._evidence
+            touched[row : row + rows, col : col + cols] = self._touched
+        self._evidence, self._touched = evidence, touched
+        self._first_col, self._first_row = low.tolist()
+
+    def to_occupancy(self) -> NDArray[np.int8]:
+        """Return (H, W) as in nav_msgs/OccupancyGrid: -1 unknown, 0..100 percent."""
+        percent = np.rint(self.probability() * 100.0).astype(np.int8)
+        percent[~self.known()] = -1
+        return percent
+
+    def copy(self) -> 'OccupancyGrid':
+        """Return an independent copy."""
+        other = OccupancyGrid(self.config)
+        other._first_col, other._first_row = self._first_col, self._first_row
+        other._evidence = self._evidence.copy()
+        other._touched = np.zeros(self.shape, np.int32)
+        return other
+
+    def same_as(self, other: 'OccupancyGrid') -> bool:
+        """Tell whether extent and evidence are equal bit for bit."""
+        return self.origin == other.origin and np.array_equal(self._evidence, other._evidence)
