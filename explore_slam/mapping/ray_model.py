@@ -98,7 +98,7 @@ def draw_beams(
     """Add one scan to evidence (H, W), in place.
 
     x, y and lengths are in cells, measured from the corner of cell [0, 0]; touched (H, W) holds
-    the number of the scan that changed a cell last; steps are hit, miss, lowest and highest evidence.
+    the number of the scan that changed a cell last; steps: hit, miss, lowest, highest evidence.
     The caller guarantees that the origin and every end point lie inside the array.
     """
     hit, miss, low, high = steps[0], steps[1], steps[2], steps[3]
@@ -130,7 +130,7 @@ def _free_ray(
     high: int,
 ) -> None:
     """Visit every cell the ray crosses before the one it ends in (Amanatides and Woo, 1987)."""
-    col, row = math.floor(x)), int(math.floor(y)
+    col, row = math.floor(x), math.floor(y)
     end_col, end_row = math.floor(x + length * c), math.floor(y + length * s)
     step_col, step_row = (1 if c > 0.0 else -1), (1 if s > 0.0 else -1)
     per_col = 1.0 / abs(c) if c != 0.0 else np.inf
