@@ -1,8 +1,16 @@
 """Settings of a vehicle: how it follows plans; the driver's settings are in driver_config."""
 
+import math
 from dataclasses import dataclass
 
+from explore_slam.errors import ConfigError
 from explore_slam.settings import Section, setting
+
+
+def check_mount(name: str, mount: tuple[float, ...], length: int) -> None:
+    """Raise ConfigError unless a mount has its number of values, all finite."""
+    if len(mount) != length or not all(map(math.isfinite, mount)):
+        raise ConfigError(f'{name} is {list(mount)}, expected {length} finite numbers')
 
 
 @dataclass(frozen=True)
@@ -79,3 +87,7 @@ class PathFollowerConfig(Section):
     laser_mount: tuple[float, ...] = setting(
         (0.1, 0.0, 0.0), 'x (m), y (m) and heading (rad) of the laser on the vehicle'
     )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_mount('laser_mount', self.laser_mount, 3)

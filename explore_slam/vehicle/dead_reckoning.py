@@ -44,7 +44,7 @@ class DeadReckoning:
             self.set_pose(*self._pending)
 
     def set_pose(self, stamp: float, pose: Pose2) -> None:
-        """Anchor: the vehicle was at this map pose at the stamp. Kept until odometry reaches it."""
+        """Anchor: the vehicle was at this map pose at the stamp; waits for odometry if need be."""
         if not self._readings or stamp > self._readings[-1].stamp + _EXTRAPOLATION:
             self._pending = (stamp, pose)
             return

@@ -86,10 +86,9 @@ class PathFollower:
     """
 
     def __init__(self, config: PathFollowerConfig | None = None) -> None:
-        self.config = config or PathFollowerConfig()
         self.progress = FollowerProgress()
         self.plan: Plan | None = None
-        self._laser = Pose2.from_array(self.config.laser_mount)
+        self.configure(config or PathFollowerConfig())
         self._path: ReferencePath | None = None
         self._s = 0.0
         self._reckoning = DeadReckoning()
@@ -99,6 +98,11 @@ class PathFollower:
         self._best = _Best()
         self._motion = _Motion()
         self._arrived = False
+
+    def configure(self, config: PathFollowerConfig) -> None:
+        """Take over other settings while driving."""
+        self.config = config
+        self._laser = Pose2.from_array(config.laser_mount)
 
     def set_plan(self, plan: Plan, received: float | None = None) -> None:
         """Take a plan in the map frame; one without waypoints means: stay."""
@@ -213,7 +217,7 @@ class PathFollower:
         curvature = 2.0 * y / max(distance * distance, 1e-6)
         speed = min(c.follow_speed, c.follow_turn_rate / max(abs(curvature), 1e-6))
         speed = min(speed, _braking_speed(self.progress.remaining, c.follow_acceleration))
-        speed, blocked = self._limit_for_obstacles(now, pose, curvature, max(speed, _CREEP))
+        speed, blocked = self._limit_for_obstacles(now, curvature, max(speed, _CREEP))
         if blocked:
             late = now - (self._times.obstacle or now) > c.blocked_timeout
             state = FollowerState.BLOCKED if late else FollowerState.WAITING
@@ -222,7 +226,7 @@ class PathFollower:
         return self._send(step, linear, linear * curvature, '')
 
     def _limit_for_obstacles(
-        self, now: float, pose: Pose2, curvature: float, speed: float
+        self, now: float, curvature: float, speed: float
     ) -> tuple[float, bool]:
         """Return the speed that can still be braked before what lies on the arc, and: stop."""
         c = self.config
@@ -262,7 +266,7 @@ class PathFollower:
 
     @staticmethod
     def _ramp(present: float, wanted: float, acceleration: float, step: float) -> float:
-        """Return wanted, reached no faster than the acceleration; slowing down is twice as quick."""
+        """Return wanted, as far as the acceleration allows; slowing down is twice as quick."""
         return min(max(wanted, present - 2.0 * acceleration * step), present + acceleration * step)
 
     def _send(self, step: float, linear: float, angular: float, reason: str) -> VelocityCommand:

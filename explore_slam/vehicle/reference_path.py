@@ -27,7 +27,7 @@ class ReferencePath:
         )
 
     def project(self, position: Array, start: float, window: float) -> tuple[float, float]:
-        """Return (s, signed distance) of the nearest point of the path with start <= s <= start + window.
+        """Return (s, signed distance) of the nearest point with start <= s <= start + window.
 
         The distance (m) is positive where the position lies left of the path.
         """

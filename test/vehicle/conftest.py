@@ -1,12 +1,13 @@
-"""A vehicle on a plane for the follower's tests: acceleration limits, latency, noisy-free odometry."""
+"""A vehicle on a plane for the follower's tests: acceleration limits, latency, no noise."""
 
 import math
 from collections import deque
 
 import numpy as np
+import pytest
 
-from explore_slam.data import LaserScan, OdometryReading
-from explore_slam.geometry import Pose2
+from explore_slam.data import LaserScan, OdometryReading, Plan
+from explore_slam.geometry import IDENTITY, Pose2
 from explore_slam.vehicle import PathFollower, VelocityCommand
 
 TICK = 0.01
@@ -19,7 +20,7 @@ class Track:
     `latency` s late.
     """
 
-    def __init__(self, follower, start=Pose2(0, 0, 0), obstacles=(), latency=0.1):
+    def __init__(self, follower, start=IDENTITY, obstacles=(), latency=0.1):
         self.follower = follower
         self.pose = start
         self.origin = Pose2(3.0, -2.0, 0.7)  # odometry frame: any other than the map
@@ -77,7 +78,7 @@ class Track:
     def deliver(self, call):
         self.deliveries.append((self.time + self.latency, call))
 
-    def run(self, seconds, until=lambda track: False):
+    def run(self, seconds, until=lambda _: False):
         end = self.time + seconds
         while self.time < end and not until(self):
             self.step()
@@ -92,10 +93,14 @@ class Track:
         )
 
 
-def make_track(waypoints, config=None, **kwargs):
-    from explore_slam.data import Plan
+@pytest.fixture
+def make_track():
+    """Return a function: waypoints, config -> a Track with a follower that has this plan."""
 
-    follower = PathFollower(config)
-    points = np.asarray(waypoints, dtype=float)
-    follower.set_plan(Plan(0.0, 'robot1', Pose2(*points[-1], 0.0), points))
-    return Track(follower, **kwargs)
+    def make(waypoints, config=None, **kwargs):
+        follower = PathFollower(config)
+        points = np.asarray(waypoints, dtype=float)
+        follower.set_plan(Plan(0.0, 'robot1', Pose2(*points[-1], 0.0), points))
+        return Track(follower, **kwargs)
+
+    return make

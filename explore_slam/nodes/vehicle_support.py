@@ -1,0 +1,180 @@
+"""What the nodes of a vehicle share: parameters from settings, stamps, diagnostics."""
+
+import logging
+import signal
+import sys
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+
+from explore_slam.errors import ConfigError
+from explore_slam.settings import Section, Setting, settings_of, with_values
+
+OK, WARN, ERROR, STALE = (
+    DiagnosticStatus.OK,
+    DiagnosticStatus.WARN,
+    DiagnosticStatus.ERROR,
+    DiagnosticStatus.STALE,
+)
+LATCHED = QoSProfile(
+    depth=1,
+    reliability=QoSReliabilityPolicy.RELIABLE,
+    durability=QoSDurabilityPolicy.TRANSIENT_LOCAL,
+)
+
+
+def _descriptor(info: Setting) -> ParameterDescriptor:
+    text = f'{info.doc} [{info.unit}]' if info.unit else info.doc
+    # dynamic typing: `speed: 1` in a YAML file is meant as 1.0; Setting.check says what is wrong
+    descriptor = ParameterDescriptor(description=text, dynamic_typing=True)
+    descriptor.additional_constraints = ' | '.join(info.choices)
+    low = -sys.float_info.max if info.low is None else info.low
+    high = sys.float_info.max if info.high is None else info.high
+    bounded = info.low is not None or info.high is not None
+    if bounded and isinstance(info.default, float):
+        limits = FloatingPointRange(from_value=float(low), to_value=float(high), step=0.0)
+        descriptor.floating_point_range = [limits]
+    elif bounded and isinstance(info.default, int):
+        bounds = (int(max(low, -(2**63))), int(min(high, 2**63 - 1)))
+        descriptor.integer_range = [IntegerRange(from_value=bounds[0], to_value=bounds[1], step=0)]
+    return descriptor
+
+
+def _plain(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value
+
+
+def declare_settings[S: Section](node: Node, tree: S) -> S:
+    """Declare every leaf of the tree as a parameter; return the tree with the node's values.
+
+    Raises ConfigError naming the parameter, its value and what was expected.
+    """
+    for info, value in settings_of(tree):
+        node.declare_parameter(info.name, _plain(value), _descriptor(info))
+    names = [info.name for info, _ in settings_of(tree)]
+    values = {name: _plain(node.get_parameter(name).value) for name in names}
+    return with_values(tree, values)
+
+
+def changed_settings[S: Section](
+    tree: S, parameters: list[Parameter]
+) -> tuple[S, SetParametersResult]:
+    """Return the tree with the parameters taken over, and the answer to whoever set them."""
+    known = {info.name for info, _ in settings_of(tree)}
+    values = {item.name: item.value for item in parameters if item.name in known}
+    try:
+        return with_values(tree, values), SetParametersResult(successful=True)
+    except ConfigError as error:
+        return tree, SetParametersResult(successful=False, reason=str(error))
+
+
+def now_seconds(node: Node) -> float:
+    """Return the node's time (s); 0 as long as simulated time has not begun."""
+    return float(node.get_clock().now().nanoseconds) * 1e-9
+
+
+def diagnostics_message(
+    node: Node, parts: Mapping[str, tuple[bytes, str, Mapping[str, Any]]], hardware: str = ''
+) -> DiagnosticArray:
+    """Return a DiagnosticArray of parts: name -> (level, message, values)."""
+    message = DiagnosticArray()
+    message.header.stamp = node.get_clock().now().to_msg()
+    for name, (level, text, values) in parts.items():
+        pairs = [KeyValue(key=key, value=_text(value)) for key, value in values.items()]
+        message.status.append(
+            DiagnosticStatus(
+                level=level,
+                name=f'{node.get_fully_qualified_name().lstrip("/")}: {name}',
+                message=text,
+                hardware_id=hardware,
+                values=pairs,
+            )
+        )
+    return message
+
+
+def _text(value: Any) -> str:
+    return f'{value:.4g}' if isinstance(value, float) else str(value)
+
+
+class RosLogHandler(logging.Handler):
+    """Passes what the rooms log on to the node's logger."""
+
+    def __init__(self, node: Node) -> None:
+        super().__init__(logging.INFO)
+        self._logger = node.get_logger()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Log one record at the level it has."""
+        text = record.getMessage()
+        if record.levelno >= logging.ERROR:
+            self._logger.error(text)
+        elif record.levelno >= logging.WARNING:
+            self._logger.warning(text)
+        else:
+            self._logger.info(text)
+
+
+def vehicle_name(node: Node) -> str:
+    """Return the vehicle's name: the node's namespace without slashes."""
+    return str(node.get_namespace()).strip('/').replace('/', '_') or 'robot'
+
+
+class StoppableNode(Protocol):
+    """A node that brings its vehicle to rest before it goes."""
+
+    def stop(self) -> None:
+        """Leave the vehicle stopped; called once, whatever ended the node."""
+
+    def destroy_node(self) -> Any:
+        """Release what rclpy holds."""
+
+    def get_logger(self) -> Any:
+        """Return the node's logger."""
+
+
+def run_node(make: Callable[[], StoppableNode], arguments: list[str] | None = None) -> int:
+    """Spin a node until SIGINT or SIGTERM, stop its vehicle, return the exit code.
+
+    Signals are taken here and not by rclpy, whose handler tears the context down before the
+    last commands are out; the second of two SIGINTs (terminal and launcher) is ignored.
+    """
+    asked: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda received, _frame: asked.append(received))
+    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    node: StoppableNode | None = None
+    code = 0
+    try:
+        node = make()
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        while not asked:
+            executor.spin_once(timeout_sec=0.05)
+    except ConfigError as error:
+        logging.getLogger(__name__).error('%s', error)
+        code = 1
+    except Exception as error:  # whatever it is, the vehicle must be stopped first
+        if node is None:
+            raise
+        node.get_logger().fatal(f'stopping the vehicle: {type(error).__name__}: {error}')
+        code = 1
+    finally:
+        if node is not None:
+            node.stop()
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return code

@@ -1,0 +1,157 @@
+"""The follower's node with real topics: plan, pose, odom, scan in; cmd_vel and status out."""
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import Twist
+from nav_msgs.msg import Path
+from std_msgs.msg import String
+
+from explore_slam.data import LaserScan, OdometryReading
+from explore_slam.geometry import Pose2
+from explore_slam.nodes import conversions
+from explore_slam.nodes.messages import MESSAGES, message_class
+from explore_slam.nodes.vehicle_support import LATCHED
+
+DOMAIN = '71'
+
+
+class Harness:
+    """A vehicle that drives as commanded, on topics of a namespace, in this process."""
+
+    def __init__(self, context):
+        self.node = rclpy.create_node('harness', namespace='/robot7', context=context)
+        self.executor = rclpy.executors.SingleThreadedExecutor(context=context)
+        self.executor.add_node(self.node)
+        self.pose, self.velocity, self.states, self.parts = Pose2(0, 0, 0), (0.0, 0.0), [], []
+        self.commands = []
+        self.node.create_subscription(Twist, 'cmd_vel', self.on_velocity, 10)
+        self.node.create_subscription(String, 'follower_status', self.on_state, 10)
+        self.node.create_subscription(DiagnosticArray, '/diagnostics', self.parts.append, 10)
+        self.plan = self.node.create_publisher(Path, 'plan', LATCHED)
+        kinds = {
+            'pose': 'geometry_msgs/PoseWithCovarianceStamped',
+            'odom': 'nav_msgs/Odometry',
+            'scan': 'sensor_msgs/LaserScan',
+        }
+        self.out = {
+            name: self.node.create_publisher(message_class(kind), name, 10)
+            for name, kind in kinds.items()
+        }
+        self.wall = None
+
+    def on_velocity(self, message):
+        self.velocity = (message.linear.x, message.angular.z)
+        self.commands.append((time.monotonic(), *self.velocity))
+
+    def state(self):
+        return self.states[-1] if self.states else ''
+
+    def on_state(self, message):
+        if not self.states or self.states[-1] != message.data:
+            self.states.append(message.data)
+
+    def now(self):
+        return self.node.get_clock().now().nanoseconds * 1e-9
+
+    def spin(self, seconds, until=lambda: False, send=('pose', 'odom', 'scan')):
+        end = time.monotonic() + seconds
+        last = time.monotonic()
+        while time.monotonic() < end and not until():
+            self.executor.spin_once(timeout_sec=0.02)
+            present = time.monotonic()
+            if present - last < 0.05:
+                continue
+            v, w = self.velocity
+            self.pose = self.pose.compose(Pose2(v * (present - last), 0.0, w * (present - last)))
+            last = present
+            self.publish(send)
+        return until()
+
+    def publish(self, send):
+        now = self.now()
+        if 'odom' in send:
+            reading = OdometryReading(now, self.pose)
+            self.out['odom'].publish(
+                conversions.odometry_message(MESSAGES, reading, 'odom', 'base_link')
+            )
+        if 'pose' in send:
+            self.out['pose'].publish(
+                conversions.estimate_message(MESSAGES, now, 'map', self.pose, np.eye(3) * 1e-4)
+            )
+        if 'scan' in send:
+            ranges = np.full(181, 5.0, np.float32)
+            if self.wall is not None:
+                ranges[80:101] = max(self.wall - self.pose.x - 0.1, 0.05)
+            scan = LaserScan(now, -math.pi / 2, math.pi / 180, ranges, 0.01, 8.0)
+            self.out['scan'].publish(conversions.scan_message(MESSAGES, scan, 'laser'))
+
+    def send_plan(self, points):
+        self.plan.publish(
+            conversions.path_message(MESSAGES, self.now(), 'map', np.asarray(points, float))
+        )
+
+
+@pytest.fixture
+def harness():
+    context = rclpy.Context()
+    context.init(domain_id=int(DOMAIN))
+    made = Harness(context)
+    yield made
+    made.node.destroy_node()
+    context.try_shutdown()
+
+
+@pytest.fixture
+def follower():
+    environment = {**os.environ, 'ROS_DOMAIN_ID': DOMAIN, 'ROS_PYTHON_CHECK_FIELDS': '1'}
+    process = subprocess.Popen(
+        [
+            sys.executable, '-m', 'explore_slam.nodes.path_follower', '--ros-args',
+            '-r', '__ns:=/robot7', '-p', 'follow_speed:=1', '-p', 'follow_acceleration:=1.0',
+        ],
+        env=environment,
+        stderr=subprocess.PIPE,
+        text=True,
+    )  # fmt: skip
+    yield process
+    if process.poll() is None:
+        process.kill()
+    process.communicate()
+
+
+def test_drives_a_plan_stops_before_a_wall_and_at_sigterm(harness, follower):
+    assert harness.spin(20, lambda: 'waiting: no plan yet' in harness.states)
+    assert harness.commands == []  # idle: another may drive
+    harness.send_plan([[0, 0], [1.0, 0.3]])
+    assert harness.spin(20, lambda: harness.state().startswith('arrived'))
+    assert math.hypot(harness.pose.x - 1.0, harness.pose.y - 0.3) < 0.2
+    harness.wall = 2.5
+    harness.send_plan([[harness.pose.x, harness.pose.y], [4.0, harness.pose.y]])
+    assert harness.spin(20, lambda: harness.state().startswith('blocked: obstacle'))
+    assert harness.velocity == (0.0, 0.0)
+    assert harness.pose.x < 2.5 - 0.25 - 0.15
+    text = [status for message in harness.parts for status in message.status]
+    assert any(status.name == 'robot7/path_follower: path follower' for status in text)
+    harness.wall = None
+    assert harness.spin(10, lambda: harness.velocity[0] > 0.3)
+    follower.send_signal(signal.SIGTERM)
+    follower.send_signal(signal.SIGINT)
+    assert harness.spin(5, lambda: follower.poll() is not None and harness.velocity == (0.0, 0.0))
+    assert follower.returncode == 0
+
+
+@pytest.mark.usefixtures('follower')
+def test_stops_when_the_laser_falls_silent(harness):
+    harness.send_plan([[0, 0], [30.0, 0]])
+    assert harness.spin(30, lambda: harness.velocity[0] > 0.3)
+    assert harness.spin(5, lambda: harness.velocity == (0.0, 0.0), send=('pose', 'odom'))
+    assert harness.spin(5, lambda: 'laser silent' in harness.state(), send=('pose', 'odom'))
