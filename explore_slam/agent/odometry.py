@@ -1,0 +1,125 @@
+"""Odometry of one vehicle: kept for a while, interpolated at the stamps of frames and scans."""
+
+import logging
+import math
+from bisect import bisect_left, bisect_right
+from itertools import pairwise
+
+from explore_slam.data import OdometryReading
+from explore_slam.geometry import Pose2, wrap_angle
+
+logger = logging.getLogger(__name__)
+
+
+def interpolate(a: Pose2, b: Pose2, share: float) -> Pose2:
+    """Return the pose at the share (0 to 1) of the way from a to b, turning the short way."""
+    return Pose2(
+        a.x + share * (b.x - a.x),
+        a.y + share * (b.y - a.y),
+        wrap_angle(a.theta + share * wrap_angle(b.theta - a.theta)),
+    )
+
+
+class OdometryBuffer:
+    """The newest readings of one vehicle, as one unbroken chain of poses.
+
+    A base that is reset or a clock that jumps back breaks the chain of the readings: the buffer
+    then goes on from the last pose it had, as if the vehicle had stood still in between.
+    """
+
+    def __init__(self, vehicle: str, span: float, maximum_speed: float, clock_jump: float) -> None:
+        self.vehicle = vehicle
+        self._span = span
+        self._maximum_speed = maximum_speed
+        self._clock_jump = clock_jump
+        self._stamps: list[float] = []
+        self._poses: list[Pose2] = []
+        self._correction: Pose2 | None = None  # chain = correction ⊕ reading, once it broke
+        self.late = 0
+        self.breaks = 0
+
+    def __len__(self) -> int:
+        return len(self._stamps)
+
+    @property
+    def first(self) -> float:
+        """Oldest stamp (s) held; inf when empty."""
+        return self._stamps[0] if self._stamps else math.inf
+
+    @property
+    def last(self) -> float:
+        """Newest stamp (s) held; -inf when empty."""
+        return self._stamps[-1] if self._stamps else -math.inf
+
+    @property
+    def pose(self) -> Pose2:
+        """Newest pose of the chain."""
+        return self._poses[-1]
+
+    def add(self, reading: OdometryReading) -> bool:
+        """Append a reading; False when it is late or a repetition and was left out."""
+        if self._stamps and reading.stamp <= self.last:
+            if self.last - reading.stamp < self._clock_jump:
+                self.late += 1
+                return False
+            logger.warning(
+                '%s: odometry stamp went back from %.3f s to %.3f s; going on from the new time',
+                self.vehicle,
+                self.last,
+                reading.stamp,
+            )
+            self._break(reading)
+            pose = self.pose
+            self._stamps, self._poses = [], []
+            self._append(reading.stamp, pose)
+            return True
+        pose = reading.pose
+        if self._correction is not None:
+            pose = self._correction.compose(pose)
+        if self._stamps and self._jumps(reading.stamp, pose):
+            logger.warning(
+                '%s: odometry jumped from (%.2f, %.2f) to (%.2f, %.2f) in %.3f s; '
+                'taken for a reset of the base, not for motion',
+                self.vehicle,
+                self.pose.x,
+                self.pose.y,
+                pose.x,
+                pose.y,
+                reading.stamp - self.last,
+            )
+            self._break(reading)
+            pose = self.pose
+        self._append(reading.stamp, pose)
+        return True
+
+    def at(self, stamp: float) -> Pose2:
+        """Return the pose at a stamp; the ends hold beyond the readings."""
+        index = bisect_left(self._stamps, stamp)
+        if index == 0:
+            return self._poses[0]
+        if index == len(self._stamps):
+            return self._poses[-1]
+        before, after = self._stamps[index - 1], self._stamps[index]
+        share = (stamp - before) / (after - before)
+        return interpolate(self._poses[index - 1], self._poses[index], share)
+
+    def steps(self, start: float, end: float) -> list[Pose2]:
+        """Return the increments between readings from one stamp to another, ends interpolated."""
+        low, high = bisect_right(self._stamps, start), bisect_left(self._stamps, end)
+        poses = [self.at(start), *self._poses[low:high], self.at(end)]
+        return [a.between(b) for a, b in pairwise(poses)]
+
+    def _append(self, stamp: float, pose: Pose2) -> None:
+        self._stamps.append(stamp)
+        self._poses.append(pose)
+        if len(self._stamps) > 64 and self._stamps[0] < stamp - 2.0 * self._span:
+            keep = bisect_left(self._stamps, stamp - self._span)
+            del self._stamps[:keep], self._poses[:keep]
+
+    def _jumps(self, stamp: float, pose: Pose2) -> bool:
+        moved = math.hypot(pose.x - self.pose.x, pose.y - self.pose.y)
+        return moved > self._maximum_speed * (stamp - self.last) + 0.1
+
+    def _break(self, reading: OdometryReading) -> None:
+        self.breaks += 1
+        self._correction = self.pose.compose(reading.pose.inverse())

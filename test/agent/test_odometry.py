@@ -1,0 +1,73 @@
+"""The odometry buffer: interpolation, late readings, resets of the base, clocks that jump back."""
+
+import math
+
+import pytest
+
+from explore_slam.agent.odometry import OdometryBuffer
+from explore_slam.data import OdometryReading
+from explore_slam.geometry import IDENTITY, Pose2
+
+
+@pytest.fixture
+def buffer():
+    made = OdometryBuffer('robot1', span=10.0, maximum_speed=2.0, clock_jump=1.0)
+    for tick in range(11):
+        made.add(OdometryReading(0.1 * tick, Pose2(0.05 * tick, 0.0, 0.0)))
+    return made
+
+
+def test_poses_are_interpolated_and_held_at_the_ends(buffer):
+    assert buffer.at(0.25).x == pytest.approx(0.125)
+    assert buffer.at(-5.0) == buffer.at(0.0)
+    assert buffer.at(99.0).x == pytest.approx(0.5)
+
+
+def test_headings_turn_the_short_way():
+    made = OdometryBuffer('robot1', 10.0, 2.0, 1.0)
+    made.add(OdometryReading(0.0, Pose2(0.0, 0.0, math.pi - 0.1)))
+    made.add(OdometryReading(1.0, Pose2(0.0, 0.0, -math.pi + 0.1)))
+    assert abs(made.at(0.5).theta) == pytest.approx(math.pi)
+
+
+def test_steps_compose_to_the_whole_way(buffer):
+    pose = buffer.at(0.13)
+    for step in buffer.steps(0.13, 0.87):
+        pose = pose.compose(step)
+    assert tuple(pose) == pytest.approx(tuple(buffer.at(0.87)))
+    assert len(buffer.steps(0.13, 0.87)) == 8
+
+
+def test_late_and_repeated_readings_are_counted_and_left_out(buffer):
+    assert not buffer.add(OdometryReading(0.95, Pose2(9.0, 9.0, 0.0)))
+    assert not buffer.add(OdometryReading(1.0, Pose2(9.0, 9.0, 0.0)))
+    assert buffer.late == 2
+    assert buffer.pose.x == pytest.approx(0.5)
+
+
+def test_a_reset_of_the_base_is_not_motion(buffer, caplog):
+    buffer.add(OdometryReading(1.1, IDENTITY))
+    buffer.add(OdometryReading(1.2, Pose2(50.0, 0.0, 0.0)))
+    assert buffer.pose.x == pytest.approx(0.5)
+    assert 'reset of the base' in caplog.text
+    buffer.add(OdometryReading(1.3, Pose2(50.05, 0.0, 0.0)))
+    assert buffer.pose.x == pytest.approx(0.55)
+
+
+def test_a_clock_that_jumps_back_goes_on_from_the_same_pose(caplog):
+    made = OdometryBuffer('robot1', 10.0, 2.0, 1.0)
+    made.add(OdometryReading(100.0, Pose2(3.0, 4.0, 1.0)))
+    made.add(OdometryReading(5.0, IDENTITY))
+    made.add(OdometryReading(5.1, Pose2(0.1, 0.0, 0.0)))
+    assert 'went back from 100.000 s to 5.000 s' in caplog.text
+    expected = Pose2(3.0, 4.0, 1.0).compose(Pose2(0.1, 0.0, 0.0))
+    assert tuple(made.pose) == pytest.approx(tuple(expected))
+    assert made.first == 5.0
+
+
+def test_the_buffer_is_bounded():
+    made = OdometryBuffer('robot1', 10.0, 2.0, 1.0)
+    for tick in range(20000):
+        made.add(OdometryReading(0.01 * tick, IDENTITY))
+    assert len(made) < 2500
+    assert made.first < made.last - 9.9
