@@ -1,0 +1,101 @@
+"""One thing that a recording holds: a record of a vehicle, and the messages that carry it."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from explore_slam.data import (
+    LandmarkObservations,
+    LaserScan,
+    OdometryReading,
+    RgbdFrame,
+    VehicleSighting,
+)
+from explore_slam.geometry import Array, Pose2
+from explore_slam.nodes import conversions
+from explore_slam.recording.bag import BagWriter
+from explore_slam.recording.messages import MESSAGES
+from explore_slam.recording.topics import MESSAGE_TYPES, TopicKind, topic_name
+
+Record = OdometryReading | LaserScan | RgbdFrame | LandmarkObservations | VehicleSighting
+
+
+class Event(NamedTuple):
+    """A record of a vehicle at a stamp (s); the kind tells odometry from truth and start pose.
+
+    Odometry, ground truth and initial pose are OdometryReading; a frame has the kind COLOR.
+    """
+
+    stamp: float
+    vehicle: str
+    kind: TopicKind
+    record: Record
+
+
+def odometry_event(vehicle: str, stamp: float, pose: Pose2) -> Event:
+    """Make an odometry event without covariance: the filter's own motion noise applies."""
+    return Event(stamp, vehicle, TopicKind.ODOMETRY, OdometryReading(stamp, pose))
+
+
+def truth_event(vehicle: str, stamp: float, pose: Pose2) -> Event:
+    """Make a ground truth event, the pose in the map frame."""
+    return Event(stamp, vehicle, TopicKind.GROUND_TRUTH, OdometryReading(stamp, pose))
+
+
+def start_event(vehicle: str, stamp: float, pose: Pose2) -> Event:
+    """Make the event that tells where in the map a vehicle starts."""
+    return Event(stamp, vehicle, TopicKind.INITIAL_POSE, OdometryReading(stamp, pose))
+
+
+def write_event(writer: BagWriter, event: Event) -> None:
+    """Write an event on the topics of its vehicle, logged at its stamp."""
+    for kind, message in _messages(event):
+        writer.write_message(
+            topic_name(event.vehicle, kind), MESSAGE_TYPES[kind], event.stamp, message
+        )
+
+
+def _messages(event: Event) -> list[tuple[TopicKind, Any]]:
+    vehicle, record = event.vehicle, event.record
+    base = f'{vehicle}/base_link'
+    if isinstance(record, OdometryReading):
+        if event.kind is TopicKind.INITIAL_POSE:
+            message = conversions.estimate_message(
+                MESSAGES, record.stamp, 'map', record.pose, _known(record.covariance)
+            )
+        else:
+            truth = event.kind is TopicKind.GROUND_TRUTH
+            frame = 'map' if truth else f'{vehicle}/odom'
+            message = conversions.odometry_message(MESSAGES, record, frame, base)
+        return [(event.kind, message)]
+    if isinstance(record, LaserScan):
+        return [(event.kind, conversions.scan_message(MESSAGES, record, f'{vehicle}/laser'))]
+    if isinstance(record, LandmarkObservations):
+        return [(event.kind, conversions.landmarks_message(MESSAGES, record, base))]
+    if isinstance(record, VehicleSighting):
+        return [(event.kind, conversions.sighting_message(MESSAGES, record))]
+    return _frame_messages(record, f'{vehicle}/camera_optical_frame')
+
+
+def _known(covariance: Array | None) -> Array:
+    return np.zeros((3, 3)) if covariance is None else covariance
+
+
+def _frame_messages(record: RgbdFrame, frame: str) -> list[tuple[TopicKind, Any]]:
+    color = 'mono8' if record.rgb.ndim == 2 else 'rgb8'
+    depth = '16UC1' if record.depth.dtype.kind == 'u' else '32FC1'
+    stamp = record.stamp
+    return [
+        (
+            TopicKind.CAMERA_INFO,
+            conversions.camera_info_message(MESSAGES, stamp, frame, record.intrinsics),
+        ),
+        (
+            TopicKind.COLOR,
+            conversions.image_message(MESSAGES, stamp, frame, color, record.rgb),
+        ),
+        (
+            TopicKind.DEPTH,
+            conversions.image_message(MESSAGES, stamp, frame, depth, record.depth),
+        ),
+    ]
