@@ -1,4 +1,4 @@
-"""A recording through the agent, offline: the same calls that a live node makes, as fast as it goes.
+"""A recording through the agent, offline: the calls that a live node makes, as fast as they go.
 
 Nothing depends on the wall clock or on threads: the same bag gives the same result, bit for bit.
 """
@@ -18,7 +18,7 @@ from explore_slam.data import (
 from explore_slam.errors import ExploreSlamError, RecordingError
 from explore_slam.geometry import Array, Pose2
 from explore_slam.nodes import conversions
-from explore_slam.nodes.frame_pairing import FramePairer
+from explore_slam.nodes.frame_pairing import FramePairing
 from explore_slam.recording.bag import BagReader
 from explore_slam.recording.events import Event
 from explore_slam.recording.ordering import StampOrder
@@ -96,7 +96,7 @@ class Replay:
         self.vehicles = sorted({topic.vehicle for topic in self._topics})
         self.tally = Tally()
         self._order = StampOrder()
-        self._pairers = {vehicle: FramePairer() for vehicle in self.vehicles}
+        self._pairers = {vehicle: FramePairing() for vehicle in self.vehicles}
         self._given = dict(starts or {})
         unknown = sorted(set(self._given) - set(self.vehicles))
         if unknown:
@@ -254,9 +254,8 @@ class Replay:
             self._note(f'the recorded clock jumps back from {before:.3f} s to {after:.3f} s')
         for vehicle, pairer in sorted(self._pairers.items()):
             lost = {
-                'colour images have no depth': pairer.without_depth,
-                'depth images have no colour': pairer.without_color,
-                'frames came before any camera_info': pairer.without_camera,
+                'images without their partner (colour or depth)': pairer.unpaired,
+                'frames before any camera_info': pairer.without_camera_info,
             }
             for what, count in lost.items():
                 if count:

@@ -6,7 +6,7 @@ import pytest
 from explore_slam.data import Intrinsics
 from explore_slam.errors import DataError
 from explore_slam.nodes import conversions
-from explore_slam.nodes.frame_pairing import WAITING, FramePairer
+from explore_slam.nodes.frame_pairing import FramePairing
 from explore_slam.recording.messages import MESSAGES
 from explore_slam.vision import encode_depth, encode_rgb
 
@@ -33,8 +33,8 @@ def compressed(stamp: float, data: bytes):
 
 
 @pytest.fixture
-def pairer() -> FramePairer:
-    pairer = FramePairer()
+def pairer() -> FramePairing:
+    pairer = FramePairing()
     pairer.add_camera_info(conversions.camera_info_message(MESSAGES, 1.0, 'c', CAMERA))
     return pairer
 
@@ -47,7 +47,7 @@ def test_pairs_in_either_order_and_takes_the_colour_stamp(pairer):
     assert (first.stamp, second.stamp) == (1.0, 2.0)
     np.testing.assert_array_equal(second.rgb, RGB)
     np.testing.assert_array_equal(second.depth, DEPTH)
-    assert pairer.without_depth == pairer.without_color == 0
+    assert pairer.unpaired == 0
 
 
 def test_bgr_and_metres_come_out_as_rgb_and_metres(pairer):
@@ -66,11 +66,11 @@ def test_compressed_images_pair_like_plain_ones(pairer):
 
 
 def test_a_colour_image_without_depth_is_dropped_and_counted(pairer):
-    for index in range(WAITING + 3):
+    for index in range(10):
         assert pairer.add_color(color(1.0 + index)) is None
-    assert pairer.without_depth == 3
-    assert pairer.add_depth(depth(1.0 + WAITING + 2)) is not None
-    assert pairer.without_depth == WAITING + 2
+    assert pairer.unpaired == 4
+    assert pairer.add_depth(depth(10.0)) is not None
+    assert pairer.unpaired == 9
 
 
 def test_too_far_apart_does_not_pair(pairer):
@@ -79,16 +79,16 @@ def test_too_far_apart_does_not_pair(pairer):
 
 
 def test_without_camera_info_there_is_no_frame():
-    pairer = FramePairer()
+    pairer = FramePairing()
     pairer.add_color(color(1.0))
     assert pairer.add_depth(depth(1.0)) is None
-    assert pairer.without_camera == 1
+    assert pairer.without_camera_info == 1
 
 
 def test_a_clock_that_jumps_back_starts_anew(pairer):
     pairer.add_color(color(100.0))
     assert pairer.add_color(color(1.0)) is None
-    assert pairer.without_depth == 1
+    assert pairer.unpaired == 1
     assert pairer.add_depth(depth(1.0)).stamp == 1.0
 
 
