@@ -97,7 +97,10 @@ class LaserScan:
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """Pinhole camera: image size (pixels), focal lengths and principal point (pixels)."""
+    """Pinhole camera: image size (pixels), focal lengths and principal point (pixels).
+
+    distortion: plumb_bob k1, k2, p1, p2, k3 of an image that is not rectified; () where it is.
+    """
 
     width: int
     height: int
@@ -105,8 +108,15 @@ class Intrinsics:
     fy: float
     cx: float
     cy: float
+    distortion: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
+        if len(self.distortion) not in (0, 4, 5, 8) or not all(
+            map(math.isfinite, self.distortion)
+        ):
+            raise DataError(
+                f'Intrinsics: distortion is {self.distortion}, expected 0, 4, 5 or 8 finite values'
+            )
         if self.width <= 0 or self.height <= 0:
             raise DataError(f'Intrinsics: image size is {self.width} x {self.height}')
         values = (self.fx, self.fy, self.cx, self.cy)

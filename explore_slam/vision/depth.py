@@ -50,24 +50,36 @@ def analyse_depth(
 
 def back_project(pixels: Array, depths: Array, camera: Intrinsics) -> Array:
     """Return points (N, 3) m in the optical frame of pixels (N, 2) (u, v) and depths (N,) m."""
-    x = (pixels[:, 0] - camera.cx) / camera.fx * depths
-    y = (pixels[:, 1] - camera.cy) / camera.fy * depths
-    return np.stack([x, y, depths], axis=1)
+    rays = camera_rays(pixels, camera)
+    return np.stack([rays[:, 0] * depths, rays[:, 1] * depths, depths], axis=1)
+
+
+def camera_rays(pixels: Array, camera: Intrinsics) -> Array:
+    """Return x/z and y/z (N, 2) of pixels (N, 2) (u, v), the lens distortion undone."""
+    if any(camera.distortion) and len(pixels):
+        matrix = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0, 0, 1.0]])
+        points = np.ascontiguousarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
+        undone = cv2.undistortPoints(points, matrix, np.array(camera.distortion))
+        return np.asarray(undone, dtype=np.float64).reshape(-1, 2)
+    centre = np.array([camera.cx, camera.cy])
+    rays: Array = (pixels - centre) / np.array([camera.fx, camera.fy])
+    return rays
 
 
 def point_covariances(
-    pixels: Array, depths: Array, camera: Intrinsics, pixel_noise: Array, depth_noise: Array
+    points: Array, camera: Intrinsics, pixel_noise: Array, depth_noise: Array
 ) -> Array:
-    """Return covariances (N, 3, 3) m² of back-projected points, to first order.
+    """Return covariances (N, 3, 3) m² of back-projected points (N, 3) m, to first order.
 
     pixel_noise (N,) px and depth_noise (N,) m are standard deviations. With
     X = (u - cx) z / fx: J = dX/d(u, v, z), covariance = J diag(noise²) Jᵀ.
     """
-    jacobian = np.zeros((len(depths), 3, 3))
+    depths = points[:, 2]
+    jacobian = np.zeros((len(points), 3, 3))
     jacobian[:, 0, 0] = depths / camera.fx * pixel_noise
     jacobian[:, 1, 1] = depths / camera.fy * pixel_noise
-    jacobian[:, 0, 2] = (pixels[:, 0] - camera.cx) / camera.fx * depth_noise
-    jacobian[:, 1, 2] = (pixels[:, 1] - camera.cy) / camera.fy * depth_noise
+    jacobian[:, 0, 2] = points[:, 0] / depths * depth_noise
+    jacobian[:, 1, 2] = points[:, 1] / depths * depth_noise
     jacobian[:, 2, 2] = depth_noise
     covariances: Array = jacobian @ jacobian.transpose(0, 2, 1)
     return covariances

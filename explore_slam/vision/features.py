@@ -138,7 +138,7 @@ class FeatureExtractor:
         depth_noise = np.where(on_edge, np.maximum(depth_noise, spreads), depth_noise)
         pixel_noise = np.full(len(depths), config.depth.pixel_noise)
         points = back_project(found.pixels, depths, camera)
-        covariances = point_covariances(found.pixels, depths, camera, pixel_noise, depth_noise)
+        covariances = point_covariances(points, camera, pixel_noise, depth_noise)
         observations = LandmarkObservations(
             frame.stamp,
             self.mount.to_vehicle(points),

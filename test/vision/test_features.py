@@ -89,6 +89,28 @@ def test_covariance_is_that_of_sampled_noise():
     np.testing.assert_allclose(observations.covariances[row], np.cov(points), rtol=0.03, atol=2e-6)
 
 
+def test_lens_distortion_is_undone():
+    lens = (0.26, -0.95, -0.005, 0.003, 1.16)
+    bent = Intrinsics(320, 240, 260.0, 262.0, 158.0, 121.0, lens)
+    whole = frame(2.0)
+    observations, features = extractor().extract_with_pixels(
+        RgbdFrame(0.0, whole.rgb, whole.depth, bent)
+    )
+    matrix = np.array([[260.0, 0.0, 158.0], [0.0, 262.0, 121.0], [0.0, 0.0, 1.0]])
+    optical = np.stack(
+        [
+            -observations.positions[:, 1],
+            -observations.positions[:, 2],
+            observations.positions[:, 0],
+        ],
+        axis=1,
+    )
+    pixels = cv2.projectPoints(optical, np.zeros(3), np.zeros(3), matrix, np.array(lens))[0]
+    np.testing.assert_allclose(pixels.reshape(-1, 2), features.pixels, atol=0.05)
+    straight = extractor().extract(whole).positions
+    assert np.abs(observations.positions - straight).max() > 0.01
+
+
 def test_depth_noise_grows_with_the_square_of_depth():
     near = extractor(max_depth=4.0).extract(frame(1.0)).covariances[:, 0, 0].mean()
     far = extractor(max_depth=4.0).extract(frame(3.0)).covariances[:, 0, 0].mean()
