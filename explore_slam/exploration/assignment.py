@@ -1,0 +1,124 @@
+"""Utility of targets (equations 8 and 9) and who goes to which (section V-C)."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import linear_sum_assignment
+
+from explore_slam.errors import ExplorationError
+from explore_slam.geometry import Array
+
+LOCAL_ROUNDS = 20
+
+
+def coverage_probability(distance: ArrayLike, max_range: float) -> Array:
+    """Return P(d) = 1 - d / max_range below max_range, else 0 (equation 9)."""
+    d = np.asarray(distance, np.float64)
+    return np.clip(1.0 - d / max_range, 0.0, None)
+
+
+def utilities(targets: ArrayLike, taken: ArrayLike, max_range: float) -> Array:
+    """Return U (F,) of targets (F, 2) m given targets already taken (T, 2) m (equation 8)."""
+    points = np.asarray(targets, np.float64).reshape(-1, 2)
+    others = np.asarray(taken, np.float64).reshape(-1, 2)
+    distances = np.linalg.norm(points[:, None] - others[None], axis=2)
+    return 1.0 - coverage_probability(distances, max_range).sum(axis=1)
+
+
+def assign_targets(
+    costs: ArrayLike,
+    targets: ArrayLike,
+    max_range: float,
+    travel_weight: float = 1.0,
+) -> list[int]:
+    """Return the target of each vehicle, -1 for none: the paper's greedy choice.
+
+    costs (V, F), inf where a vehicle cannot go; targets (F, 2) m. Again and again the pair with the
+    best U - travel_weight * V is fixed and the utilities of the other targets are lowered. Every
+    vehicle gets a target of its own as long as there are enough.
+    """
+    matrix, points = _checked(costs, targets)
+    chosen = [-1] * len(matrix)
+    taken: list[int] = []
+    for _ in range(min(matrix.shape)):
+        scores = utilities(points, points[taken], max_range)[None] - travel_weight * matrix
+        scores[[i for i, target in enumerate(chosen) if target >= 0]] = -np.inf
+        scores[:, taken] = -np.inf
+        best = int(np.argmax(scores))
+        vehicle, target = divmod(best, matrix.shape[1])
+        if scores[vehicle, target] == -np.inf:
+            break
+        chosen[vehicle] = target
+        taken.append(target)
+    return chosen
+
+
+def _checked(costs: ArrayLike, targets: ArrayLike) -> tuple[Array, Array]:
+    matrix, points = np.array(costs, np.float64), np.asarray(targets, np.float64).reshape(-1, 2)
+    if matrix.ndim != 2 or matrix.shape[1] != len(points) or np.isnan(matrix).any():
+        raise ExplorationError(
+            f'costs have shape {matrix.shape} or hold NaN, expected (vehicles, {len(points)})'
+        )
+    return matrix, points
+
+
+def assign_nearest(costs: ArrayLike) -> list[int]:
+    """Return for each vehicle the cheapest target, whatever the others do; -1 for none."""
+    matrix = np.asarray(costs, np.float64)
+    if matrix.shape[1] == 0:
+        return [-1] * len(matrix)
+    best = matrix.argmin(axis=1)
+    return [int(j) if np.isfinite(matrix[i, j]) else -1 for i, j in enumerate(best)]
+
+
+def assign_random(costs: ArrayLike, generator: np.random.Generator) -> list[int]:
+    """Return for each vehicle a reachable target drawn evenly; -1 for none."""
+    chosen = []
+    for row in np.asarray(costs, np.float64):
+        reachable = np.flatnonzero(np.isfinite(row))
+        chosen.append(int(generator.choice(reachable)) if reachable.size else -1)
+    return chosen
+
+
+def assign_jointly(
+    costs: ArrayLike, targets: ArrayLike, max_range: float, overlap_weight: float
+) -> list[int]:
+    """Return the targets that are best for the team: least travel plus overlap of what is seen.
+
+    costs (V, F) m may hold bonuses. The Hungarian method starts it; then single vehicles change
+    target and pairs swap as long as the sum of costs plus overlap_weight times the coverage
+    probability (equation 9) between every two targets falls.
+    """
+    matrix, points = _checked(costs, targets)
+    if 0 in matrix.shape:
+        return [-1] * len(matrix)
+    blocked = ~np.isfinite(matrix)
+    penalty = 1e6
+    filled = np.where(blocked, penalty, matrix)
+    chosen = np.full(len(matrix), -1, np.int64)
+    vehicles, picked = linear_sum_assignment(filled)
+    for vehicle, target in zip(vehicles, picked, strict=True):
+        if not blocked[vehicle, target]:
+            chosen[vehicle] = target
+    overlap = overlap_weight * coverage_probability(
+        np.linalg.norm(points[:, None] - points[None], axis=2), max_range
+    )
+    for _ in range(LOCAL_ROUNDS):
+        if not _improve(chosen, filled, overlap):
+            break
+    return [int(target) for target in chosen]
+
+
+def _improve(chosen: Array, costs: Array, overlap: Array) -> bool:
+    """Move one vehicle at a time to the free target that is best given the others; in place."""
+    changed = False
+    for vehicle in range(len(chosen)):
+        if chosen[vehicle] < 0:
+            continue
+        others = [t for i, t in enumerate(chosen) if i != vehicle and t >= 0]
+        total = costs[vehicle] + overlap[:, others].sum(axis=1)
+        total[others] = np.inf
+        best = int(np.argmin(total))
+        if total[best] < total[chosen[vehicle]] - 1e-9:
+            chosen[vehicle] = best
+            changed = True
+    return changed

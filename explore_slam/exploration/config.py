@@ -1,0 +1,164 @@
+"""Settings of the search for the next targets and of the paths to them."""
+
+from dataclasses import dataclass
+
+from explore_slam.settings import Section, section, setting
+
+
+@dataclass(frozen=True)
+class PathConfig(Section):
+    """Where a vehicle may drive and what that costs."""
+
+    vehicle_radius: float = setting(
+        0.3, 'no path comes nearer to an obstacle than this', unit='m', low=0.0, high=5.0
+    )
+    occ_max: float = setting(
+        0.6, 'cells of higher probability are obstacles (paper, section V-A)', low=0.05, high=0.99
+    )
+    cost_floor: float = setting(
+        0.4,
+        'least probability that a cell is charged with (strategy default), so that distance counts',
+        low=0.001,
+        high=0.9,
+    )
+    clearance_distance: float = setting(
+        0.4,
+        'up to this beyond vehicle_radius being near to an obstacle costs extra',
+        unit='m',
+        low=0.0,
+        high=5.0,
+    )
+    clearance_weight: float = setting(
+        2.0,
+        'extra cost of a cell that vehicle_radius just clears, in multiples',
+        low=0.0,
+        high=50.0,
+    )
+    escape_distance: float = setting(
+        1.0,
+        'a vehicle in a blocked cell may start from the nearest free cell up to this far',
+        unit='m',
+        low=0.0,
+        high=10.0,
+    )
+    goal_tolerance: float = setting(
+        0.3, 'a vehicle this near to its target has reached it', unit='m', low=0.05, high=5.0
+    )
+
+
+@dataclass(frozen=True)
+class FrontierConfig(Section):
+    """What is worth going to."""
+
+    min_frontier_size: float = setting(
+        0.4, 'shorter frontiers are left alone', unit='m', low=0.0, high=20.0
+    )
+    max_frontier_size: float = setting(
+        3.0, 'longer frontiers are split', unit='m', low=0.5, high=100.0
+    )
+    frontier_reach: float = setting(
+        1.0,
+        'a frontier is looked into from a place up to this far from it',
+        unit='m',
+        low=0.0,
+        high=10.0,
+    )
+    sensor_range: float = setting(
+        8.0,
+        'range that the laser is expected to cover (max_range of equation 9)',
+        unit='m',
+        low=0.5,
+        high=100.0,
+    )
+
+
+@dataclass(frozen=True)
+class AssignmentConfig(Section):
+    """Who goes where."""
+
+    strategy: str = setting(
+        'default', 'how targets are chosen', choices=('default', 'paper', 'nearest', 'random')
+    )
+    travel_weight: float = setting(
+        1.0, 'weight beta of the cost against the utility (strategy paper)', low=0.001, high=100.0
+    )
+    hysteresis: float = setting(
+        2.0, 'another target must be better by this much travel', unit='m', low=0.0, high=100.0
+    )
+    gain_weight: float = setting(
+        2.0, 'travel that the largest expected gain is worth', unit='m', low=0.0, high=1000.0
+    )
+    overlap_weight: float = setting(
+        20.0,
+        'travel that avoiding two vehicles at one place is worth',
+        unit='m',
+        low=0.0,
+        high=1000.0,
+    )
+    exploration_seed: int = setting(0, 'seed of the strategy random', low=0, high=2**31 - 1)
+
+
+@dataclass(frozen=True)
+class BlacklistConfig(Section):
+    """Targets that did not work out."""
+
+    blacklist_radius: float = setting(
+        0.5, 'targets this near to a failed one are left alone too', unit='m', low=0.0, high=10.0
+    )
+    blacklist_expiry: float = setting(
+        60.0,
+        'a failed target is tried again after this; doubled at every further failure',
+        unit='s',
+        low=0.0,
+        high=86400.0,
+    )
+    maximum_attempts: int = setting(
+        3,
+        'a target that failed this often is given up until the map around it changes',
+        low=1,
+        high=100,
+    )
+    progress_timeout: float = setting(
+        30.0,
+        'a vehicle that comes no nearer to its target for so long has failed',
+        unit='s',
+        low=1.0,
+        high=3600.0,
+    )
+
+
+@dataclass(frozen=True)
+class TrafficConfig(Section):
+    """Right of way between vehicles."""
+
+    vehicle_separation: float = setting(
+        0.9, 'two vehicles keep their centers this far apart', unit='m', low=0.0, high=10.0
+    )
+    nominal_speed: float = setting(
+        0.4, 'speed that is expected of a vehicle on its path', unit='m/s', low=0.01, high=5.0
+    )
+    traffic_margin: float = setting(
+        4.0,
+        'two vehicles pass a place at least this long one after the other',
+        unit='s',
+        low=0.0,
+        high=120.0,
+    )
+    traffic_horizon: float = setting(
+        40.0, 'conflicts are looked for this far ahead', unit='s', low=1.0, high=600.0
+    )
+
+
+@dataclass(frozen=True)
+class ExplorationConfig(Section):
+    """All settings of the room."""
+
+    paths: PathConfig = section(PathConfig)
+    frontiers: FrontierConfig = section(FrontierConfig)
+    assignment: AssignmentConfig = section(AssignmentConfig)
+    blacklist: BlacklistConfig = section(BlacklistConfig)
+    traffic: TrafficConfig = section(TrafficConfig)
+    empty_searches: int = setting(
+        3, 'so many searches without a target, one after the other, mean done', low=1, high=1000
+    )
+    return_to_init: bool = setting(True, 'drive home when there is nothing left to explore')

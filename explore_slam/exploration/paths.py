@@ -1,0 +1,210 @@
+"""Shortest paths by A* on the costs of the value iteration, and their smoothing."""
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from explore_slam.compiled import kernel
+from explore_slam.exploration.records import Cell
+from explore_slam.exploration.value_iteration import check_cell, check_costs, padded_costs
+from explore_slam.geometry import Array
+
+
+def plan_path(
+    probability: ArrayLike,
+    start: Cell,
+    goal: Cell,
+    occ_max: float = 0.6,
+    resolution: float = 1.0,
+) -> tuple[NDArray[np.int64], float]:
+    """Return the cells (L, 2) of the cheapest path from start to goal (row, col), and its cost.
+
+    The costs are those of travel_cost, so the cost returned is V of the goal. A goal that cannot be
+    reached gives no cells and an infinite cost; a start or goal outside of the grid or in an
+    impassable cell is an ExplorationError.
+    """
+    padded = padded_costs(check_costs(probability), occ_max)
+    row, col = check_cell(padded, 'start', start)
+    goal_row, goal_col = check_cell(padded, 'goal', goal)
+    stride = padded.shape[1]
+    cells, cost = search_path(padded, row * stride + col, goal_row * stride + goal_col)
+    rows, cols = np.divmod(cells, stride)
+    return np.stack([rows - 1, cols - 1], axis=1), cost * resolution
+
+
+def search_path(
+    padded: NDArray[np.float32], start: int, goal: int
+) -> tuple[NDArray[np.int64], float]:
+    """Search over padded costs between flat indices; see plan_path."""
+    lowest = _lowest(padded.ravel())
+    cells, cost = _a_star(padded.ravel(), padded.shape[1], start, goal, lowest)
+    return cells, float(cost)
+
+
+@kernel
+def _lowest(cost: NDArray[np.float32]) -> float:
+    low = np.inf
+    for value in cost:
+        low = min(low, value)
+    return low
+
+
+@kernel
+def _bound(cell: int, goal_row: int, goal_col: int, stride: int, lowest: float) -> float:
+    dr, dc = abs(cell // stride - goal_row), abs(cell % stride - goal_col)
+    # A hair less than the true bound, so that rounding never makes it inconsistent.
+    return lowest * (max(dr, dc) + (math.sqrt(2.0) - 1.0) * min(dr, dc)) * (1.0 - 1e-9)
+
+
+@kernel
+def _push(keys: Array, items: NDArray[np.int64], size: int, key: float, item: int) -> None:
+    at = size
+    while at > 0:
+        up = (at - 1) >> 1
+        if keys[up] <= key:
+            break
+        keys[at], items[at] = keys[up], items[up]
+        at = up
+    keys[at], items[at] = key, item
+
+
+@kernel
+def _sift(keys: Array, items: NDArray[np.int64], size: int) -> None:
+    """Restore the heap after its first entry was taken: the last (at size) goes down from the top."""
+    key, item = keys[size], items[size]
+    at = 0
+    while True:
+        child = 2 * at + 1
+        if child >= size:
+            break
+        if child + 1 < size and keys[child + 1] < keys[child]:
+            child += 1
+        if keys[child] >= key:
+            break
+        keys[at], items[at] = keys[child], items[child]
+        at = child
+    keys[at], items[at] = key, item
+
+
+@kernel
+def _a_star(
+    cost: NDArray[np.float32], stride: int, start: int, goal: int, lowest: float
+) -> tuple[NDArray[np.int64], float]:
+    offsets = np.array(
+        [-1, 1, -stride, stride, -stride - 1, -stride + 1, stride - 1, stride + 1], np.int64
+    )
+    root = math.sqrt(2.0)
+    goal_row, goal_col = goal // stride, goal % stride
+    values = np.full(cost.size, np.inf)
+    came = np.full(cost.size, -1, np.int8)
+    closed = np.zeros(cost.size, np.bool_)
+    keys, items = np.empty(1024), np.empty(1024, np.int64)
+    size = 1
+    keys[0], items[0] = 0.0, start
+    values[start] = 0.0
+    while size > 0:
+        cell = items[0]
+        size -= 1
+        _sift(keys, items, size)
+        if closed[cell]:
+            continue
+        closed[cell] = True
+        if cell == goal:
+            break
+        for k in range(8):
+            other = cell + offsets[k]
+            entered = cost[other]
+            if entered == np.inf or closed[other]:
+                continue
+            reached = values[cell] + (entered if k < 4 else entered * root)
+            if reached < values[other]:
+                values[other] = reached
+                came[other] = k
+                if size == keys.size:
+                    keys = np.concatenate((keys, np.empty(keys.size)))
+                    items = np.concatenate((items, np.empty(items.size, np.int64)))
+                key = reached + _bound(other, goal_row, goal_col, stride, lowest)
+                _push(keys, items, size, key, other)
+                size += 1
+    if values[goal] == np.inf:
+        return np.empty(0, np.int64), np.inf
+    length = 1
+    cell = goal
+    while cell != start:
+        cell -= offsets[came[cell]]
+        length += 1
+    path = np.empty(length, np.int64)
+    cell = goal
+    for i in range(length - 1, -1, -1):
+        path[i] = cell
+        if cell != start:
+            cell -= offsets[came[cell]]
+    return path, values[goal]
+
+
+@kernel
+def _straight_cost(
+    cost: NDArray[np.float32], row_a: int, col_a: int, row_b: int, col_b: int
+) -> float:
+    """Integrate the cost along the line between two cell centers; inf if it touches a blocked cell."""
+    dr, dc = row_b - row_a, col_b - col_a
+    length = math.sqrt(dr * dr + dc * dc)
+    samples = max(1, math.ceil(length * 2.0))
+    total = 0.0
+    for i in range(samples + 1):
+        r = int(math.floor(row_a + dr * i / samples + 0.5))
+        c = int(math.floor(col_a + dc * i / samples + 0.5))
+        value = cost[r, c]
+        if value == np.inf:
+            return np.inf
+        total += value * (0.5 if i in (0, samples) else 1.0)
+    return total * length / samples
+
+
+@kernel
+def shortcut(cost: NDArray[np.float32], cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the corners (W, 2) of a smoother path: straight where that costs no more.
+
+    cost (H, W) with inf for blocked cells; cells (L, 2) neighbors in a row. Each piece reaches as far
+    as a straight line is passable and costs at most 2 % more than the cells it replaces.
+    """
+    count = cells.shape[0]
+    along = np.zeros(count)
+    for i in range(1, count):
+        dr, dc = cells[i, 0] - cells[i - 1, 0], cells[i, 1] - cells[i - 1, 1]
+        mean = 0.5 * (cost[cells[i, 0], cells[i, 1]] + cost[cells[i - 1, 0], cells[i - 1, 1]])
+        along[i] = along[i - 1] + mean * math.sqrt(dr * dr + dc * dc)
+    corners = [0]
+    at = 0
+    while at < count - 1:
+        best, step = at + 1, 2
+        ahead = at + step
+        while True:
+            ahead = min(at + step, count - 1)
+            straight = _straight_cost(
+                cost, cells[at, 0], cells[at, 1], cells[ahead, 0], cells[ahead, 1]
+            )
+            if straight <= (along[ahead] - along[at]) * 1.02 + 1e-6:
+                best = ahead
+                if ahead == count - 1:
+                    break
+                step *= 2
+            else:
+                break
+        low, high = best, ahead
+        while high - low > 1:
+            middle = (low + high) // 2
+            straight = _straight_cost(
+                cost, cells[at, 0], cells[at, 1], cells[middle, 0], cells[middle, 1]
+            )
+            if straight <= (along[middle] - along[at]) * 1.02 + 1e-6:
+                low = middle
+            else:
+                high = middle
+        at = max(low, at + 1)
+        corners.append(at)
+    result = np.empty((len(corners), 2), np.int64)
+    for i in range(len(corners)):
+        result[i] = cells[corners[i]]
+    return result

@@ -1,0 +1,102 @@
+"""What the planner is told and what it answers."""
+
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from explore_slam.data import Plan
+from explore_slam.geometry import Array, Pose2
+
+Cell = tuple[int, int]
+Point = tuple[float, float]
+
+
+class Grid(Protocol):
+    """What exploration needs of an occupancy grid: see mapping.OccupancyGrid."""
+
+    @property
+    def resolution(self) -> float:
+        """Side of a cell (m)."""
+
+    @property
+    def origin(self) -> tuple[float, float]:
+        """Lower left corner (m) of cell [0, 0]."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+
+    def probability(self) -> NDArray[np.float32]:
+        """Return the probability (H, W) that a cell is occupied."""
+
+    def known(self) -> NDArray[np.bool_]:
+        """Return (H, W): the cell has been seen."""
+
+    def to_cell(self, points: ArrayLike) -> NDArray[np.int64]:
+        """Return the cells (N, 2) of points (N, 2) m."""
+
+    def to_point(self, cells: ArrayLike) -> Array:
+        """Return the centers (N, 2) m of cells (N, 2)."""
+
+
+class ExplorationStatus(Enum):
+    """Where the exploration stands; the values are those of the topic explore/status."""
+
+    STARTED = 'exploration_started'
+    IN_PROGRESS = 'exploration_in_progress'
+    PAUSED = 'exploration_paused'
+    COMPLETE = 'exploration_complete'
+    RETURNING = 'returning_to_origin'
+    RETURNED = 'returned_to_origin'
+
+
+class PlanningMode(Enum):
+    """What the vehicles are to do."""
+
+    EXPLORE = 'explore'
+    RETURN_HOME = 'return_home'
+    PAUSED = 'paused'
+
+
+class VehicleSnapshot(NamedTuple):
+    """One vehicle at planning time: pose in the map, may it be sent anywhere, where is its home."""
+
+    pose: Pose2
+    active: bool = True
+    home: Pose2 | None = None
+
+
+@dataclass(frozen=True)
+class Frontier:
+    """A stretch of free cells beside unknown ones: cells (N, 2), centroid (m), where to go, size (m)."""
+
+    cells: NDArray[np.int64]
+    centroid: Point
+    target: Point
+    target_cell: Cell
+    size: float
+
+
+@dataclass(frozen=True)
+class PlanningResult:
+    """What one planning cycle found.
+
+    plans: the plan in force of every vehicle that shall drive; an unchanged plan is the very same
+    object as in the result before, so a driver sends a plan when its identity changes. A vehicle
+    without a plan shall stand still; `waiting` tells why.
+    costs (V, F): travel cost (m) of each vehicle in the order of `vehicles` to each frontier.
+    searched: False where the search was not possible now (no map, no valid pose), see reason.
+    """
+
+    status: ExplorationStatus
+    reason: str
+    plans: dict[str, Plan] = field(default_factory=dict)
+    waiting: dict[str, str] = field(default_factory=dict)
+    frontiers: tuple[Frontier, ...] = ()
+    vehicles: tuple[str, ...] = ()
+    costs: Array = field(default_factory=lambda: np.empty((0, 0)))
+    searched: bool = True
+    unreachable: int = 0
