@@ -17,13 +17,24 @@ from explore_slam.recording.bag import BagWriter
 from explore_slam.recording.messages import MESSAGES
 from explore_slam.recording.topics import MESSAGE_TYPES, TopicKind, topic_name
 
-Record = OdometryReading | LaserScan | RgbdFrame | LandmarkObservations | VehicleSighting
+
+class TruePose3(NamedTuple):
+    """A true pose in space: position (m) and quaternion (x, y, z, w) of the vehicle in the map."""
+
+    position: tuple[float, float, float]
+    quaternion: tuple[float, float, float, float]
+
+
+Record = (
+    OdometryReading | LaserScan | RgbdFrame | LandmarkObservations | VehicleSighting | TruePose3
+)
 
 
 class Event(NamedTuple):
     """A record of a vehicle at a stamp (s); the kind tells odometry from truth and start pose.
 
     Odometry, ground truth and initial pose are OdometryReading; a frame has the kind COLOR.
+    TruePose3 is written only; read again it is a ground truth in the plane.
     """
 
     stamp: float
@@ -74,7 +85,20 @@ def _messages(event: Event) -> list[tuple[TopicKind, Any]]:
         return [(event.kind, conversions.landmarks_message(MESSAGES, record, base))]
     if isinstance(record, VehicleSighting):
         return [(event.kind, conversions.sighting_message(MESSAGES, record))]
+    if isinstance(record, TruePose3):
+        return [(event.kind, _true_message(event.stamp, record, base))]
     return _frame_messages(record, f'{vehicle}/camera_optical_frame')
+
+
+def _true_message(stamp: float, record: TruePose3, base: str) -> Any:
+    message = conversions.odometry_message(
+        MESSAGES, OdometryReading(stamp, Pose2(0.0, 0.0, 0.0)), 'map', base
+    )
+    pose, (x, y, z) = message.pose.pose, record.position
+    pose.position = MESSAGES.make('geometry_msgs/Point', x=x, y=y, z=z)
+    x, y, z, w = record.quaternion
+    pose.orientation = MESSAGES.make('geometry_msgs/Quaternion', x=x, y=y, z=z, w=w)
+    return message
 
 
 def _known(covariance: Array | None) -> Array:

@@ -219,11 +219,14 @@ class Replay:
             listener.add_landmarks(vehicle, record)
         elif isinstance(record, VehicleSighting):
             listener.add_sighting(vehicle, record)
-        elif event.kind is TopicKind.INITIAL_POSE and not first:
+        elif (
+            event.kind is TopicKind.INITIAL_POSE
+            and isinstance(record, OdometryReading)
+            and record.covariance is not None
+            and not first
+        ):
             # the first one is where the vehicle starts, which the agent knows already
-            covariance = record.covariance
-            if covariance is not None:
-                listener.set_pose(vehicle, record.pose, covariance)
+            listener.set_pose(vehicle, record.pose, record.covariance)
 
     def _event(self, topic: VehicleTopic, stamp: float, message: Any) -> Event | None:
         kind, vehicle = topic.kind, topic.vehicle
