@@ -1,1 +1,24 @@
-"""Room 'simulation'; see doc/architecture."""
+"""Simulated vehicles in a world; see doc/architecture.
+
+`World` and the grid world need nothing special; `Simulator` imports MuJoCo, and only when it is
+asked for.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+from explore_slam.simulation.config import SimulationConfig
+from explore_slam.simulation.records import Collision, SimEvent, TruePose
+from explore_slam.simulation.world import World
+
+if TYPE_CHECKING:
+    from explore_slam.simulation.simulator import Simulator
+
+__all__ = ['Collision', 'SimEvent', 'SimulationConfig', 'Simulator', 'TruePose', 'World']
+
+
+def __getattr__(name: str) -> Any:
+    if name == 'Simulator':
+        from explore_slam.simulation.simulator import Simulator
+
+        return Simulator
+    raise AttributeError(f'module {__name__!r} has no attribute {name!r}')

@@ -1,0 +1,62 @@
+"""The simulated Kinect: rendered colour and distance -> RGB-D frame with the noise of a Kinect."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from explore_slam.data import Intrinsics, RgbdFrame
+from explore_slam.simulation.config import SimulatedKinectConfig
+
+
+def camera_intrinsics(config: SimulatedKinectConfig) -> Intrinsics:
+    """Return the pinhole of the simulated camera; pixel centres lie at whole numbers."""
+    width, height = config.simulated_image_width, config.simulated_image_height
+    focal = 0.5 * width / math.tan(0.5 * math.radians(config.simulated_camera_angle))
+    return Intrinsics(width, height, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1))
+
+
+class KinectSensor:
+    """Adds noise: colour evenly, depth growing with its square, quantised to mm (uint16).
+
+    The normal deviates come from a bank that is read at a random place for each frame: a frame
+    needs over a million of them, drawing them afresh would cost more than rendering.
+    """
+
+    def __init__(self, config: SimulatedKinectConfig, rng: np.random.Generator) -> None:
+        self._config = config
+        self._rng = rng
+        self.intrinsics = camera_intrinsics(config)
+        pixels = config.simulated_image_width * config.simulated_image_height
+        self._depth_bank = rng.standard_normal(2 * pixels, dtype=np.float32)
+        normal = rng.standard_normal(6 * pixels, dtype=np.float32)
+        grey_levels = np.rint(normal * np.float32(config.simulated_color_noise))
+        self._color_bank = np.clip(grey_levels, -127, 127).astype(np.int16)
+
+    def measure(
+        self, stamp: float, color: NDArray[np.uint8], distance: NDArray[np.float32]
+    ) -> RgbdFrame:
+        """Return the frame for colour (H, W, 3) and distance (H, W) m, both with row 0 lowest."""
+        return RgbdFrame(
+            stamp, self._colors(color[::-1]), self._depths(distance[::-1]), self.intrinsics
+        )
+
+    def _colors(self, color: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        if self._config.simulated_color_noise == 0.0:
+            return np.ascontiguousarray(color)
+        start = int(self._rng.integers(0, self._color_bank.size - color.size))
+        noise = self._color_bank[start : start + color.size].reshape(color.shape)
+        noisy = color + noise
+        np.clip(noisy, 0, 255, out=noisy)
+        return noisy.astype(np.uint8)
+
+    def _depths(self, distance: NDArray[np.float32]) -> NDArray[np.uint16]:
+        config = self._config
+        start = int(self._rng.integers(0, self._depth_bank.size - distance.size))
+        noise = self._depth_bank[start : start + distance.size].reshape(distance.shape)
+        scale = np.float32(1000.0 * config.simulated_depth_noise)
+        measured = distance * np.float32(1000.0) + scale * distance * distance * noise
+        np.rint(measured, out=measured)
+        near, far = 1000.0 * config.simulated_min_depth, 1000.0 * config.simulated_max_depth
+        measured[(measured < near) | (measured > far)] = 0.0
+        return measured.astype(np.uint16)

@@ -1,0 +1,229 @@
+"""World and vehicles -> a MuJoCo model: painted meshes for the camera, solids for the laser."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from explore_slam.errors import SimulationError
+from explore_slam.geometry import Array, rotation_matrix
+from explore_slam.simulation.atlas import PAGE_SIZE, Patch, Surface, build_atlas
+from explore_slam.simulation.config import SimulationConfig
+from explore_slam.simulation.mujoco_import import mujoco
+from explore_slam.simulation.paint import paint_floor
+from explore_slam.simulation.posters import Image
+from explore_slam.simulation.world import Face, World
+
+PAINTED, BODY, DECORATION, SOLID = 0, 1, 2, 3  # groups of MuJoCo geoms
+Z_NEAR, Z_FAR = 0.1, 40.0  # m
+FLOOR_PIXELS = 2048
+COLORS = (
+    (0.75, 0.10, 0.10), (0.10, 0.25, 0.75), (0.10, 0.55, 0.15),
+    (0.80, 0.60, 0.05), (0.50, 0.10, 0.60), (0.05, 0.55, 0.60),
+)  # fmt: skip
+
+
+@dataclass
+class _Mesh:
+    """Triangles that share a texture: vertices, texture coordinates (0..1), corner indices."""
+
+    vertices: list[Sequence[float]]
+    coordinates: list[Sequence[float]]
+    triangles: list[tuple[int, int, int]]
+
+    def add(self, corners: Sequence[Sequence[float]], uv: Sequence[Sequence[float]]) -> None:
+        """Add a convex polygon, corners against the clock as seen from where it shows."""
+        first = len(self.vertices)
+        self.vertices.extend(corners)
+        self.coordinates.extend(uv)
+        for k in range(1, len(corners) - 1):
+            self.triangles.append((first, first + k, first + k + 1))
+
+
+def build_model(world: World, vehicles: Sequence[str], config: SimulationConfig) -> Any:
+    """Return the MjModel: one mocap body and camera per vehicle, in the order of the names."""
+    spec = mujoco.MjSpec()
+    kinect = config.kinect
+    visual = spec.visual
+    visual.global_.offwidth = kinect.simulated_image_width
+    visual.global_.offheight = kinect.simulated_image_height
+    visual.quality.offsamples = 0
+    visual.quality.shadowsize = 0
+    visual.headlight.active = 0  # surfaces shine by themselves: cheap, and the same from all sides
+    visual.map.znear, visual.map.zfar = Z_NEAR, Z_FAR
+    spec.stat.extent = 1.0
+    spec.stat.center = [0.0, 0.0, 0.0]
+    if kinect.simulated_camera_rate > 0.0:
+        _add_painted(spec, world)
+        _add_floor(spec, world)
+    _add_solids(spec, world)
+    for index, name in enumerate(vehicles):
+        _add_vehicle(spec, name, COLORS[index % len(COLORS)], config)
+    try:
+        return spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise SimulationError(
+            f'world {world.name!r}: MuJoCo cannot build it: {" ".join(str(error).split())}'
+        ) from error
+
+
+def _material(spec: Any, name: str, image: Image) -> None:
+    rows, columns = image.shape[:2]
+    texture = spec.add_texture(
+        name=name,
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        width=columns,
+        height=rows,
+        nchannel=3,
+    )
+    texture.data = np.ascontiguousarray(image).tobytes()
+    material = spec.add_material(name=name, emission=1.0, specular=0.0, shininess=0.0)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+
+
+def _add_mesh(spec: Any, name: str, material: str, mesh: _Mesh) -> None:
+    made = spec.add_mesh(name=name)
+    made.uservert = np.asarray(mesh.vertices, dtype=np.float64).ravel()
+    made.usertexcoord = np.asarray(mesh.coordinates, dtype=np.float64).ravel()
+    made.userface = np.asarray(mesh.triangles, dtype=np.int32).ravel()
+    made.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname=name,
+        material=material,
+        contype=0,
+        conaffinity=0,
+        group=PAINTED,
+    )
+
+
+def _pieces(face: Face, longest: float) -> list[Face]:
+    """Return the face cut into parts that fit on a page."""
+    count = max(1, math.ceil(face.length / longest))
+    x = np.linspace(face.x0, face.x1, count + 1).tolist()
+    y = np.linspace(face.y0, face.y1, count + 1).tolist()
+    return [Face(x[i], y[i], x[i + 1], y[i + 1], face.height, face.style) for i in range(count)]
+
+
+def _add_painted(spec: Any, world: World) -> None:
+    """Add faces and tops, one mesh per texture page."""
+    longest = 0.5 * PAGE_SIZE * world.texture_resolution
+    faces = [piece for face in world.faces for piece in _pieces(face, longest)]
+    surfaces = [Surface(face.style, face.length, face.height) for face in faces]
+    # a top shows a plain part of its style: it is seen from above only
+    surfaces += [Surface('wood', 0.5, 0.5)]
+    atlas = build_atlas(surfaces, world.texture_resolution, world.texture_seed)
+    meshes = [_Mesh([], [], []) for _ in atlas.pages]
+    for face, patch in zip(faces, atlas.patches, strict=False):
+        corners = [
+            (face.x0, face.y0, 0.0),
+            (face.x1, face.y1, 0.0),
+            (face.x1, face.y1, face.height),
+            (face.x0, face.y0, face.height),
+        ]
+        u0, v0, u1, v1 = _texture_box(patch, atlas.pages[patch.page])
+        meshes[patch.page].add(corners, [(u0, v1), (u1, v1), (u1, v0), (u0, v0)])
+    patch = atlas.patches[-1]
+    u0, v0, u1, v1 = _texture_box(patch, atlas.pages[patch.page])
+    for top in world.tops:
+        polygon = [(float(x), float(y), top.height) for x, y in top.corners]
+        low, high = top.corners.min(axis=0), top.corners.max(axis=0)
+        part = (top.corners - low) / np.maximum(high - low, 1e-9)
+        uv = [(u0 + float(a) * (u1 - u0), v0 + float(b) * (v1 - v0)) for a, b in part]
+        meshes[patch.page].add(polygon, uv)
+    for page, (image, mesh) in enumerate(zip(atlas.pages, meshes, strict=True)):
+        _material(spec, f'page{page}', image)
+        _add_mesh(spec, f'painted{page}', f'page{page}', mesh)
+
+
+def _texture_box(patch: Patch, page: Image) -> tuple[float, float, float, float]:
+    """Return u and v of left, top, right, bottom: half a pixel inside, v from the top down."""
+    rows, columns = page.shape[:2]
+    return (
+        (patch.left + 0.5) / columns,
+        (patch.top + 0.5) / rows,
+        (patch.right - 0.5) / columns,
+        (patch.bottom - 0.5) / rows,
+    )
+
+
+def _add_floor(spec: Any, world: World) -> None:
+    x0, y0, x1, y1 = world.bounds
+    resolution = max(0.01, (x1 - x0) / FLOOR_PIXELS, (y1 - y0) / FLOOR_PIXELS)
+    shape = (math.ceil((y1 - y0) / resolution), math.ceil((x1 - x0) / resolution))
+    rng = np.random.default_rng((world.texture_seed, 2**31))
+    _material(spec, 'floor', paint_floor(shape, resolution, rng))
+    mesh = _Mesh([], [], [])
+    corners = [(x0, y0, 0.0), (x1, y0, 0.0), (x1, y1, 0.0), (x0, y1, 0.0)]
+    mesh.add(corners, [(0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 0.0)])
+    # a flat mesh has no hull: a speck far below makes it solid
+    mesh.add([(x0, y0, -1.0), (x0 + 0.01, y0, -1.0), (x0, y0 + 0.01, -1.0)], [(0.0, 0.0)] * 3)
+    _add_mesh(spec, 'floor', 'floor', mesh)
+
+
+def _add_solids(spec: Any, world: World) -> None:
+    for block in world.blocks:
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[block.half_x, block.half_y, 0.5 * block.height],
+            pos=[block.x, block.y, 0.5 * block.height],
+            quat=[math.cos(block.yaw / 2), 0.0, 0.0, math.sin(block.yaw / 2)],
+            contype=0,
+            conaffinity=0,
+            group=SOLID,
+        )
+    for pillar in world.pillars:
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+            size=[pillar.radius, 0.5 * pillar.height, 0.0],
+            pos=[pillar.x, pillar.y, 0.5 * pillar.height],
+            contype=0,
+            conaffinity=0,
+            group=SOLID,
+        )
+
+
+def _add_vehicle(
+    spec: Any, name: str, color: tuple[float, float, float], config: SimulationConfig
+) -> None:
+    """Add the body, high enough for other lasers to see, with a camera on a short post."""
+    radius, kinect = config.base.simulated_radius - 0.02, config.kinect
+    body = spec.worldbody.add_body(name=name, mocap=True)
+    x, z = kinect.simulated_camera_x, kinect.simulated_camera_z
+    high = max(0.15, config.laser.simulated_laser_z + 0.04)
+    cylinder, box = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_BOX
+    dark, pale = (0.08, 0.08, 0.09), (0.85, 0.85, 0.85)
+    parts = [
+        (cylinder, (radius, (high - 0.04) / 2, 0.0), (0.0, 0.0, (high + 0.04) / 2), color, BODY),
+        (cylinder, (radius + 0.003, 0.02, 0.0), (0.0, 0.0, 0.12), pale, DECORATION),
+        (cylinder, (radius - 0.01, 0.005, 0.0), (0.0, 0.0, high), dark, DECORATION),
+        (box, (0.01, 0.01, 0.5 * z), (x - 0.05, 0.0, 0.5 * z), dark, DECORATION),
+        (box, (0.03, 0.14, 0.02), (x - 0.04, 0.0, z), dark, DECORATION),
+    ]
+    for kind, size, position, rgb, group in parts:
+        name_of = f'paint_{rgb}'
+        if spec.material(name_of) is None:
+            spec.add_material(name=name_of, rgba=[*rgb, 1.0], emission=1.0, specular=0.0)
+        body.add_geom(
+            type=kind,
+            size=list(size),
+            pos=list(position),
+            material=name_of,
+            contype=0,
+            conaffinity=0,
+            group=group,
+        )
+    tangent = math.tan(math.radians(kinect.simulated_camera_angle) / 2)
+    ratio = kinect.simulated_image_height / kinect.simulated_image_width
+    camera = body.add_camera(name=f'{name}/camera', pos=[x, 0.0, z], quat=_camera_quaternion())
+    camera.fovy = math.degrees(2 * math.atan(tangent * ratio))
+
+
+def _camera_quaternion() -> list[float]:
+    """Return w, x, y, z of a camera of MuJoCo (looks along -z, y up) that looks along x."""
+    turned: Array = rotation_matrix(math.pi / 2, 0.0, -math.pi / 2)
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, turned.ravel())
+    return [float(value) for value in quaternion]
