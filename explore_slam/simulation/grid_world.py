@@ -19,6 +19,8 @@ from explore_slam.geometry import Array, Pose2
 from explore_slam.mapping import load_map, read_pgm
 from explore_slam.mapping.map_files import FREE_THRESHOLD, OCCUPIED_THRESHOLD
 from explore_slam.simulation.grid_world_kernels import FREE, GLASS, SOLID
+from explore_slam.simulation.world import MAP_KEY, World
+from explore_slam.simulation.world_file import read_yaml
 
 Mask = NDArray[np.bool_]
 
@@ -42,6 +44,15 @@ class GridWorld:
             raise SimulationError(f'grid world: resolution is {self.resolution}, expected > 0 m')
         if not all(map(math.isfinite, self.origin)):
             raise SimulationError(f'grid world: origin is {self.origin}, expected finite metres')
+
+    @classmethod
+    def load(cls, path: Path, resolution: float = 0.05) -> 'GridWorld':
+        """Read a map_server map (YAML, or PGM alone) or a world file (YAML), by what it holds."""
+        if path.suffix.lower() in ('.yaml', '.yml') and MAP_KEY not in read_yaml(path):
+            world = World.load(path)
+            solid, origin = world.occupied(resolution)
+            return cls(np.where(solid, SOLID, FREE).astype(np.int8), resolution, origin)
+        return cls.from_map(path, resolution)
 
     @classmethod
     def from_map(cls, path: Path, resolution: float = 0.05) -> 'GridWorld':

@@ -8,15 +8,16 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from explore_slam.compiled import kernel
 
 FREE, SOLID, GLASS = 0, 1, 2
 
 Floats = NDArray[np.float64]
 
 
-@njit(cache=True)
+@kernel
 def distance_to_disc(
     x: float, y: float, dx: float, dy: float, cx: float, cy: float, radius: float
 ) -> float:
@@ -30,7 +31,7 @@ def distance_to_disc(
     return max(0.0, along - math.sqrt(inside))
 
 
-@njit(cache=True)
+@kernel
 def cast_beams(
     cells: NDArray[np.int8],
     resolution: float,
@@ -39,7 +40,7 @@ def cast_beams(
     angles: Floats,
     max_range: float,
     bodies: Floats,
-    bit: int,
+    bit: np.uint32,
     reachable: NDArray[np.bool_],
     seen: NDArray[np.uint32],
     ranges: Floats,
@@ -103,7 +104,7 @@ def cast_beams(
     return new_own, new_team
 
 
-@njit(cache=True)
+@kernel
 def sample_field(
     field: NDArray[np.float32], resolution: float, origin: Floats, x: float, y: float
 ) -> float:
@@ -114,12 +115,12 @@ def sample_field(
     if row < 0 or col < 0 or row + 1 >= field.shape[0] or col + 1 >= field.shape[1]:
         return 0.0
     a, b = fx - col, fy - row
-    low = (1.0 - a) * field[row, col] + a * field[row, col + 1]
-    high = (1.0 - a) * field[row + 1, col] + a * field[row + 1, col + 1]
+    low: float = (1.0 - a) * field[row, col] + a * field[row, col + 1]
+    high: float = (1.0 - a) * field[row + 1, col] + a * field[row + 1, col + 1]
     return (1.0 - b) * low + b * high
 
 
-@njit(cache=True)
+@kernel
 def free_distance(
     field: NDArray[np.float32],
     resolution: float,
@@ -148,7 +149,7 @@ def free_distance(
     return reach
 
 
-@njit(cache=True)
+@kernel
 def pursue(
     waypoints: Floats,
     segment: int,
@@ -211,7 +212,7 @@ def pursue(
     return speed, turn, segment, False
 
 
-@njit(cache=True)
+@kernel
 def nearest_other(poses: Floats, index: int, x: float, y: float) -> float:
     """Return the distance from a point to the nearest vehicle other than `index`."""
     nearest = np.inf
@@ -221,7 +222,7 @@ def nearest_other(poses: Floats, index: int, x: float, y: float) -> float:
     return nearest
 
 
-@njit(cache=True)
+@kernel
 def room_before_others(poses: Floats, index: int, apart: float) -> float:
     """Return how far a vehicle may go straight on before its center is `apart` from another's."""
     x, y, theta = poses[index, 0], poses[index, 1], poses[index, 2]
