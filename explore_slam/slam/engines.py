@@ -1,0 +1,151 @@
+"""The two engines: what one update does to poses, weights and landmarks of all particles."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from explore_slam.data import LandmarkObservations
+from explore_slam.geometry import Array
+from explore_slam.slam.association import Choice, associate
+from explore_slam.slam.config import FastSlamConfig
+from explore_slam.slam.landmark_map import LandmarkMap
+from explore_slam.slam.landmark_update import insert_landmarks, update_landmarks
+from explore_slam.slam.proposal import propose, sample_gaussian
+from explore_slam.slam.row_store import Items
+
+UPPER = (np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2]))
+
+
+@dataclass
+class Sighted:
+    """One update in work: observations, the landmarks they may be, and who chose what.
+
+    z (K, 3), R (K, 6); items (L,) candidates' landmarks with their rows in slots (L,);
+    candidates (K, J) places in items or -1, distances (K, J) of descriptors;
+    choice (K, M) candidate taken or -1; quality (K, M) d²; influence (K, M) weight w.
+    """
+
+    z: Array
+    R: Array
+    descriptors: NDArray[np.float32]
+    items: Items
+    slots: Items
+    candidates: Items
+    distances: Array
+    choice: Choice = field(init=False)
+    quality: Array = field(init=False)
+    influence: Array = field(init=False)
+
+    def prepare(self, particles: int) -> None:
+        """Make room for the choices of all particles."""
+        count = len(self.z)
+        self.choice = np.full((count, particles), -1, np.int16)
+        self.quality = np.full((count, particles), np.inf)
+        self.influence = np.ones((count, particles))
+
+
+def look_up(
+    landmarks: LandmarkMap, observations: LandmarkObservations, config: FastSlamConfig
+) -> Sighted:
+    """Find the landmarks whose descriptors match, and stage their rows for change."""
+    association = config.association
+    descriptors = np.ascontiguousarray(observations.descriptors, np.float32)
+    ids, distances = landmarks.index.query(
+        descriptors,
+        association.maximum_descriptor_distance,
+        association.candidates_per_observation,
+    )
+    items, places = np.unique(ids, return_inverse=True)
+    places = places.reshape(ids.shape)
+    if len(items) and items[0] < 0:
+        items, places = items[1:], places - 1
+    sighted = Sighted(
+        z=np.ascontiguousarray(observations.positions, np.float64),
+        R=np.ascontiguousarray(observations.covariances[:, *UPPER], np.float64),
+        descriptors=descriptors,
+        items=items,
+        slots=landmarks.rows.stage(items),
+        candidates=np.ascontiguousarray(places, np.int64),
+        distances=distances.astype(np.float64),
+    )
+    sighted.prepare(landmarks.rows.genealogy.particles)
+    return sighted
+
+
+def fastslam2(
+    sighted: Sighted, data: Array, poses: Array, P: Array, normals: Array, config: FastSlamConfig
+) -> Array:
+    """Associate, move poses (M, 3) to samples of their proposals; return log weights (M,).
+
+    P (3, 3) is the covariance of the predicted poses in the vehicle frame; normals (M, 3).
+    """
+    log_weights = np.zeros(len(poses))
+    gate = config.association.association_gate**2
+    likeness = 4.0 / max(config.association.maximum_descriptor_distance, 0.05)
+    associate(
+        data, sighted.slots, sighted.candidates, sighted.distances, sighted.z, sighted.R,
+        poses, P, gate, likeness, False, sighted.choice, sighted.quality,
+    )  # fmt: skip
+    propose(
+        data, sighted.slots, sighted.candidates, sighted.choice, sighted.z, sighted.R,
+        P, gate, config.outlier_threshold, normals, poses, log_weights, sighted.influence,
+    )  # fmt: skip
+    return log_weights
+
+
+def paper(
+    sighted: Sighted, data: Array, poses: Array, P: Array, normals: Array, config: FastSlamConfig
+) -> Array:
+    """FastSLAM 1.0 as in section III: poses from the motion model, weight by match quality.
+
+    The quality p = exp(-d²/2) is gated at P0; a new landmark weighs P0 like the worst match.
+    """
+    move_by_samples(poses, P, normals)
+    least = config.association.minimum_match_quality
+    gate = -2.0 * np.log(least) if least > 0.0 else np.inf
+    associate(
+        data, sighted.slots, sighted.candidates, sighted.distances, sighted.z, sighted.R,
+        poses, np.zeros((3, 3)), gate, 0.0, True, sighted.choice, sighted.quality,
+    )  # fmt: skip
+    squares = np.where(sighted.choice >= 0, sighted.quality, min(gate, 50.0))
+    log_weights: Array = -0.5 * squares.sum(axis=0)
+    return log_weights
+
+
+def move_by_samples(poses: Array, P: Array, normals: Array) -> None:
+    """Move poses (M, 3) in place by samples of a motion error, P (3, 3) in the vehicle frame."""
+    deltas = np.zeros_like(poses)
+    for m in range(len(poses)):
+        sample_gaussian(P, normals[m], deltas[m])
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    poses[:, 0] += c * deltas[:, 0] - s * deltas[:, 1]
+    poses[:, 1] += s * deltas[:, 0] + c * deltas[:, 1]
+    poses[:, 2] += deltas[:, 2]
+
+
+def update_matched(sighted: Sighted, data: Array, poses: Array) -> None:
+    """Run the Kalman filters of all matched landmarks."""
+    update_landmarks(
+        data, sighted.slots, sighted.candidates, sighted.choice, sighted.z, sighted.R,
+        sighted.influence, poses,
+    )  # fmt: skip
+
+
+def fill_absent(sighted: Sighted, data: Array, poses: Array, wanted: NDArray[np.bool_]) -> None:
+    """Give an observation without landmark the place of a like landmark that the particle lacks.
+
+    wanted (K, M) tells where a new landmark is to be made; what is filled is taken out of it,
+    so that one feature does not become a landmark number for every set of particles.
+    """
+    used = np.zeros((len(sighted.items), data.shape[2]), bool)
+    for k, j in np.argwhere(sighted.candidates >= 0).tolist():
+        place = sighted.candidates[k, j]
+        slot = sighted.slots[place : place + 1]
+        here = wanted[k] & (data[slot[0], 3] <= 0.0) & ~used[place]
+        if here.any():
+            insert_landmarks(
+                data, slot, sighted.z[k : k + 1], sighted.R[k : k + 1], here[None], poses
+            )
+            used[place] |= here
+            wanted[k] &= ~here

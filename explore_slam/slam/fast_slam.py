@@ -1,0 +1,377 @@
+"""The belief of one team: a joint particle filter over all vehicles and one landmark map."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from explore_slam.data import LandmarkObservations, VehicleSighting
+from explore_slam.errors import SlamError
+from explore_slam.geometry import Array, Pose2, compose, wrap_angles
+from explore_slam.slam import checks, engines
+from explore_slam.slam.config import FastSlamConfig
+from explore_slam.slam.engines import Sighted
+from explore_slam.slam.genealogy import Genealogy, Index
+from explore_slam.slam.landmark_map import LandmarkMap, Landmarks, make_index
+from explore_slam.slam.landmark_update import insert_landmarks
+from explore_slam.slam.motion import PendingMotion, rotated
+from explore_slam.slam.path_store import PathStore
+from explore_slam.slam.resampling import effective_particles, normalized, systematic_ancestors
+from explore_slam.slam.row_store import RowStore
+
+
+@dataclass(frozen=True)
+class UpdateSummary:
+    """What one update did.
+
+    observed: landmarks observed; matched: of these, with a like descriptor in the map;
+    associated: updated in the best particle; inserted: new landmarks; removed: forgotten ones;
+    effective_particles before a resampling; lost: matches disagree with the pose in nearly all
+    particles; relocated: the vehicle has been moved to where its matches say.
+    """
+
+    stamp: float
+    vehicle: str
+    observed: int
+    matched: int
+    associated: int
+    inserted: int
+    removed: int
+    effective_particles: float
+    resampled: bool
+    lost: bool
+    relocated: bool
+
+
+class FastSlam:
+    """One joint Rao-Blackwellized particle filter for several vehicles (sections III and IV).
+
+    Every particle holds a pose of every vehicle and one landmark map. Motion is told with
+    `predict`, what is seen with `update`; all randomness comes from the seed.
+    A call that is refused (SlamError) leaves the state as it was.
+    """
+
+    def __init__(
+        self, start_poses: Mapping[str, Pose2], config: FastSlamConfig | None = None, seed: int = 0
+    ) -> None:
+        if not start_poses:
+            raise SlamError('start_poses is empty, expected one vehicle or more')
+        self.config = config if config is not None else FastSlamConfig()
+        starts = [
+            checks.check_pose(f'start pose of {name!r}', pose)
+            for name, pose in start_poses.items()
+        ]
+        self.vehicles = tuple(start_poses)
+        particles = self.config.particles
+        self._numbers = {name: number for number, name in enumerate(self.vehicles)}
+        self._poses = np.repeat(np.array(starts, np.float64)[:, None, :], particles, axis=1)
+        self._pending = [PendingMotion() for _ in starts]
+        self._moved = [False] * len(starts)
+        self._stamps = [-math.inf] * len(starts)
+        self._random = np.random.default_rng(seed)
+        self._log_weights = np.full(particles, -math.log(particles))
+        self._score = np.zeros(particles)
+        self._contributed: set[int] = set()
+        self.genealogy = Genealogy(particles)
+        self.map = LandmarkMap(self.genealogy, make_index(self.config.association))
+        self.path = PathStore(self.genealogy)
+        self._regions: dict[tuple[int, int], int] = {}
+
+    # -- motion ---------------------------------------------------------------------------------
+
+    def predict(self, vehicle: str, increment: Pose2, covariance: Array | None = None) -> None:
+        """Tell a motion of a vehicle: increment in its own frame, covariance (3, 3) of it there.
+
+        Without covariance the noise of the settings is taken. Motions are compounded and cost
+        next to nothing until the next update; zero covariance means exact.
+        """
+        number = self._number(vehicle)
+        step = checks.check_pose('increment', increment)
+        if covariance is None:
+            noise = self.config.odometry_noise.covariance(step)
+        else:
+            noise = checks.check_motion_covariance('covariance', covariance)
+        pending = self._pending[number]
+        pending.append(step, noise)
+        self._moved[number] = True
+        if pending.covariance[2, 2] > self.config.linearizable_heading**2:
+            self._sample_heading(number)
+
+    def _sample_heading(self, number: int) -> None:
+        """Sample a heading that has grown too uncertain to linearize over, and what goes with it."""
+        pending = self._pending[number]
+        direction = pending.split_heading(0.5 * self.config.linearizable_heading)
+        factors = self._random.standard_normal(self.config.particles)
+        moves = np.asarray(pending.mean) + factors[:, None] * direction
+        self._poses[number] = compose(self._poses[number], moves)
+        self._pending[number] = PendingMotion(covariance=pending.end_covariance())
+
+    def set_pose(self, vehicle: str, pose: Pose2, covariance: Array) -> None:
+        """Move a vehicle to a pose given by the user, covariance (3, 3) in the map frame."""
+        number = self._number(vehicle)
+        place = checks.check_pose('pose', pose)
+        spread = checks.check_motion_covariance('covariance', covariance)
+        self._poses[number] = np.asarray(place)
+        self._pending[number] = PendingMotion(covariance=rotated(spread, place.theta))
+        self._moved[number] = True
+        if spread[2, 2] > self.config.linearizable_heading**2:
+            self._sample_heading(number)
+
+    # -- observation ----------------------------------------------------------------------------
+
+    def update(self, vehicle: str, observations: LandmarkObservations) -> UpdateSummary:
+        """Take in what a vehicle sees at present; the first update needs a predict before it.
+
+        Raises SlamError, without any change, for no or too many observations, covariances that
+        are not positive definite, descriptors that are not of unit length, an unknown vehicle,
+        a stamp before the last one, and an update before the first predict.
+        """
+        number = self._number(vehicle)
+        checks.check_observations(observations, self.config.association.maximum_observations)
+        self._check_time(number, observations.stamp)
+        if self.config.engine == 'paper' and number in self._contributed:
+            self._resample_round()
+        sighted = engines.look_up(self.map, observations, self.config)
+        data = self.map.rows.present_data
+        poses, P = self._predicted(number)
+        normals = self._random.standard_normal((self.config.particles, 3))
+        engine = engines.paper if self.config.engine == 'paper' else engines.fastslam2
+        log_weights = engine(sighted, data, poses, P, normals, self.config)
+        poses[:, 2] = wrap_angles(poses[:, 2])
+        self._poses[number] = poses
+        self._pending[number] = PendingMotion()
+        self._stamps[number] = observations.stamp
+        engines.update_matched(sighted, data, poses)
+        self._weigh(log_weights)
+        best = self.best_particle()
+        associated = int(np.count_nonzero(sighted.choice[:, best] >= 0))
+        inserted = self._write_map(number, sighted, poses)
+        effective = effective_particles(np.exp(self._log_weights))
+        resampled = self._resample_if_due(number, effective)
+        return UpdateSummary(
+            stamp=observations.stamp,
+            vehicle=vehicle,
+            observed=len(observations),
+            matched=int(np.count_nonzero((sighted.candidates >= 0).any(axis=1))),
+            associated=associated,
+            inserted=inserted,
+            removed=0,
+            effective_particles=effective,
+            resampled=resampled,
+            lost=False,
+            relocated=False,
+        )
+
+    def update_sightings(self, vehicle: str, sightings: Sequence[VehicleSighting]) -> None:
+        """Take in where a vehicle sees other vehicles of the team (their motion told up to now)."""
+        raise NotImplementedError
+
+    def _check_time(self, number: int, stamp: float) -> None:
+        if stamp < self._stamps[number]:
+            raise SlamError(
+                f'update({self.vehicles[number]!r}): stamp {stamp} lies before the last one, '
+                f'{self._stamps[number]}'
+            )
+        if not self._moved[number]:
+            raise SlamError(
+                f'update({self.vehicles[number]!r}) at stamp {stamp} comes before any predict: '
+                'tell the motion since the start first, even if it is zero'
+            )
+
+    def _predicted(self, number: int) -> tuple[Array, Array]:
+        """Return predicted poses (M, 3) and their covariance (3, 3) in the vehicle frame."""
+        if self._pending[number].covariance[2, 2] > self.config.linearizable_heading**2:
+            self._sample_heading(number)
+        pending = self._pending[number]
+        poses = compose(self._poses[number], np.asarray(pending.mean))
+        return poses, pending.end_covariance()
+
+    def _weigh(self, log_weights: Array) -> None:
+        shifted = log_weights - log_weights.max()
+        self._score += shifted
+        self._score -= self._score.max()
+        self._log_weights, _ = normalized(self._log_weights + shifted)
+
+    def _write_map(self, number: int, sighted: Sighted, poses: Array) -> int:
+        """Commit what the update changed, insert what it found new; return the number inserted."""
+        rows = self.map.rows
+        wanted = self._wanted(sighted, number)
+        engines.fill_absent(sighted, rows.present_data, poses, wanted)
+        touched = np.zeros(len(sighted.items), bool)
+        hit = np.zeros(len(sighted.items))
+        weights = np.exp(self._log_weights)
+        for j in range(sighted.candidates.shape[1]):
+            chosen = sighted.choice == j
+            some = chosen.any(axis=1)
+            places = sighted.candidates[some, j]
+            touched[places] = True
+            np.add.at(hit, places, chosen[some] @ weights)
+        touched |= (rows.present_data[sighted.slots, 3] > 0).any(axis=1) & ~touched & False
+        best = self.best_particle()
+        items, slots = sighted.items[touched], sighted.slots[touched]
+        rows.revert(sighted.items[~touched], sighted.slots[~touched])
+        rows.commit(items, slots)
+        there = rows.present_data[slots, 3, best] > 0.0
+        self.map.reference[items[there]] = rows.present_data[slots[there], :3, best]
+        seen = sighted.items[hit > 0.5]
+        self.map.counts[seen] += 1
+        limit = self.config.existence.existence_limit
+        gained = self.map.evidence[seen] + self.config.existence.existence_hit
+        self.map.evidence[seen] = np.minimum(gained, limit)
+        return self._insert(number, sighted, poses, wanted)
+
+    def _wanted(self, sighted: Sighted, number: int) -> NDArray[np.bool_]:
+        """Return (K, M): where an observation becomes a new landmark."""
+        free: NDArray[np.bool_] = sighted.choice < 0
+        if self.config.engine == 'fastslam2':
+            free &= ((free @ np.exp(self._log_weights)) > 0.5)[:, None]
+        if self.config.insertion_policy == 'unmapped_region':
+            free &= self._unmapped(number, sighted.z)[:, None]
+        return free
+
+    def _insert(
+        self, number: int, sighted: Sighted, poses: Array, wanted: NDArray[np.bool_]
+    ) -> int:
+        new = np.flatnonzero(wanted.any(axis=1))
+        if not len(new):
+            return 0
+        slots = self.map.rows.new_slots(len(new))
+        data = self.map.rows.present_data
+        data[slots] = 0.0
+        insert_landmarks(data, slots, sighted.z[new], sighted.R[new], wanted[new], poses)
+        typical = np.argmax(wanted[new], axis=1)
+        reference = data[slots, :3, typical]
+        self.map.add(slots, sighted.descriptors[new], number, reference)
+        for point in reference:
+            self._regions.setdefault(self._region(point), number)
+        return len(new)
+
+    def _region(self, point: Array) -> tuple[int, int]:
+        size = self.config.region_size
+        return math.floor(point[0] / size), math.floor(point[1] / size)
+
+    def _unmapped(self, number: int, z: Array) -> NDArray[np.bool_]:
+        """Tell for observations z (K, 3) whether no other vehicle has mapped their place first."""
+        x, y, theta = self._poses[number, self.best_particle()]
+        c, s = math.cos(theta), math.sin(theta)
+        points = np.stack([x + c * z[:, 0] - s * z[:, 1], y + s * z[:, 0] + c * z[:, 1]], axis=1)
+        owners = [self._regions.get(self._region(point), number) for point in points]
+        return np.array(owners) == number
+
+    # -- resampling -----------------------------------------------------------------------------
+
+    def _resample_if_due(self, number: int, effective: float) -> bool:
+        if self.config.engine == 'paper':
+            self._contributed.add(number)
+            if len(self._contributed) < len(self.vehicles):
+                return False
+            self._resample_round()
+            return True
+        if effective >= self.config.resampling_threshold * self.config.particles:
+            return False
+        self._resample()
+        return True
+
+    def _resample_round(self) -> None:
+        """Engine paper: all vehicles have weighed the particles, w = Π w(i) (Eq. 7)."""
+        self._contributed.clear()
+        self._score[:] = 0.0
+        self._score[int(np.argmax(self._log_weights))] = 1.0
+        self._resample()
+
+    def _resample(self) -> None:
+        weights = np.exp(self._log_weights)
+        ancestors = systematic_ancestors(weights, float(self._random.random()))
+        self._descend(ancestors)
+        self._log_weights[:] = -math.log(self.config.particles)
+
+    def _descend(self, ancestors: Index) -> None:
+        self._poses = self._poses[:, ancestors]
+        self._score = self._score[ancestors]
+        for layout in self.genealogy.resample(ancestors):
+            owner = layout.owner
+            assert isinstance(owner, RowStore)
+            owner.compact(layout)
+
+    # -- estimates ------------------------------------------------------------------------------
+
+    def best_particle(self) -> int:
+        """Return the particle that is taken for the truth.
+
+        Engine paper: the one of largest weight. Engine fastslam2: the one whose whole lineage
+        is likeliest, so that the best path does not jump without need.
+        """
+        if self.config.engine == 'paper' and self._contributed:
+            return int(np.argmax(self._log_weights))
+        return int(np.argmax(self._score))
+
+    def estimate(self, vehicle: str) -> tuple[Pose2, Array]:
+        """Return mean and covariance (3, 3) of a pose in the map, motion told so far included."""
+        number = self._number(vehicle)
+        pending = self._pending[number]
+        poses = compose(self._poses[number], np.asarray(pending.mean))
+        weights = np.exp(self._log_weights)
+        c, s = weights @ np.cos(poses[:, 2]), weights @ np.sin(poses[:, 2])
+        mean = np.array([weights @ poses[:, 0], weights @ poses[:, 1], math.atan2(s, c)])
+        off = poses - mean
+        off[:, 2] = wrap_angles(off[:, 2])
+        spread = (off * weights[:, None]).T @ off
+        spread += rotated(pending.end_covariance(), -mean[2])
+        return Pose2.from_array(mean), 0.5 * (spread + spread.T)
+
+    def best_pose(self, vehicle: str) -> Pose2:
+        """Return the pose of a vehicle in the best particle, motion told so far included."""
+        number = self._number(vehicle)
+        pose = Pose2.from_array(self._poses[number, self.best_particle()])
+        return pose.compose(self._pending[number].mean)
+
+    def particle_poses(self, vehicle: str) -> Array:
+        """Return the poses (M, 3) of a vehicle in all particles, motion told so far included."""
+        number = self._number(vehicle)
+        return compose(self._poses[number], np.asarray(self._pending[number].mean))
+
+    def weights(self) -> Array:
+        """Return the normalized weights (M,) of the particles."""
+        return np.exp(self._log_weights)
+
+    def effective_particles(self) -> float:
+        """Return the effective sample size, 1 … M."""
+        return effective_particles(np.exp(self._log_weights))
+
+    def landmarks(self) -> Landmarks:
+        """Return the landmarks of the best particle."""
+        return self.map.of_particle(self.best_particle())
+
+    # -- path -----------------------------------------------------------------------------------
+
+    def add_keyframe(self, vehicle: str, stamp: float) -> int:
+        """Append the present pose of a vehicle (in all particles) to the path.
+
+        Returns its number, counted 0, 1, 2 … over all vehicles.
+        """
+        number = self._number(vehicle)
+        if not math.isfinite(stamp):
+            raise SlamError(f'add_keyframe({vehicle!r}): stamp is {stamp}, expected seconds')
+        return self.path.append(number, stamp, self.particle_poses(vehicle))
+
+    def best_path(self) -> Array:
+        """Return the poses (K, 3) of all keyframes along the lineage of the best particle.
+
+        While the lineage goes on, poses returned before come again bit by bit.
+        """
+        return self.path.of_particle(self.best_particle())
+
+    def trajectory(self, vehicle: str) -> tuple[Array, Array]:
+        """Return stamps (T,) and poses (T, 3) of the keyframes of a vehicle, best lineage."""
+        chosen = self.path.of_vehicle(self._number(vehicle))
+        return np.array(self.path.stamps)[chosen], self.best_path()[chosen]
+
+    def _number(self, vehicle: str) -> int:
+        try:
+            return self._numbers[vehicle]
+        except (KeyError, TypeError):
+            raise SlamError(
+                f'there is no vehicle {vehicle!r}, expected one of {list(self.vehicles)}'
+            ) from None

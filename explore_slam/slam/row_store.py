@@ -1,0 +1,244 @@
+"""Rows per particle that cost only what is distinct: items × surviving ancestors × values.
+
+An item (a landmark, a pose on the path) has one row of values per particle when it is written.
+After resamplings only the rows with descendants are left. Rows lie in slabs of a few sizes
+(M, M/4, M/16, …, 1 rows); an item moves to the next smaller slab when its level has shrunk to
+it. Within a slab values lie as (item, value, row), so that loops over particles are contiguous.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from explore_slam.geometry import Array
+from explore_slam.slam.genealogy import Genealogy, Index, Layout
+
+Items = NDArray[np.int64]
+_SHRINK = 4
+
+
+@njit(cache=True, nogil=True)
+def _gather(
+    slab: Array, slots: Items, rows: Index, which: Items, target: Array, at: Items
+) -> None:  # pragma: no cover - compiled
+    """Write target[at[i], :, m] = slab[slots[i], :, rows[which[i], m]]."""
+    values = slab.shape[1]
+    particles = rows.shape[1]
+    for i in range(len(slots)):
+        source = slab[slots[i]]
+        goal = target[at[i]]
+        row = rows[which[i]]
+        for v in range(values):
+            for m in range(particles):
+                goal[v, m] = source[v, row[m]]
+
+
+@njit(cache=True, nogil=True)
+def _shrink(
+    source: Array, old: Items, keep: Index, target: Array, new: Items
+) -> None:  # pragma: no cover - compiled
+    """Write target[new[i], :, r] = source[old[i], :, keep[r]]."""
+    for i in range(len(old)):
+        for v in range(source.shape[1]):
+            for r in range(len(keep)):
+                target[new[i], v, r] = source[old[i], v, keep[r]]
+
+
+class Slab:
+    """Memory for items of one size: values (capacity, V, R) and the slots that are free."""
+
+    def __init__(self, values: int, rows: int) -> None:
+        self.data = np.zeros((0, values, rows))
+        self.free: list[int] = []
+        self.used = 0
+
+    def take(self, count: int) -> Items:
+        """Return slots for count items, free ones first."""
+        reused = [self.free.pop() for _ in range(min(count, len(self.free)))]
+        fresh = count - len(reused)
+        if self.used + fresh > len(self.data):
+            capacity = max(self.used + fresh, int(1.3 * len(self.data)) + 8)
+            grown = np.empty((capacity, *self.data.shape[1:]))
+            grown[: self.used] = self.data[: self.used]
+            self.data = grown
+        slots = np.array(reused + list(range(self.used, self.used + fresh)), np.int64)
+        self.used += fresh
+        return slots
+
+    def release(self, slots: Items) -> None:
+        """Give slots back; the last one given is the first one taken again."""
+        self.free.extend(slots.tolist())
+
+
+class RowStore:
+    """Values (V,) per item and particle, shared through the genealogy."""
+
+    def __init__(self, genealogy: Genealogy, values: int) -> None:
+        self.genealogy = genealogy
+        self.values = values
+        self.sizes = [genealogy.particles]
+        while self.sizes[-1] > 1:
+            self.sizes.append(-(-self.sizes[-1] // _SHRINK))
+        self.slabs = [Slab(values, size) for size in self.sizes]
+        self.layouts: dict[int, Layout] = {}
+        self.next_number = 0
+        self.layout_of = np.empty(0, np.int64)
+        self.slot_of = np.empty(0, np.int64)
+
+    @property
+    def present_data(self) -> Array:
+        """The largest slab (slots, V, M); valid until the next stage or new_slots."""
+        return self.slabs[0].data
+
+    def memory(self) -> int:
+        """Return the bytes held in slabs."""
+        return sum(slab.data.nbytes for slab in self.slabs)
+
+    def rows_held(self) -> int:
+        """Return the number of physical rows in use."""
+        used = (slab.used - len(slab.free) for slab in self.slabs)
+        return sum(size * count for size, count in zip(self.sizes, used, strict=True))
+
+    def stage(self, items: Items) -> Items:
+        """Return slots in the largest slab that hold a row per particle of each item.
+
+        Items that have such a row at present keep it (write in place); the others are copied
+        to new slots, and stay where they are until `commit`.
+        """
+        slots = np.empty(len(items), np.int64)
+        here = self._is_present(items)
+        slots[here] = self.slot_of[items[here]]
+        fresh = self.slabs[0].take(int(np.count_nonzero(~here)))
+        slots[~here] = fresh
+        self._gather_into(self.slabs[0].data, items[~here], fresh)
+        return slots
+
+    def new_slots(self, count: int) -> Items:
+        """Return slots of the largest slab for new items; fill them, then commit."""
+        return self.slabs[0].take(count)
+
+    def commit(self, items: Items, slots: Items) -> None:
+        """Make staged or new slots the rows of the items; what they held before is freed."""
+        if not len(items):
+            return
+        self._reserve(int(items.max()) + 1)
+        away = ~self._is_present(items)
+        moved = items[away]
+        self.remove(moved)
+        layout = self._present_layout()
+        layout.live += len(moved)
+        layout.items.append(moved.copy())
+        self.layout_of[moved] = layout.number
+        self.slot_of[items] = slots
+
+    def revert(self, items: Items, slots: Items) -> None:
+        """Give staged slots back without having changed the items."""
+        self.slabs[0].release(slots[~self._is_present(items)])
+
+    def remove(self, items: Items) -> None:
+        """Free the rows of items; items without rows are passed over."""
+        for item in items.tolist():
+            number = int(self.layout_of[item])
+            if number < 0:
+                continue
+            layout = self.layouts[number]
+            self.slabs[layout.size_class].free.append(int(self.slot_of[item]))
+            self.layout_of[item] = -1
+            layout.live -= 1
+            if layout.live == 0:
+                self._drop(layout)
+
+    def read(self, items: Items) -> Array:
+        """Return values (n, V, M) of the items in all particles."""
+        values = np.empty((len(items), self.values, self.genealogy.particles))
+        self._gather_into(values, items, np.arange(len(items)))
+        return values
+
+    def read_particle(self, items: Items, particle: int) -> Array:
+        """Return values (n, V) of the items in one particle."""
+        values = np.empty((len(items), self.values))
+        numbers, which = np.unique(self.layout_of[items], return_inverse=True)
+        layouts = [self.layouts[number] for number in numbers.tolist()]
+        rows = np.array([layout.physical_row(particle) for layout in layouts], np.int64)[which]
+        classes = np.array([layout.size_class for layout in layouts], np.int64)[which]
+        for size_class in np.unique(classes).tolist():
+            at = np.flatnonzero(classes == size_class)
+            data = self.slabs[size_class].data
+            values[at] = data[self.slot_of[items[at]], :, rows[at]]
+        return values
+
+    def compact(self, layout: Layout) -> None:
+        """Move the items of a shrunk layout to the smallest slab that takes them, if smaller."""
+        count = layout.level.count
+        size_class = max(c for c, size in enumerate(self.sizes) if size >= count)
+        if size_class == layout.size_class:
+            return
+        items = self._live_items(layout)
+        source, target = self.slabs[layout.size_class], self.slabs[size_class]
+        old = self.slot_of[items]
+        new = target.take(len(items))
+        keep = np.arange(count, dtype=np.int32) if layout.slots is None else layout.slots
+        _shrink(source.data, old, keep, target.data, new)
+        source.release(old)
+        self.slot_of[items] = new
+        layout.items = [items]
+        layout.size_class = size_class
+        layout.slots = None
+        self._merge_dense(layout)
+
+    def _merge_dense(self, layout: Layout) -> None:
+        """Merge the other dense layouts of the same level and size into this one."""
+        for other in list(layout.level.layouts):
+            alike = other.owner is self and other.size_class == layout.size_class
+            if other is layout or not alike or other.slots is not None:
+                continue
+            items = self._live_items(other)
+            self.layout_of[items] = layout.number
+            layout.items.append(items)
+            layout.live += len(items)
+            self._drop(other)
+
+    def _live_items(self, layout: Layout) -> Items:
+        items = np.unique(np.concatenate(layout.items))
+        return items[self.layout_of[items] == layout.number]
+
+    def _is_present(self, items: Items) -> NDArray[np.bool_]:
+        for layout in self.genealogy.present.layouts:
+            if layout.owner is self:
+                return self.layout_of[items] == layout.number
+        return np.zeros(len(items), bool)
+
+    def _present_layout(self) -> Layout:
+        level = self.genealogy.present
+        for layout in level.layouts:
+            if layout.owner is self:
+                return layout
+        layout = Layout(level, self, self.next_number)
+        level.layouts.append(layout)
+        self.layouts[self.next_number] = layout
+        self.next_number += 1
+        return layout
+
+    def _drop(self, layout: Layout) -> None:
+        layout.level.layouts.remove(layout)
+        del self.layouts[layout.number]
+
+    def _reserve(self, items: int) -> None:
+        have = len(self.layout_of)
+        if items > have:
+            extra = np.full(max(items - have, have // 2 + 64), -1, np.int64)
+            self.layout_of = np.concatenate([self.layout_of, extra])
+            self.slot_of = np.concatenate([self.slot_of, extra])
+
+    def _gather_into(self, target: Array, items: Items, at: Items) -> None:
+        numbers, which = np.unique(self.layout_of[items], return_inverse=True)
+        layouts = [self.layouts[number] for number in numbers.tolist()]
+        classes = np.array([layout.size_class for layout in layouts], np.int64)
+        for size_class in np.unique(classes).tolist():
+            chosen = np.flatnonzero(classes == size_class)
+            place = np.full(len(layouts), -1, np.int64)
+            place[chosen] = np.arange(len(chosen))
+            mine = np.flatnonzero(place[which] >= 0)
+            rows = np.array([layouts[i].physical_rows() for i in chosen.tolist()], np.int32)
+            slots = self.slot_of[items[mine]]
+            _gather(self.slabs[size_class].data, slots, rows, place[which[mine]], target, at[mine])

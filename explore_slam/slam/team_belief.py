@@ -1,0 +1,120 @@
+"""One interface for common and dedicated maps: a joint filter, or one filter per vehicle."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from explore_slam.data import LandmarkObservations, VehicleSighting
+from explore_slam.errors import SlamError
+from explore_slam.geometry import Array, Pose2
+from explore_slam.slam.config import FastSlamConfig
+from explore_slam.slam.fast_slam import FastSlam, UpdateSummary
+from explore_slam.slam.landmark_map import Landmarks
+
+
+class TeamBelief:
+    """The interface of FastSlam; `maps: dedicated` runs one filter, with its own map, per vehicle."""
+
+    def __init__(
+        self, start_poses: Mapping[str, Pose2], config: FastSlamConfig | None = None, seed: int = 0
+    ) -> None:
+        self.config = config if config is not None else FastSlamConfig()
+        self.vehicles = tuple(start_poses)
+        if self.config.maps == 'common':
+            self.filters = [FastSlam(start_poses, self.config, seed)]
+            self._filter_of = dict.fromkeys(self.vehicles, 0)
+        else:
+            self.filters = [
+                FastSlam({name: pose}, self.config, seed + number)
+                for number, (name, pose) in enumerate(start_poses.items())
+            ]
+            self._filter_of = {name: number for number, name in enumerate(self.vehicles)}
+        self._keyframes: list[int] = []
+
+    def filter_of(self, vehicle: str) -> FastSlam:
+        """Return the filter that holds a vehicle."""
+        try:
+            return self.filters[self._filter_of[vehicle]]
+        except (KeyError, TypeError):
+            raise SlamError(
+                f'there is no vehicle {vehicle!r}, expected one of {list(self.vehicles)}'
+            ) from None
+
+    def predict(self, vehicle: str, increment: Pose2, covariance: Array | None = None) -> None:
+        """See FastSlam.predict."""
+        self.filter_of(vehicle).predict(vehicle, increment, covariance)
+
+    def update(self, vehicle: str, observations: LandmarkObservations) -> UpdateSummary:
+        """See FastSlam.update."""
+        return self.filter_of(vehicle).update(vehicle, observations)
+
+    def update_sightings(self, vehicle: str, sightings: Sequence[VehicleSighting]) -> None:
+        """See FastSlam.update_sightings; refused with dedicated maps."""
+        if len(self.filters) > 1:
+            raise SlamError('update_sightings needs maps: common, this belief has maps: dedicated')
+        self.filters[0].update_sightings(vehicle, sightings)
+
+    def set_pose(self, vehicle: str, pose: Pose2, covariance: Array) -> None:
+        """See FastSlam.set_pose."""
+        self.filter_of(vehicle).set_pose(vehicle, pose, covariance)
+
+    def estimate(self, vehicle: str) -> tuple[Pose2, Array]:
+        """See FastSlam.estimate."""
+        return self.filter_of(vehicle).estimate(vehicle)
+
+    def best_pose(self, vehicle: str) -> Pose2:
+        """See FastSlam.best_pose."""
+        return self.filter_of(vehicle).best_pose(vehicle)
+
+    def particle_poses(self, vehicle: str) -> Array:
+        """See FastSlam.particle_poses."""
+        return self.filter_of(vehicle).particle_poses(vehicle)
+
+    def best_particle(self, vehicle: str | None = None) -> int:
+        """Return the best particle, with dedicated maps that of a vehicle (else of the first)."""
+        name = self.vehicles[0] if vehicle is None else vehicle
+        return self.filter_of(name).best_particle()
+
+    def effective_particles(self) -> float:
+        """Return the effective sample size, the least of all filters."""
+        return min(item.effective_particles() for item in self.filters)
+
+    def landmarks(self, vehicle: str | None = None) -> Landmarks:
+        """Return the landmarks of the best particles: of one vehicle's map, or of all maps.
+
+        With dedicated maps the ids of all maps together are 'number in its filter × filters +
+        filter', so that they stay unique.
+        """
+        if vehicle is not None or len(self.filters) == 1:
+            name = self.vehicles[0] if vehicle is None else vehicle
+            return self.filter_of(name).landmarks()
+        parts = [item.landmarks() for item in self.filters]
+        count = len(self.filters)
+        return Landmarks(
+            np.concatenate([part.ids * count + i for i, part in enumerate(parts)]),
+            np.concatenate([part.means for part in parts]),
+            np.concatenate([part.covariances for part in parts]),
+            np.concatenate([part.descriptors for part in parts]),
+            np.concatenate([part.counts for part in parts]),
+            np.concatenate([part.owners + i for i, part in enumerate(parts)]),
+        )
+
+    def add_keyframe(self, vehicle: str, stamp: float) -> int:
+        """See FastSlam.add_keyframe; numbers run over all vehicles with dedicated maps too."""
+        self.filter_of(vehicle).add_keyframe(vehicle, stamp)
+        self._keyframes.append(self._filter_of[vehicle])
+        return len(self._keyframes) - 1
+
+    def best_path(self) -> Array:
+        """See FastSlam.best_path."""
+        if len(self.filters) == 1:
+            return self.filters[0].best_path()
+        path = np.empty((len(self._keyframes), 3))
+        owners = np.array(self._keyframes, np.int64)
+        for number, item in enumerate(self.filters):
+            path[owners == number] = item.best_path()
+        return path
+
+    def trajectory(self, vehicle: str) -> tuple[Array, Array]:
+        """See FastSlam.trajectory."""
+        return self.filter_of(vehicle).trajectory(vehicle)
