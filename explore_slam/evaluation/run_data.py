@@ -1,7 +1,7 @@
 """What is collected while the agent runs, live or offline, and the metrics computed from it."""
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -21,6 +21,26 @@ from explore_slam.settings import Section
 
 def _empty() -> Trajectory:
     return Trajectory(np.empty(0), np.empty((0, 3)))
+
+
+class KeyframeLike(Protocol):
+    """What the agent tells of a keyframe (agent.KeyframeEvent)."""
+
+    @property
+    def vehicle(self) -> str:
+        """Which vehicle."""
+
+    @property
+    def stamp(self) -> float:
+        """When (s)."""
+
+    @property
+    def pose(self) -> Pose2:
+        """Pose right after the update."""
+
+    @property
+    def update(self) -> Any:
+        """Summary of the update, with effective_particles; None where motion alone was used."""
 
 
 @dataclass(frozen=True)
@@ -72,8 +92,8 @@ class Series:
 
     @classmethod
     def of(cls, samples: list[tuple[float, float]]) -> 'Series':
-        """Make a series of (stamp, value) pairs."""
-        table = np.array(samples, dtype=np.float64).reshape(-1, 2)
+        """Make a series of (stamp, value) pairs, in any order."""
+        table = np.array(sorted(samples), dtype=np.float64).reshape(-1, 2)
         return cls(table[:, 0], table[:, 1])
 
     def __len__(self) -> int:
@@ -90,6 +110,7 @@ class RunData:
     grid: Any = None
     landmarks: LandmarkMap | None = None
     coverage: Series = field(default_factory=lambda: Series.of([]))
+    coverage_unit: str = '%'
     effective_particles: Series = field(default_factory=lambda: Series.of([]))
     particles: int = 0
     settings: Section | None = None
@@ -99,8 +120,15 @@ class RunData:
 class RunRecorder:
     """Collects a run as it goes; live demo, replay and experiments fill it alike."""
 
-    def __init__(self, title: str, starts: dict[str, Pose2], particles: int = 0) -> None:
+    def __init__(
+        self,
+        title: str,
+        starts: dict[str, Pose2],
+        particles: int = 0,
+        coverage_unit: str = '%',
+    ) -> None:
         self._title = title
+        self._coverage_unit = coverage_unit
         self._starts = dict(starts)
         self._particles = particles
         self._online: dict[str, list[tuple[float, Pose2]]] = {}
@@ -123,12 +151,18 @@ class RunRecorder:
         self._online.setdefault(vehicle, []).append((stamp, pose))
 
     def add_coverage(self, stamp: float, share: float) -> None:
-        """Keep the explored share of the reachable area (0 to 1), or the known area in m²."""
+        """Keep the explored share of the reachable area (0 to 1), or with unit 'm²' the area."""
         self._coverage.append((stamp, share))
 
     def add_effective_particles(self, stamp: float, count: float) -> None:
         """Keep the effective number of particles after an update."""
         self._effective.append((stamp, count))
+
+    def add_keyframe(self, event: KeyframeLike) -> None:
+        """Keep pose and effective particles of a keyframe event of the agent."""
+        self.add_pose(event.vehicle, event.stamp, event.pose)
+        if event.update is not None:
+            self.add_effective_particles(event.stamp, event.update.effective_particles)
 
     def add_note(self, text: str) -> None:
         """Keep a sentence for the report: a warning, what was left out."""
@@ -168,11 +202,12 @@ class RunRecorder:
             metrics,
             grid,
             landmarks,
-            Series.of(self._coverage),
-            Series.of(self._effective),
-            self._particles,
-            settings,
-            tuple(self._notes),
+            coverage=Series.of(self._coverage),
+            coverage_unit=self._coverage_unit,
+            effective_particles=Series.of(self._effective),
+            particles=self._particles,
+            settings=settings,
+            notes=tuple(self._notes),
         )
 
     def _vehicle_run(self, name: str, estimated: tuple[Array, Array] | None) -> VehicleRun:

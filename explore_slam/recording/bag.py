@@ -115,6 +115,9 @@ class BagReader:
             ) from error
 
     def _open(self) -> None:
+        if self.path.is_dir() and not (self.path / 'metadata.yaml').exists():
+            self._open_damaged('metadata.yaml is missing (the recording was not closed)')
+            return
         try:
             reader = Reader(self.path)
             reader.open()
@@ -182,10 +185,10 @@ class BagWriter:
     def __init__(self, path: Path, *, compress: bool = False) -> None:
         self.path = path
         self._connections: dict[str, Connection] = {}
-        self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
-        if compress:
-            self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         try:
+            self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
+            if compress:
+                self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             self._writer.open()
         except (WriterError, OSError) as error:
             raise RecordingError(f'{path} cannot be written: {error}') from error

@@ -1,0 +1,60 @@
+"""Messages come by stamp, whatever the order they were logged in."""
+
+import struct
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from explore_slam.recording.ordering import WINDOW, StampOrder, header_stamp
+from explore_slam.recording.salvage import RawMessage
+
+SECOND = 10**9
+
+
+def message(stamp: int, log_time: int, topic: str = '/a/odom') -> RawMessage:
+    seconds, nanoseconds = divmod(stamp, SECOND)
+    data = b'\x00\x01\x00\x00' + struct.pack('<iI', seconds, nanoseconds)
+    return RawMessage(topic, 'nav_msgs/msg/Odometry', log_time, data)
+
+
+def test_reads_the_stamp_of_either_byte_order():
+    assert header_stamp(b'\x00\x01\x00\x00' + struct.pack('<iI', 5, 7)) == 5 * SECOND + 7
+    assert header_stamp(b'\x00\x00\x00\x00' + struct.pack('>iI', 5, 7)) == 5 * SECOND + 7
+    assert header_stamp(b'\x00\x01') is None
+
+
+@given(st.lists(st.integers(0, WINDOW - 1), max_size=50), st.integers(0, 10**18))
+def test_delays_within_the_window_are_undone(delays, offset):
+    stamps = [index * SECOND // 10 for index in range(len(delays))]
+    logged = sorted(
+        (message(s, s + d + offset) for s, d in zip(stamps, delays, strict=True)),
+        key=lambda m: m.log_time,
+    )
+    order = StampOrder()
+    assert [stamp for stamp, _ in order.sort(logged)] == stamps
+    assert order.late == {}
+    assert order.clock_jumps == []
+
+
+def test_what_comes_too_late_is_counted():
+    logged = [message(10 * SECOND + i * SECOND, i * SECOND) for i in range(6)]
+    logged.append(message(11 * SECOND, 6 * SECOND, '/a/scan'))
+    order = StampOrder()
+    found = [stamp // SECOND for stamp, _ in order.sort(logged)]
+    assert found == [10, 11, 12, 13, 14, 15]
+    assert order.late == {'/a/scan': 1}
+
+
+def test_a_clock_that_jumps_back_starts_again():
+    logged = [message(100 * SECOND, 0), message(101 * SECOND, SECOND)]
+    logged += [message(1 * SECOND, 2 * SECOND), message(2 * SECOND, 3 * SECOND)]
+    order = StampOrder()
+    assert [stamp // SECOND for stamp, _ in order.sort(logged)] == [100, 101, 1, 2]
+    assert order.clock_jumps == [(101.0, 1.0)]
+
+
+def test_data_without_a_header_are_counted():
+    order = StampOrder()
+    short = RawMessage('/a/scan', 'sensor_msgs/msg/LaserScan', 0, b'\x00\x01')
+    assert list(order.sort([short])) == []
+    assert order.malformed == {'/a/scan': 1}
