@@ -1,0 +1,193 @@
+"""Experiment 1's world: point landmarks with unique descriptors, paths on a grid, noise of table I."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from explore_slam.data import DESCRIPTOR_LENGTH, LandmarkObservations
+from explore_slam.errors import EvaluationError
+from explore_slam.geometry import Array, Pose2
+
+WIDTH, HEIGHT = 17.0, 10.5
+STEP = 0.5
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Table I of the paper: standard deviations are these factors times sigma."""
+
+    sigma: float = 0.5
+    distance: float = 0.05  # of the step, along the motion
+    heading: float = 3.0 * math.pi / 180.0  # rad per step
+    depth: float = 0.1  # of the range τ
+    angle: float = 0.1 * math.pi / 180.0  # rad, both φ1 and φ2
+
+    def motion_covariance(self, increment: Pose2) -> Array:
+        """Return the covariance (3, 3) of a step that begins by turning and then goes straight."""
+        way = math.hypot(increment.x, increment.y)
+        along = self.distance * way * self.sigma
+        # the paper has no noise across the motion; a hundredth of it keeps the matrix regular
+        across = 0.01 * along
+        c, s = (increment.x / way, increment.y / way) if way > 0.0 else (1.0, 0.0)
+        turn = np.array([[c, -s], [s, c]])
+        covariance = np.zeros((3, 3))
+        covariance[:2, :2] = turn @ np.diag([along**2, across**2]) @ turn.T
+        covariance[2, 2] = (self.heading * self.sigma) ** 2
+        return covariance
+
+
+@dataclass(frozen=True)
+class VehicleStep:
+    """One step of one vehicle: where it truly is after it, what odometry says, what is seen."""
+
+    vehicle: str
+    true_pose: Pose2
+    increment: Pose2
+    covariance: Array
+    observations: LandmarkObservations
+    identities: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A drawn run: landmarks (N, 3) m, start poses, and the steps of all vehicles in turn."""
+
+    name: str
+    landmarks: Array
+    start_poses: dict[str, Pose2]
+    steps: list[VehicleStep]
+
+    def true_path(self, vehicle: str) -> Array:
+        """Return the true poses (T + 1, 3) of a vehicle, the start included."""
+        poses = [s.true_pose for s in self.steps if s.vehicle == vehicle]
+        return np.array([self.start_poses[vehicle], *poses])
+
+
+# corners of the paths on the 0.5 m grid; 28 and 16 steps as in figures 5 and 6 of the paper
+PATHS: dict[str, dict[str, list[tuple[float, float]]]] = {
+    'crossing': {
+        'robot1': [(3.0, 3.0), (11.0, 3.0), (11.0, 6.0), (8.0, 6.0)],
+        'robot2': [(13.0, 7.0), (5.0, 7.0), (5.0, 4.0), (8.0, 4.0)],
+    },
+    'separate': {
+        'robot1': [(2.0, 2.0), (2.0, 5.0), (4.5, 5.0), (4.5, 2.5)],
+        'robot2': [(15.0, 8.5), (15.0, 5.5), (12.5, 5.5), (12.5, 8.0)],
+    },
+}
+
+
+def path_poses(corners: list[tuple[float, float]], step: float = STEP) -> list[Pose2]:
+    """Return the poses along a path of axis-parallel legs; the vehicle looks where it goes."""
+    poses: list[Pose2] = []
+    for (x0, y0), (x1, y1) in zip(corners, corners[1:], strict=False):
+        heading = math.atan2(y1 - y0, x1 - x0)
+        count = round(math.hypot(x1 - x0, y1 - y0) / step)
+        if not poses:
+            poses.append(Pose2(x0, y0, heading))
+        for k in range(1, count + 1):
+            poses.append(Pose2(x0 + (x1 - x0) * k / count, y0 + (y1 - y0) * k / count, heading))
+    return poses
+
+
+def unique_descriptors(count: int, rng: np.random.Generator) -> NDArray[np.float32]:
+    """Return random descriptors (count, 128) of unit length, far from each other."""
+    raw = np.abs(rng.standard_normal((count, DESCRIPTOR_LENGTH)))
+    unit: NDArray[np.float32] = (raw / np.linalg.norm(raw, axis=1, keepdims=True)).astype(
+        np.float32
+    )
+    return unit
+
+
+def draw_scenario(
+    name: str,
+    seed: int,
+    *,
+    landmarks: int = 60,
+    max_range: float = 3.5,
+    noise: Noise | None = None,
+) -> Scenario:
+    """Draw landmarks, true motion and measurements: 'crossing' (28 steps) or 'separate' (16).
+
+    As in the paper the vehicle follows its path by odometry, so that the true pose wanders off
+    the path with the noise of table I, and sees 180 degrees to 3.5 m.
+    """
+    if name not in PATHS:
+        raise EvaluationError(f'scenario is {name!r}, expected one of {list(PATHS)}')
+    noise = noise or Noise()
+    rng = np.random.default_rng(np.random.SeedSequence([seed, len(name), landmarks]))
+    places = np.column_stack(
+        [
+            rng.uniform(0.0, WIDTH, landmarks),
+            rng.uniform(0.0, HEIGHT, landmarks),
+            rng.uniform(0.2, 1.8, landmarks),
+        ]
+    )
+    descriptors = unique_descriptors(landmarks, rng)
+    planned = {vehicle: path_poses(corners) for vehicle, corners in PATHS[name].items()}
+    true = {vehicle: poses[0] for vehicle, poses in planned.items()}
+    starts = dict(true)
+    steps = []
+    for number in range(1, len(next(iter(planned.values())))):
+        for vehicle, poses in planned.items():
+            increment = poses[number - 1].between(poses[number])
+            covariance = noise.motion_covariance(increment)
+            wander = rng.multivariate_normal(np.zeros(3), covariance, method='cholesky')
+            true[vehicle] = true[vehicle].compose(Pose2.from_array(np.add(increment, wander)))
+            seen = observe(
+                true[vehicle], places, descriptors, float(number), max_range, noise, rng
+            )
+            steps.append(VehicleStep(vehicle, true[vehicle], increment, covariance, *seen))
+    return Scenario(name, places, starts, steps)
+
+
+def observe(
+    pose: Pose2,
+    landmarks: Array,
+    descriptors: NDArray[np.float32],
+    stamp: float,
+    max_range: float,
+    noise: Noise,
+    rng: np.random.Generator,
+) -> tuple[LandmarkObservations, NDArray[np.int64]]:
+    """Return what is seen in the half plane ahead, with its identities (K,): range, two angles."""
+    c, s = math.cos(pose.theta), math.sin(pose.theta)
+    dx, dy, dz = landmarks[:, 0] - pose.x, landmarks[:, 1] - pose.y, landmarks[:, 2]
+    forward, left = c * dx + s * dy, -s * dx + c * dy
+    distance = np.sqrt(forward**2 + left**2 + dz**2)
+    rows = np.nonzero((forward > 0.0) & (distance <= max_range))[0]
+    deviations = rng.standard_normal((3, len(rows))) * noise.sigma
+    tau = distance[rows] * (1.0 + noise.depth * deviations[0])
+    azimuth = np.arctan2(left[rows], forward[rows]) + noise.angle * deviations[1]
+    elevation = np.arcsin(dz[rows] / distance[rows]) + noise.angle * deviations[2]
+    positions, covariances = from_polar(tau, azimuth, elevation, noise)
+    return LandmarkObservations(stamp, positions, covariances, descriptors[rows]), rows
+
+
+def from_polar(tau: Array, azimuth: Array, elevation: Array, noise: Noise) -> tuple[Array, Array]:
+    """Return positions (K, 3) and covariances (K, 3, 3) of ranges (m) and angles (rad)."""
+    ca, sa, ce, se = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
+    ray = np.stack([ce * ca, ce * sa, se], axis=1)
+    zero = np.zeros_like(ca)
+    jacobian = np.stack(
+        [
+            ray * (noise.depth * noise.sigma * tau)[:, None],
+            np.stack([-ce * sa, ce * ca, zero], 1) * (tau * noise.angle * noise.sigma)[:, None],
+            np.stack([-se * ca, -se * sa, ce], 1) * (tau * noise.angle * noise.sigma)[:, None],
+        ],
+        axis=2,
+    )
+    covariances: Array = jacobian @ jacobian.transpose(0, 2, 1)
+    return ray * tau[:, None], covariances
+
+
+def dead_reckoning(scenario: Scenario, vehicle: str) -> Array:
+    """Return the poses (T + 1, 3) that odometry alone gives."""
+    pose = scenario.start_poses[vehicle]
+    poses = [pose]
+    for step in scenario.steps:
+        if step.vehicle == vehicle:
+            pose = pose.compose(step.increment)
+            poses.append(pose)
+    return np.array(poses)
