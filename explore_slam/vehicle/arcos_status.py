@@ -1,0 +1,229 @@
+"""ARCOS server packets: status (SIP), configuration, scale factors of the robots' subclasses."""
+
+import logging
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from explore_slam.errors import VehicleError
+from explore_slam.geometry import IDENTITY, Pose2, wrap_angle
+
+STOPPED, MOVING = 0x32, 0x33
+CONFIG_PACKET = 0x20
+_log = logging.getLogger(__name__)
+_LONGEST_STEP = 3.0  # m between two status packets; more is a robot that was reset
+COUNTER_BITS = 15  # x and y wrap here on some firmware, at 16 on other
+
+
+class ScaleFactors(NamedTuple):
+    """What one count of the robot means: mm, rad, mm/s, mm, and rad/s per mm/s of difference."""
+
+    distance: float
+    angle: float
+    velocity: float
+    range: float
+    difference: float
+
+
+SCALE_FACTORS = {
+    'p3dx': ScaleFactors(0.485, math.tau / 4096, 1.0, 1.0, 0.0056),
+    'p3dx-sh': ScaleFactors(1.0, math.tau / 4096, 1.0, 1.0, 0.0056),
+}
+
+
+def scale_factors(subclass: str, distance: float = 0.0) -> ScaleFactors:
+    """Return the factors of a subclass; a distance factor > 0 (mm) replaces the tabled one.
+
+    Raises VehicleError for a subclass that is not tabled when no distance factor is given.
+    """
+    known = SCALE_FACTORS.get(subclass.lower())
+    if known is None and distance <= 0.0:
+        raise VehicleError(
+            f"robot of unknown subclass '{subclass}', expected one of {sorted(SCALE_FACTORS)}: "
+            'set distance_factor to its DistConvFactor (mm per count)'
+        )
+    factors = known or SCALE_FACTORS['p3dx']
+    return factors._replace(distance=distance) if distance > 0.0 else factors
+
+
+@dataclass(frozen=True)
+class StatusPacket:
+    """A SIP in the robot's own units (counts); fields that the packet lacks are None.
+
+    sonar maps a transducer's index to its reading (counts).
+    """
+
+    moving: bool
+    x: int
+    y: int
+    heading: int
+    left_velocity: int
+    right_velocity: int
+    battery: float  # V
+    left_stall: bool
+    right_stall: bool
+    rear_bumpers: int
+    front_bumpers: int
+    flags: int
+    compass: int
+    sonar: dict[int, int]
+    charge_state: int | None = None
+    rotational_velocity: float | None = None  # rad/s
+    faults: int | None = None
+    temperature: int | None = None
+    state_of_charge: int | None = None
+
+    @property
+    def motors_on(self) -> bool:
+        """Flag bit 0."""
+        return bool(self.flags & 1)
+
+    @property
+    def emergency_stop(self) -> bool:
+        """Flag bit 5: the red button is pressed."""
+        return bool(self.flags & 1 << 5)
+
+
+def _signed(data: bytes, offset: int) -> int:
+    return int.from_bytes(data[offset : offset + 2], 'little', signed=True)
+
+
+def _unsigned(data: bytes, offset: int) -> int:
+    return int.from_bytes(data[offset : offset + 2], 'little')
+
+
+_FIXED = 20  # bytes up to the number of sonar readings
+_TRAILING = 5  # gripper, analogue port, analogue, digital in, digital out
+
+
+def parse_status(payload: bytes) -> StatusPacket | None:
+    """Return a status packet, or None where the payload is no (whole) one; never raises."""
+    if len(payload) < _FIXED or payload[0] not in (STOPPED, MOVING):
+        return None
+    sonar: dict[int, int] = {}
+    end = _FIXED
+    for _ in range(payload[19]):
+        if end + 3 > len(payload):
+            return None
+        sonar[payload[end]] = _unsigned(payload, end + 1)
+        end += 3
+    rest = payload[end + _TRAILING :]
+    battery = 0.1 * _unsigned(rest, 0) if len(rest) >= 2 else 0.1 * payload[11]
+    return StatusPacket(
+        moving=payload[0] == MOVING,
+        x=_unsigned(payload, 1),
+        y=_unsigned(payload, 3),
+        heading=_signed(payload, 5),
+        left_velocity=_signed(payload, 7),
+        right_velocity=_signed(payload, 9),
+        battery=battery,
+        left_stall=bool(payload[12] & 1),
+        right_stall=bool(payload[13] & 1),
+        rear_bumpers=payload[12] >> 1,
+        front_bumpers=payload[13] >> 1,
+        flags=_unsigned(payload, 16),
+        compass=payload[18],
+        sonar=sonar,
+        charge_state=rest[2] if len(rest) >= 3 else None,
+        rotational_velocity=math.radians(0.1 * _signed(rest, 3)) if len(rest) >= 5 else None,
+        faults=_unsigned(rest, 5) if len(rest) >= 7 else None,
+        temperature=rest[9] - 256 * (rest[9] > 127) if len(rest) >= 10 else None,
+        state_of_charge=rest[10] if len(rest) >= 11 else None,
+    )
+
+
+class RobotIdentity(NamedTuple):
+    """What the robot says of itself at the end of the handshake."""
+
+    name: str
+    robot_class: str
+    subclass: str
+
+
+def parse_identity(payload: bytes) -> RobotIdentity:
+    """Return name, class and subclass of the SYNC2 reply; what is missing is ''."""
+    texts = [part.decode('ascii', 'replace').strip() for part in payload[1:].split(b'\0')]
+    name, robot_class, subclass = (*texts, '', '', '')[:3]
+    return RobotIdentity(name, robot_class, subclass)
+
+
+class RobotConfiguration(NamedTuple):
+    """The head of a CONFIG packet: top speeds mm/s and °/s, accelerations mm/s² and °/s²."""
+
+    robot_class: str
+    subclass: str
+    serial_number: str
+    rotational_top: int
+    translational_top: int
+    rotational_acceleration_top: int
+    translational_acceleration_top: int
+    name: str
+    status_period_ms: int
+    watchdog_ms: int | None
+
+
+def parse_configuration(payload: bytes) -> RobotConfiguration | None:
+    """Return the head of a CONFIG packet, or None where the payload is no (whole) one."""
+    if not payload or payload[0] != CONFIG_PACKET:
+        return None
+    parts = payload[1:].split(b'\0', 3)
+    if len(parts) < 4 or len(parts[3]) < 12:
+        return None
+    texts = [part.decode('ascii', 'replace') for part in parts[:3]]
+    numbers = parts[3]
+    name, _, rest = numbers[11:].partition(b'\0')
+    tops = [_unsigned(numbers, offset) for offset in (1, 3, 5, 7)]
+    return RobotConfiguration(
+        robot_class=texts[0],
+        subclass=texts[1],
+        serial_number=texts[2],
+        rotational_top=tops[0],
+        translational_top=tops[1],
+        rotational_acceleration_top=tops[2],
+        translational_acceleration_top=tops[3],
+        name=name.decode('ascii', 'replace'),
+        status_period_ms=rest[0] if rest else 0,
+        watchdog_ms=_unsigned(rest, 12) if len(rest) >= 14 else None,
+    )
+
+
+class CounterOdometry:
+    """Pose in the odometry frame from the robot's counters, through wrap-around and restarts."""
+
+    def __init__(self, factors: ScaleFactors, start: Pose2 = IDENTITY) -> None:
+        self._factors = factors
+        self._anchor = start  # odometry frame pose at which the robot's counters stood at 0
+        self._counts: tuple[int, int] | None = None
+        self._total = [0, 0]
+        self.pose = start
+
+    def restart(self, factors: ScaleFactors) -> None:
+        """Go on from the present pose with counters that may stand anywhere."""
+        self._factors = factors
+        self._counts = None
+
+    def update(self, status: StatusPacket) -> Pose2:
+        """Return the pose (m, rad) after a status packet."""
+        scale = 0.001 * self._factors.distance
+        heading = wrap_angle(self._factors.angle * status.heading)
+        counts = (status.x, status.y)
+        last = self._counts or counts
+        steps = [counter_difference(*pair) for pair in zip(counts, last, strict=True)]
+        jumped = max(map(abs, steps)) * scale > _LONGEST_STEP
+        if self._counts is None or jumped:
+            if jumped:
+                _log.warning('odometry: counters jumped by %s, going on from the last pose', steps)
+            self._total = [0, 0]
+            self._anchor = self.pose.compose(Pose2(0.0, 0.0, heading).inverse())
+        else:
+            self._total = [total + step for total, step in zip(self._total, steps, strict=True)]
+        self._counts = counts
+        driven = Pose2(scale * self._total[0], scale * self._total[1], heading)
+        self.pose = self._anchor.compose(driven)
+        return self.pose
+
+
+def counter_difference(value: int, last: int, bits: int = COUNTER_BITS) -> int:
+    """Return value - last on a counter of this many bits, the nearest way round."""
+    half = 1 << (bits - 1)
+    return ((value - last + half) & ((1 << bits) - 1)) - half

@@ -1,0 +1,101 @@
+"""Content of the LMS-200's telegrams: scans, configuration, status byte."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+CONFIGURATION_LENGTH = 34
+_MODE, _UNIT = 5, 6  # offsets of measuring mode and unit
+CENTIMETRES, MILLIMETRES = 0, 1
+# measuring mode -> bits of a value; the bits above are flags of the fields
+VALUE_BITS = {0: 13, 1: 13, 2: 13, 3: 14, 4: 14, 5: 15, 6: 15, 0x0F: 15}
+RANGE_BITS = {8: 13, 16: 14, 32: 15}  # m measured in mm -> bits of a value
+# last digits of values that are no distances (2**bits - 16 + digit)
+NO_ECHO, DAZZLE, OVERFLOW, LOW_SIGNAL, CHANNEL_ERROR, BEYOND = 0xF, 0xE, 0xD, 0xB, 0xA, 0x7
+_NO_RETURN = (NO_ECHO, BEYOND)
+
+
+class StatusByte(NamedTuple):
+    """The last data byte of every reply: severity 0 (fine) to 4 (fatal)."""
+
+    severity: int
+    implausible: bool
+    polluted: bool
+
+
+def parse_status_byte(value: int) -> StatusByte:
+    """Return severity and warnings."""
+    return StatusByte(value & 0b111, bool(value & 1 << 6), bool(value & 1 << 7))
+
+
+@dataclass(frozen=True)
+class ScannerConfiguration:
+    """The block of 34 bytes that 74 reads and 77 writes."""
+
+    block: bytes
+
+    @property
+    def mode(self) -> int:
+        """Measuring mode: how many bits are distance and what the others mean."""
+        return self.block[_MODE]
+
+    @property
+    def unit(self) -> int:
+        """CENTIMETRES or MILLIMETRES."""
+        return self.block[_UNIT]
+
+    @property
+    def value_bits(self) -> int:
+        """Bits of a distance."""
+        return VALUE_BITS.get(self.mode, 13)
+
+    def changed(self, mode: int, unit: int) -> 'ScannerConfiguration':
+        """Return the block with another measuring mode and unit, all else as it is."""
+        block = bytearray(self.block)
+        block[_MODE], block[_UNIT] = mode, unit
+        return ScannerConfiguration(bytes(block))
+
+
+def parse_configuration(data: bytes) -> ScannerConfiguration | None:
+    """Return the block of an F4 telegram, or None where it is too short."""
+    if len(data) < _UNIT + 1:
+        return None
+    return ScannerConfiguration(data[:CONFIGURATION_LENGTH])
+
+
+class RawScan(NamedTuple):
+    """A B0 telegram: values (N,) u16 right to left with flag bits, unit, partial or whole."""
+
+    values: NDArray[np.uint16]
+    unit: int
+    partial: bool
+
+
+def parse_scan(data: bytes) -> RawScan | None:
+    """Return the scan of a B0 telegram's data, or None where it is not whole; never raises."""
+    if len(data) < 2:
+        return None
+    head = data[0] | data[1] << 8
+    count, unit = head & 0x3FF, head >> 14
+    if count == 0 or len(data) < 2 + 2 * count or unit > MILLIMETRES:
+        return None
+    values = np.frombuffer(data, '<u2', count, 2).astype(np.uint16)
+    return RawScan(values, unit, bool(head & 1 << 13))
+
+
+def scan_ranges(scan: RawScan, value_bits: int) -> NDArray[np.float32]:
+    """Return ranges (N,) m after REP-117: +inf no return, NaN no valid value, -inf too close."""
+    values = (scan.values & ((1 << value_bits) - 1)).astype(np.int64)
+    ranges = values * (0.001 if scan.unit == MILLIMETRES else 0.01)
+    codes = values - ((1 << value_bits) - 16)
+    ranges[codes >= BEYOND] = np.nan
+    ranges[np.isin(codes, _NO_RETURN)] = np.inf
+    ranges[values == 0] = -np.inf
+    return ranges.astype(np.float32)
+
+
+def maximum_range(value_bits: int, unit: int) -> float:
+    """Return the largest distance (m) that a value can tell."""
+    return float((1 << value_bits) - 16 + BEYOND - 1) * (0.001 if unit == MILLIMETRES else 0.01)
