@@ -25,7 +25,8 @@ def load_gtsam() -> Any:
         import gtsam
     except ImportError as error:
         raise EvaluationError(
-            f'iSAM2 needs the Python package gtsam ({error}): pip install gtsam, or leave iSAM2 out'
+            f'iSAM2 needs the Python package gtsam ({error}): '
+            'install it with pip, or leave iSAM2 out'
         ) from error
     return gtsam
 
@@ -60,7 +61,7 @@ class Isam2:
         self._smooth()
 
     def predict(self, vehicle: str, increment: Pose2, covariance: Array) -> None:
-        """Append a motion (vehicle frame) with its covariance (3, 3) to those not yet in the graph."""
+        """Append a motion (vehicle frame), covariance (3, 3), to what is not yet in the graph."""
         from explore_slam.slam.motion import compound
 
         self._pending[vehicle] = compound(*self._pending[vehicle], increment, covariance)
@@ -93,7 +94,7 @@ class Isam2:
         self._smooth()
 
     def estimate(self, vehicle: str) -> tuple[Pose2, Array]:
-        """Return the newest pose, pending motion included, and the covariance (3, 3) of the last smoothed one."""
+        """Return the newest pose, pending motion included; covariance (3, 3) of the last one."""
         key = self._pose_key(vehicle, self._counts[vehicle])
         pose = _pose_of(self._estimate.atPose2(key)).compose(self._pending[vehicle][0])
         # GTSAM's covariance is in the vehicle frame, ours in the map

@@ -1,5 +1,6 @@
-"""Experiment 1's world: point landmarks with unique descriptors, paths on a grid, noise of table I."""
+"""Experiment 1's world: landmarks with unique descriptors, paths on a grid, noise of table I."""
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -81,13 +82,13 @@ PATHS: dict[str, dict[str, list[tuple[float, float]]]] = {
 def path_poses(corners: list[tuple[float, float]], step: float = STEP) -> list[Pose2]:
     """Return the poses along a path of axis-parallel legs; the vehicle looks where it goes."""
     poses: list[Pose2] = []
-    for (x0, y0), (x1, y1) in zip(corners, corners[1:], strict=False):
+    for (x0, y0), (x1, y1) in itertools.pairwise(corners):
         heading = math.atan2(y1 - y0, x1 - x0)
         count = round(math.hypot(x1 - x0, y1 - y0) / step)
         if not poses:
             poses.append(Pose2(x0, y0, heading))
-        for k in range(1, count + 1):
-            poses.append(Pose2(x0 + (x1 - x0) * k / count, y0 + (y1 - y0) * k / count, heading))
+        shares = (k / count for k in range(1, count + 1))
+        poses.extend(Pose2(x0 + (x1 - x0) * k, y0 + (y1 - y0) * k, heading) for k in shares)
     return poses
 
 
