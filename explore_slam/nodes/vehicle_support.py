@@ -20,7 +20,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
-from explore_slam.errors import ConfigError
+from explore_slam.errors import ConfigError, ExploreSlamError
 from explore_slam.settings import Section, Setting, settings_of, with_values
 
 OK, WARN, ERROR, STALE = (
@@ -164,7 +164,7 @@ def run_node(make: Callable[[], StoppableNode], arguments: list[str] | None = No
         executor.add_node(node)
         while not asked:
             executor.spin_once(timeout_sec=0.05)
-    except ConfigError as error:
+    except ExploreSlamError as error:
         logging.getLogger(__name__).error('%s', error)
         code = 1
     except Exception as error:  # whatever it is, the vehicle must be stopped first

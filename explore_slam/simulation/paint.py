@@ -19,6 +19,7 @@ from explore_slam.simulation.posters import (
 
 Painter = Callable[[tuple[int, int], float, np.random.Generator], Image]
 LOWEST, HIGHEST = 0.06, 1.95  # posters hang between these heights (m)
+SPECKS = 250.0  # dots per m²
 
 
 def _tinted(
@@ -33,9 +34,26 @@ def _tinted(
     return np.clip(color * shade[:, :, None], 0, 255).astype(np.uint8)
 
 
+def _speckle(image: Image, resolution: float, rng: np.random.Generator) -> None:
+    """Strew dots of 6 to 18 mm: what is left to see from near where no poster hangs."""
+    rows, columns = image.shape[:2]
+    count = round(SPECKS * rows * columns * resolution**2)
+    top, left = rng.integers(0, rows, count), rng.integers(0, columns, count)
+    tones = rng.uniform(0.35, 1.35, (count, 1)) * image[top, left]
+    size = rng.integers(1, 4, count)
+    for down in range(3):
+        for right in range(3):
+            mine = (size > down) & (size > right)
+            r, c = top[mine] + down, left[mine] + right
+            inside = (r < rows) & (c < columns)
+            image[r[inside], c[inside]] = np.clip(tones[mine][inside], 0, 255).astype(np.uint8)
+
+
 def _plain(color: NDArray[np.float32], depth: float = 0.1) -> Painter:
-    def paint(shape: tuple[int, int], _: float, rng: np.random.Generator) -> Image:
-        return _tinted(shape, color * (0.92 + 0.16 * rng.random()), depth, rng)
+    def paint(shape: tuple[int, int], resolution: float, rng: np.random.Generator) -> Image:
+        image = _tinted(shape, color * (0.92 + 0.16 * rng.random()), depth, rng)
+        _speckle(image, resolution, rng)
+        return image
 
     return paint
 
@@ -52,6 +70,7 @@ def _brick(shape: tuple[int, int], resolution: float, rng: np.random.Generator) 
             tone = base * (0.6 + 0.7 * rng.random()) + rng.normal(0.0, 6.0, 3)
             fill(image, left, top, width - 1, height - 1, tone)
             left += width
+    _speckle(image, resolution, rng)
     return image
 
 
@@ -72,6 +91,7 @@ def _panel(shape: tuple[int, int], resolution: float, rng: np.random.Generator) 
             top = int(rng.integers(0, max(1, rows - size)))
             fill(image, left + width // 3, top, size, size, tone * 0.45)
         left += width
+    _speckle(image, resolution, rng)
     return image
 
 
@@ -99,6 +119,7 @@ def _shelf(shape: tuple[int, int], resolution: float, rng: np.random.Generator) 
 def _cabinet(shape: tuple[int, int], resolution: float, rng: np.random.Generator) -> Image:
     rows, columns = shape
     image = _tinted(shape, random_color(rng) * np.float32(0.35) + np.float32(110), 0.08, rng)
+    _speckle(image, resolution, rng)
     edge = max(1, round(0.012 / resolution))
     step = max(8, round(0.3 / resolution))
     for top in range(0, rows, step):
@@ -207,7 +228,7 @@ def paint_floor(shape: tuple[int, int], resolution: float, rng: np.random.Genera
     base = base * (0.9 + 0.2 * smooth_noise(shape, 5, rng))
     tinted = base[:, :, None] * np.array([1.0, 0.97, 0.92])
     image: Image = np.clip(tinted, 0, 255).astype(np.uint8)
-    for _ in range(round(6.0 * rows * columns * resolution**2)):
+    for _ in range(round(14.0 * rows * columns * resolution**2)):
         size = max(2, round(rng.uniform(0.03, 0.12) / resolution))
         left, top = int(rng.integers(0, columns)), int(rng.integers(0, rows))
         tone = rng.uniform(55, 165) * np.array([1.0, 0.97, 0.92])

@@ -122,6 +122,23 @@ class World:
         return solid, (x_min, y_min)
 
 
+def world_path(name: str) -> Path:
+    """Return the file of a world: a path as it is, else a world of the package by its name."""
+    given = Path(name)
+    if given.suffix or given.exists():
+        return given
+    known: dict[str, Path] = {}
+    for parent in Path(__file__).resolve().parents:
+        for folder in (parent / 'config/worlds', parent / 'share/explore_slam/config/worlds'):
+            for path in sorted(folder.glob('*.yaml')):
+                known.setdefault(path.stem, path)
+    if name not in known:
+        raise SimulationError(
+            f'there is no world {name!r}: expected a YAML file or one of {sorted(known)}'
+        )
+    return known[name]
+
+
 def _window(axis: Array, center: float, reach: float) -> slice:
     """Return the part of an ascending axis within reach of the centre."""
     low, high = np.searchsorted(axis, [center - reach, center + reach])

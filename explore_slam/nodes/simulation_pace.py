@@ -1,0 +1,142 @@
+"""How fast simulated time runs: at a fixed rate, or as fast as agent and followers keep up.
+
+Free of ROS. Wall times are seconds of a monotonic clock, sim times are simulated seconds.
+"""
+
+import threading
+from dataclasses import dataclass
+
+from explore_slam.settings import Section, setting
+
+MAX_LAG = 0.25  # wall s; what is further behind a fixed rate is not caught up
+
+
+@dataclass(frozen=True)
+class PaceConfig(Section):
+    """What holds simulated time back."""
+
+    real_time_factor: float = setting(
+        0.0,
+        'simulated seconds per second; 0: as fast as agent and followers keep up',
+        low=0.0,
+        high=1000.0,
+    )
+    pose_lead: float = setting(
+        1.0,
+        'simulated time is at most this far ahead of the newest pose of the slowest vehicle '
+        '(real_time_factor 0)',
+        unit='s',
+        low=0.1,
+        high=60.0,
+    )
+    pose_patience: float = setting(
+        5.0,
+        'time without a newer pose after which a vehicle no longer holds simulated time '
+        '(real_time_factor 0)',
+        unit='wall s',
+        low=0.1,
+        high=3600.0,
+    )
+    command_lead: float = setting(
+        0.15,
+        'while a vehicle drives, simulated time is at most this far ahead of its newest velocity '
+        'command (real_time_factor 0)',
+        unit='s',
+        low=0.02,
+        high=10.0,
+    )
+    command_patience: float = setting(
+        0.25,
+        'time without a velocity command after which it no longer holds simulated time '
+        '(real_time_factor 0)',
+        unit='wall s',
+        low=0.01,
+        high=60.0,
+    )
+
+
+@dataclass
+class _Follower:
+    """The newest velocity command of a vehicle: when it came and whether it drives."""
+
+    sim: float = 0.0
+    wall: float = 0.0
+    moving: bool = False
+
+
+@dataclass
+class _Estimate:
+    """The newest pose stamp of a vehicle, and when it last went on."""
+
+    stamp: float
+    wall: float
+
+
+class Pace:
+    """Tells how long to wait before the next step; callbacks of any thread may report."""
+
+    def __init__(self, config: PaceConfig, vehicles: list[str], wall: float) -> None:
+        self.config = config
+        self._lock = threading.Lock()
+        self._followers = {name: _Follower() for name in vehicles}
+        self._poses: dict[str, _Estimate] = {}
+        self._anchor = (0.0, wall)
+        self.holder = ''  # what holds time back right now
+
+    def report_pose(self, vehicle: str, stamp: float, wall: float) -> None:
+        """Take the stamp of a pose that the agent has published for a vehicle."""
+        with self._lock:
+            known = self._poses.get(vehicle)
+            if known is None or stamp != known.stamp:
+                self._poses[vehicle] = _Estimate(stamp, wall)
+
+    def report_command(self, vehicle: str, moving: bool, sim: float, wall: float) -> None:
+        """Take that a velocity command has come for a vehicle."""
+        with self._lock:
+            self._followers[vehicle] = _Follower(sim, wall, moving)
+
+    def delay(self, sim: float, wall: float) -> float:
+        """Return how long to wait (wall s) before time goes on; 0: go. Ask again after a report."""
+        with self._lock:
+            if self.config.real_time_factor > 0.0:
+                self.holder = 'clock'
+                return self._until(sim, wall, self.config.real_time_factor)
+            held = self._held_by_command(sim, wall) or self._held_by_pose(sim, wall)
+            if held is not None:
+                self._anchor = (sim, wall)
+                self.holder, delay = held
+                return delay
+            if self._listening(wall):
+                self._anchor = (sim, wall)
+                self.holder = ''
+                return 0.0
+            self.holder = 'no poses'  # nobody works along: real time, so that nobody misses much
+            return self._until(sim, wall, 1.0)
+
+    def _until(self, sim: float, wall: float, factor: float) -> float:
+        start_sim, start_wall = self._anchor
+        delay = start_wall + (sim - start_sim) / factor - wall
+        if delay < -MAX_LAG:
+            self._anchor = (sim, wall)
+        return max(0.0, delay)
+
+    def _held_by_command(self, sim: float, wall: float) -> tuple[str, float] | None:
+        for name, follower in self._followers.items():
+            waited = wall - follower.wall
+            ahead = sim - follower.sim >= self.config.command_lead - 1e-9
+            if follower.moving and ahead and waited < self.config.command_patience:
+                return f'{name}/cmd_vel', self.config.command_patience - waited
+        return None
+
+    def _listening(self, wall: float) -> dict[str, _Estimate]:
+        patience = self.config.pose_patience
+        return {name: p for name, p in self._poses.items() if wall - p.wall < patience}
+
+    def _held_by_pose(self, sim: float, wall: float) -> tuple[str, float] | None:
+        alive = self._listening(wall)
+        if not alive:
+            return None
+        slowest = min(alive, key=lambda name: alive[name].stamp)
+        if sim - alive[slowest].stamp < self.config.pose_lead - 1e-9:
+            return None
+        return f'{slowest}/pose', self.config.pose_patience - (wall - alive[slowest].wall)
