@@ -117,7 +117,7 @@ class SafetyGate:
         return next((text for holds, text in reasons if holds), '')
 
     def _held_by_stall(self, stalled: bool) -> bool:
-        """A stalled vehicle may only drive back the way it came, or rest."""
+        """Tell whether a stall forbids what is commanded: it allows to drive back, or to rest."""
         if not stalled:
             self._stall_direction = None
             return False

@@ -1,0 +1,307 @@
+"""The robot side of ARCOS: a Pioneer's controller in front of any simulated body.
+
+Accepts what ARIA and other clients send (WMS2 junk, SYNC0-2, OPEN, CONFIG, HOSTBAUD, ...).
+"""
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from explore_slam.geometry import Pose2
+from explore_slam.vehicle.arcos_packets import (
+    Command,
+    PacketDecoder,
+    decode_command,
+    encode_packet,
+)
+from explore_slam.vehicle.arcos_status import CONFIG_PACKET, MOVING, STOPPED, scale_factors
+
+STATUS_PERIOD = 0.1  # s
+WATCHDOG = 2.0  # s without a packet of the host
+_REBOOT = 1.0  # s that a reset takes
+_BAUD_OF_CODE = {0: 9600, 1: 19200, 2: 38400, 3: 57600, 4: 115200}
+_RATE_PROBATION = 0.9  # s in which the host must talk at a new rate
+
+
+class Body(Protocol):
+    """What the controller moves: a simulated vehicle, or anything with these."""
+
+    def set_velocity(self, linear: float, angular: float) -> None:
+        """Command a velocity (m/s, rad/s)."""
+
+    def odometry(self) -> Pose2:
+        """Return the pose by the wheels (m, rad), in any frame that stays."""
+
+    def velocity(self) -> tuple[float, float]:
+        """Return what is driven (m/s, rad/s)."""
+
+
+@dataclass
+class RobotFaults:
+    """What goes wrong with the robot; change it at any time."""
+
+    left_stall: bool = False
+    right_stall: bool = False
+    front_bumpers: int = 0
+    rear_bumpers: int = 0
+    emergency_stop: bool = False
+    faults: int = 0
+
+
+@dataclass
+class _Session:
+    """Where the handshake stands, and what lives as long as a session."""
+
+    open: bool = False
+    synchronized: int = 0
+    last_packet: float = -math.inf
+    next_status: float = 0.0
+    motors: bool = False
+    sonar: bool = True
+    velocity: tuple[float, float] = (0.0, 0.0)
+    limits: dict[int, int] = field(default_factory=dict)
+
+
+class ArcosRobot:
+    """SerialDevice of a Pioneer. counters: where x and y stand at power-on (counts).
+
+    wrap_bits is 15 or 16, as firmware differs. sonar maps transducer -> m and may be set at any
+    time.
+    """
+
+    def __init__(
+        self,
+        body: Body,
+        *,
+        subclass: str = 'p3dx-sh',
+        name: str = 'Simulated',
+        counters: tuple[int, int] = (0, 0),
+        wrap_bits: int = 15,
+        baud: int = 9600,
+    ) -> None:
+        self.body = body
+        self.identity = (name, 'Pioneer', subclass)
+        self.faults = RobotFaults()
+        self.sonar: Mapping[int, float] = {}
+        self.battery = 12.6  # V
+        self.commands: deque[tuple[float, int, int | bytes | None]] = deque(maxlen=1000)
+        self.sent = 0  # status packets
+        self._factors = scale_factors(subclass if subclass.startswith('p3dx') else 'p3dx')
+        self._counters = counters
+        self._mask = (1 << wrap_bits) - 1
+        self._origin = body.odometry()
+        self._power_baud = self.baud = baud
+        self._rate_change: tuple[float, int] | None = None
+        self._probation = math.inf
+        self._decoder = PacketDecoder()
+        self._session = _Session()
+        self._outbox = bytearray()
+        self._booted = -math.inf
+
+    # -- what a test or a tool wants to know ------------------------------------------------------
+
+    @property
+    def motors_on(self) -> bool:
+        """Whether the motors have power."""
+        return self._session.motors
+
+    @property
+    def session_open(self) -> bool:
+        """Whether a client has opened a session."""
+        return self._session.open
+
+    @property
+    def commanded(self) -> tuple[float, float]:
+        """The velocity the host asked for (m/s, rad/s)."""
+        return self._session.velocity
+
+    def odometry(self) -> Pose2:
+        """Return the robot's own pose since power-on or SETO, unwrapped and unrounded."""
+        return self._origin.between(self.body.odometry())
+
+    def reset(self, now: float) -> None:
+        """Restart as after a loss of power: session, counters and motors are gone."""
+        self._end_session()
+        self._origin = self.body.odometry()
+        self.baud = self._power_baud
+        self._booted = now + _REBOOT
+        self._outbox.clear()
+
+    # -- the device -------------------------------------------------------------------------------
+
+    def receive(self, data: bytes, now: float) -> None:
+        """Take bytes of the host."""
+        if now < self._booted:
+            return
+        for payload in self._decoder.feed(data):
+            self._session.last_packet = now
+            self._probation = math.inf
+            self._handle(*decode_command(payload), payload, now)
+
+    def transmit(self, now: float) -> bytes:
+        """Return what the robot sends now; keeps watchdogs."""
+        if now < self._booted:
+            return b''
+        session = self._session
+        if self._rate_change is not None and now >= self._rate_change[0]:
+            self.baud, self._rate_change = self._rate_change[1], None
+            self._probation = now + _RATE_PROBATION
+        if now > self._probation:
+            self.baud, self._probation = self._power_baud, math.inf
+        if session.open and now - session.last_packet > WATCHDOG and any(session.velocity):
+            session.velocity = (0.0, 0.0)
+        self._drive()
+        if session.open and now >= session.next_status:
+            behind = now - session.next_status > STATUS_PERIOD
+            session.next_status = (now if behind else session.next_status) + STATUS_PERIOD
+            self._outbox += encode_packet(self.status_payload())
+            self.sent += 1
+        data = bytes(self._outbox)
+        self._outbox.clear()
+        return data
+
+    def _drive(self) -> None:
+        f = self.faults
+        halted = f.emergency_stop or f.left_stall or f.right_stall or not self._session.motors
+        if f.emergency_stop:
+            self._session.motors = False
+        self.body.set_velocity(*((0.0, 0.0) if halted else self._session.velocity))
+
+    def _end_session(self) -> None:
+        self._session = _Session()
+        self.body.set_velocity(0.0, 0.0)
+
+    def _handle(
+        self, command: int, argument: int | bytes | None, payload: bytes, now: float
+    ) -> None:
+        self.commands.append((now, command, argument))
+        session = self._session
+        if not session.open:
+            self._synchronize(command, payload, now)
+        elif command == Command.CLOSE:
+            self._end_session()
+            self.baud = self._power_baud
+        elif isinstance(argument, int):
+            self._obey(command, argument)
+        elif command in (Command.STOP, Command.ESTOP):
+            session.velocity = (0.0, 0.0)
+        elif command == Command.SETO:
+            self._origin = self.body.odometry()
+
+    def _synchronize(self, command: int, payload: bytes, now: float) -> None:
+        session = self._session
+        if command == session.synchronized and command < 2:
+            session.synchronized += 1
+            self._outbox += encode_packet(payload)
+        elif command == 2 and session.synchronized == 2:
+            names = b'\0'.join(text.encode() for text in self.identity) + b'\0'
+            self._outbox += encode_packet(bytes([2]) + names)
+            session.synchronized = 3
+        elif command == Command.OPEN and session.synchronized == 3:
+            session.open = True
+            session.next_status = now + STATUS_PERIOD
+        elif command == 0:  # a client that starts again
+            session.synchronized = 1
+            self._outbox += encode_packet(payload)
+        else:
+            session.synchronized = 0
+            self._outbox += encode_packet(bytes([255]))
+
+    def _obey(self, command: int, argument: int) -> None:
+        session = self._session
+        linear, angular = session.velocity
+        if command == Command.ENABLE:
+            session.motors = bool(argument) and not self.faults.emergency_stop
+            if not argument:
+                session.velocity = (0.0, 0.0)
+        elif command == Command.VEL:
+            limit = session.limits.get(Command.SETV, 2200)
+            session.velocity = (0.001 * max(-limit, min(limit, argument)), angular)
+        elif command == Command.RVEL:
+            limit = session.limits.get(Command.SETRV, 300)
+            session.velocity = (linear, math.radians(max(-limit, min(limit, argument))))
+        elif command == Command.VEL2:
+            self._obey_wheels(argument)
+        elif command in (Command.SETV, Command.SETRV):
+            session.limits[command] = argument
+        elif command == Command.CONFIG:
+            self._outbox += encode_packet(self.configuration_payload())
+        elif command == Command.SONAR:
+            session.sonar = bool(argument)
+        elif command == Command.HOSTBAUD and argument in _BAUD_OF_CODE:
+            self._rate_change = (session.last_packet + 0.01, _BAUD_OF_CODE[argument])
+        elif command in (Command.STOP, Command.ESTOP):
+            session.velocity = (0.0, 0.0)
+
+    def _obey_wheels(self, argument: int) -> None:
+        """VEL2: signed bytes of right and left wheel in steps of 20 mm/s."""
+        left, right = (
+            (value - 256 if value > 127 else value) * 0.02
+            for value in ((argument >> 8) & 0xFF, argument & 0xFF)
+        )
+        turn = 0.5 * (right - left) * 1000.0 * self._factors.difference
+        self._session.velocity = (0.5 * (left + right), turn)
+
+    # -- packets ----------------------------------------------------------------------------------
+
+    def status_payload(self) -> bytes:
+        """Return a SIP of the present state."""
+        f, factors = self.faults, self._factors
+        pose = self.odometry()
+        scale = 1000.0 / factors.distance
+        x, y = (
+            (round(value * scale) + start) & self._mask
+            for value, start in zip(pose[:2], self._counters, strict=True)
+        )
+        linear, angular = self.body.velocity()
+        difference = angular / factors.difference
+        left, right = round(1000 * linear - difference), round(1000 * linear + difference)
+        moving = abs(linear) > 0.001 or abs(angular) > 0.001
+        flags = int(self._session.motors) | int(f.emergency_stop) << 5
+        sonar = self.sonar if self._session.sonar else {}
+        flags |= 0b11110 if sonar else 0
+        readings = b''.join(
+            bytes([index]) + round(1000.0 * distance).to_bytes(2, 'little')
+            for index, distance in sorted(sonar.items())
+        )
+        return b''.join(
+            (
+                bytes([MOVING if moving else STOPPED]),
+                x.to_bytes(2, 'little'),
+                y.to_bytes(2, 'little'),
+                _int16(round(pose.theta / factors.angle)),
+                _int16(left),
+                _int16(right),
+                bytes([round(10 * self.battery)]),
+                bytes([f.rear_bumpers << 1 | f.left_stall]),
+                bytes([f.front_bumpers << 1 | f.right_stall]),
+                _int16(0),
+                flags.to_bytes(2, 'little'),
+                bytes([round(math.degrees(pose.theta) % 360.0 / 2.0) % 180]),
+                bytes([len(sonar)]),
+                readings,
+                bytes(5),
+                round(10 * self.battery).to_bytes(2, 'little'),
+                bytes(1),
+                _int16(round(10 * math.degrees(angular))),
+                f.faults.to_bytes(2, 'little'),
+                _int16(0),
+                bytes([0x80, 0]),
+            )
+        )
+
+    def configuration_payload(self) -> bytes:
+        """Return a CONFIG packet with the values of a stock P3-DX."""
+        _, robot_class, subclass = self.identity
+        texts = b'\0'.join((robot_class.encode(), subclass.encode(), b'SIM_0001')) + b'\0'
+        tops = b''.join(value.to_bytes(2, 'little') for value in (500, 2200, 300, 2000, 500))
+        periods = bytes([round(1000 * STATUS_PERIOD), 0, 0]) + bytes(5) + bytes([110, 0])
+        rest = (16570).to_bytes(2, 'little') + round(1000 * WATCHDOG).to_bytes(2, 'little')
+        name = self.identity[0].encode() + b'\0'
+        return bytes([CONFIG_PACKET]) + texts + bytes(1) + tops + name + periods + rest
+
+
+def _int16(value: int) -> bytes:
+    return max(-32768, min(32767, value)).to_bytes(2, 'little', signed=True)

@@ -1,0 +1,212 @@
+"""The scanner side of the LMS-200's telegrams, in front of any source of scans."""
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from explore_slam.data import LaserScan
+from explore_slam.vehicle.lms200_scan import (
+    BEYOND,
+    MILLIMETRES,
+    NO_ECHO,
+    OVERFLOW,
+    ScannerConfiguration,
+)
+from explore_slam.vehicle.lms200_telegrams import (
+    ACK,
+    BAUD_MODES,
+    NAK,
+    PASSWORD,
+    Mode,
+    Reply,
+    Request,
+    TelegramDecoder,
+    encode_telegram,
+)
+
+MIRROR_PERIOD = 0.01332  # s
+_ACK_DELAY = 0.005  # s
+_REPLY_DELAY = 0.02  # s after the acknowledgement
+_MODE_DELAY = 0.05  # s more for a change of mode
+_WRITE_DELAY = 0.1  # s more for the EEPROM
+_TYPE = b'LMS200;S18063;V02.19 '
+_FINE, _SEVERE = 0x10, 0x13
+_ADDRESS = 0x80
+_RATE_OF_MODE = {mode: rate for rate, mode in BAUD_MODES.items()}
+_VARIANTS = {(180, 100), (180, 50), (100, 100), (100, 50), (100, 25)}
+_STOCK = bytes((0, 0, 0x70, 0, 0, 4, MILLIMETRES, 0, 0, 2, 2)) + bytes(21) + bytes((2, 0))
+
+
+@dataclass
+class ScannerFaults:
+    """What goes wrong with the scanner; change it at any time."""
+
+    stalled: bool = False  # the mirror stands: no scans, but it answers
+    severe: bool = False  # status byte of an error
+    polluted: bool = False  # status bit of a dirty front screen
+    missed_requests: int = 0  # so many requests go unanswered
+
+
+class Lms200Scanner:
+    """SerialDevice of an LMS-200. scan() gives what it sees; None means that nothing is known.
+
+    A scan goes out when the line has room for it, in step with the mirror: at 38400 Bd and 0.5°
+    every 213 ms as a real one does.
+    """
+
+    def __init__(
+        self,
+        scan: Callable[[], LaserScan | None],
+        *,
+        baud: int = 9600,
+        configuration: bytes = _STOCK,
+        variant: tuple[int, int] = (180, 50),
+        streaming: bool = False,
+        mode_delay: float = _MODE_DELAY,
+    ) -> None:
+        self.faults = ScannerFaults()
+        self.configuration = ScannerConfiguration(configuration)
+        self.baud = baud
+        self.streaming = streaming
+        self.variant = variant
+        self.writes = 0  # EEPROM cycles
+        self.scans = 0
+        self._scan = scan
+        self._installing = False
+        self._mode_delay = mode_delay
+        self._decoder = TelegramDecoder(replies=False)
+        self._replies: deque[tuple[float, bytes, int | None]] = deque()  # when, what, new rate
+        self._next_scan = 0.0
+
+    def reset(self, now: float) -> None:
+        """Restart as after a loss of power: 9600 Bd, on request."""
+        self.baud, self.streaming, self._installing = 9600, False, False
+        self._replies.clear()
+        self._decoder.clear()
+        self._reply(now + 0.5, Reply.POWER_ON, _TYPE)
+
+    # -- the device -------------------------------------------------------------------------------
+
+    def receive(self, data: bytes, now: float) -> None:
+        """Take bytes of the host."""
+        rejected = self._decoder.rejected
+        for telegram in self._decoder.feed(data):
+            if telegram.address != 0:
+                continue
+            if self.faults.missed_requests > 0:
+                self.faults.missed_requests -= 1
+                continue
+            self._replies.append((now + _ACK_DELAY, ACK, None))
+            self._handle(telegram.command, telegram.data, now + _ACK_DELAY + _REPLY_DELAY)
+        if self._decoder.rejected > rejected:
+            self._replies.append((now + _ACK_DELAY, NAK, None))
+
+    def transmit(self, now: float) -> bytes:
+        """Return what the scanner sends now."""
+        data = bytearray()
+        while self._replies and self._replies[0][0] <= now:
+            _, telegram, rate = self._replies.popleft()
+            data += telegram
+            if rate is not None:
+                self.baud = rate
+        if self.streaming and not self.faults.stalled and now >= self._next_scan:
+            telegram = self._scan_telegram()
+            data += telegram
+            self._next_scan = self._after(telegram, now)
+        return bytes(data)
+
+    def _after(self, telegram: bytes, now: float) -> float:
+        """Return when the next scan can go out: a whole number of its revolutions later."""
+        revolutions = {100: 1, 50: 2, 25: 4}[self.variant[1]]
+        period = revolutions * MIRROR_PERIOD
+        periods = math.ceil(10.0 * len(telegram) / self.baud / period)
+        behind = now - self._next_scan > 2.0 * periods * period
+        return (now if behind else self._next_scan) + periods * period
+
+    def _reply(
+        self, when: float, command: int, data: bytes = b'', rate: int | None = None
+    ) -> None:
+        telegram = encode_telegram(command, data + bytes([self._status()]), _ADDRESS)
+        self._replies.append((when, telegram, rate))
+
+    def _status(self) -> int:
+        return (_SEVERE if self.faults.severe else _FINE) | self.faults.polluted << 7
+
+    def _handle(self, command: int, data: bytes, when: float) -> None:
+        if command == Request.MODE and data:
+            self._change_mode(data, when + self._mode_delay)
+        elif command == Request.TYPE:
+            self._reply(when, Reply.TYPE, _TYPE)
+        elif command == Request.STATUS:
+            self._reply(when, Reply.STATUS, b'V02.19 ' + bytes(145))
+        elif command == Request.VARIANT and len(data) >= 4:
+            wanted = (int.from_bytes(data[:2], 'little'), int.from_bytes(data[2:4], 'little'))
+            accepted = wanted in _VARIANTS
+            self.variant = wanted if accepted else self.variant
+            self._reply(when + self._mode_delay, Reply.VARIANT, bytes([accepted]) + data[:4])
+        elif command == Request.READ_CONFIGURATION:
+            self._reply(when, Reply.CONFIGURATION, self.configuration.block)
+        elif command == Request.WRITE_CONFIGURATION:
+            accepted = self._installing and len(data) == len(self.configuration.block)
+            if accepted:
+                self.configuration = ScannerConfiguration(data)
+                self.writes += 1
+            self._reply(when + _WRITE_DELAY, Reply.WRITTEN, bytes([accepted]) + data)
+        elif command == Request.SCAN:
+            self._replies.append((when, self._scan_telegram(), None))
+        elif command == Request.RESET:
+            self._reply(when, Reply.RESET)
+            self.reset(when)
+        else:
+            self._reply(when, Reply.UNKNOWN)
+
+    def _change_mode(self, data: bytes, when: float) -> None:
+        mode, accepted, rate = data[0], True, None
+        if mode in (Mode.STREAM, Mode.ON_REQUEST):
+            self.streaming = mode == Mode.STREAM
+            self._installing = False
+            self._next_scan = when + 0.02
+        elif mode == Mode.INSTALLATION:
+            accepted = data[1:] == PASSWORD
+            self._installing = accepted
+            self.streaming = self.streaming and not accepted
+        elif mode in _RATE_OF_MODE:
+            rate = _RATE_OF_MODE[Mode(mode)]
+        else:
+            accepted = False
+        self._reply(when, Reply.MODE, bytes([not accepted]), rate)
+
+    # -- scans ------------------------------------------------------------------------------------
+
+    def _scan_telegram(self) -> bytes:
+        self.scans += 1
+        values = self._values(self._scan())
+        head = len(values) | self.configuration.unit << 14
+        return encode_telegram(
+            Reply.SCAN,
+            head.to_bytes(2, 'little') + values.astype('<u2').tobytes() + bytes([self._status()]),
+            _ADDRESS,
+        )
+
+    def _values(self, scan: LaserScan | None) -> NDArray[np.int64]:
+        """Return the values (N,) of this variant's beams, right to left."""
+        angle, hundredths = self.variant
+        count = 100 * angle // hundredths + 1
+        base = (1 << self.configuration.value_bits) - 16
+        if scan is None:
+            return np.full(count, base + NO_ECHO)
+        beams = np.radians(np.linspace(-0.5 * angle, 0.5 * angle, count))
+        nearest = np.rint((beams - scan.angle_min) / scan.angle_increment).astype(int)
+        inside = (nearest >= 0) & (nearest < len(scan.ranges))
+        ranges = scan.ranges[np.clip(nearest, 0, len(scan.ranges) - 1)].astype(np.float64)
+        scale = 1000.0 if self.configuration.unit == MILLIMETRES else 100.0
+        known = np.where(np.isfinite(ranges), ranges, 0.0)
+        values = np.rint(known * scale).astype(np.int64)
+        values = np.where(values > base + BEYOND - 1, base + BEYOND, np.maximum(values, 1))
+        values = np.where(np.isposinf(ranges) | ~inside, base + NO_ECHO, values)
+        values = np.where(np.isnan(ranges), base + OVERFLOW, values)
+        return np.where(np.isneginf(ranges), 1, values)

@@ -1,0 +1,323 @@
+"""A serial cable with a simulated device at its far end: pty or TCP, real timing, faults.
+
+The near end is any client of the device's protocol: this project's drivers, or another's.
+"""
+
+import contextlib
+import logging
+import os
+import pty
+import select
+import socket
+import termios
+import threading
+import time
+import tty
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from explore_slam.errors import SimulationError
+
+_log = logging.getLogger(__name__)
+_TICK = 0.004  # s between looks at the device while bytes are on the way
+_TERMIOS_RATES = {
+    getattr(termios, f'B{rate}'): rate
+    for rate in (9600, 19200, 38400, 57600, 115200, 500000)
+    if hasattr(termios, f'B{rate}')
+}
+
+
+class SerialDevice(Protocol):
+    """What sits at the far end; all calls come from one thread, now is monotonic seconds."""
+
+    @property
+    def baud(self) -> int:
+        """The rate (Bd) at which the device talks now."""
+
+    def receive(self, data: bytes, now: float) -> None:
+        """Take bytes of the host."""
+
+    def transmit(self, now: float) -> bytes:
+        """Return what the device wants to send at this time."""
+
+
+@dataclass
+class LineFaults:
+    """What goes wrong on the line; change it at any time. Rates are per byte, both ways."""
+
+    drop_rate: float = 0.0
+    duplicate_rate: float = 0.0
+    corrupt_rate: float = 0.0
+    silent: bool = False  # the device hears and says nothing
+    deaf: bool = False  # the device does not hear
+
+
+class SerialLine:
+    """Runs a device behind a pty (`link` is a symbolic link to it) or a TCP port.
+
+    realtime: bytes take 10 bits each at the device's rate; a host at another rate sends and
+    receives garbage. on_sent(time, data) is called when the last byte of a chunk is out.
+    """
+
+    def __init__(
+        self,
+        device: SerialDevice,
+        link: Path | None = None,
+        *,
+        tcp_port: int | None = None,
+        realtime: bool = True,
+        seed: int = 0,
+    ) -> None:
+        self.device = device
+        self.faults = LineFaults()
+        self.link = link
+        self.realtime = realtime
+        self.on_sent: Callable[[float, bytes], None] | None = None
+        self._generator = np.random.default_rng(seed)
+        self._outbox = bytearray()
+        self._budget = 0.0
+        self._lock = threading.RLock()
+        self._end = threading.Event()
+        self._transport: _PtyEnd | _TcpEnd
+        self._transport = _PtyEnd(link) if tcp_port is None else _TcpEnd(tcp_port)
+        self._thread = threading.Thread(target=self._run, name='serial-line', daemon=True)
+
+    @property
+    def path(self) -> str:
+        """What a client opens: a device path, or tcp://host:port."""
+        return self._transport.path
+
+    def start(self) -> 'SerialLine':
+        """Plug the cable in and run the device."""
+        self.plug()
+        self._thread.start()
+        return self
+
+    def plug(self) -> None:
+        """(Re)connect the cable: a new pty under the same link, or the TCP port again."""
+        with self._lock:
+            self._transport.open()
+
+    def unplug(self) -> None:
+        """Pull the cable: the client's port is dead from now on."""
+        with self._lock:
+            self._transport.close()
+            self._outbox.clear()
+
+    def stop(self) -> None:
+        """End the device and remove the link."""
+        self._end.set()
+        if self._thread.is_alive():
+            self._thread.join(2.0)
+        self.unplug()
+
+    def __enter__(self) -> 'SerialLine':
+        return self.start()
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def _run(self) -> None:
+        last = time.monotonic()
+        while not self._end.is_set():
+            wait = _TICK if self._outbox else 2.0 * _TICK
+            self._transport.wait(wait)
+            with self._lock:
+                now = time.monotonic()
+                self._exchange(now, now - last)
+                last = now
+
+    def _exchange(self, now: float, elapsed: float) -> None:
+        matched = self._transport.host_rate() in (0, self.device.baud)
+        data = self._transport.read()
+        if data and not (self.faults.deaf or self.faults.silent):
+            self.device.receive(self._disturb(data) if matched else self._garble(data), now)
+        fresh = self.device.transmit(now)
+        if not self._transport.connected or self.faults.silent:
+            self._outbox.clear()
+            return
+        if fresh:
+            fresh = self._disturb(fresh) if matched else self._garble(fresh)
+            if not self._outbox:
+                self._budget = 0.0  # an idle line saves nothing up
+            self._outbox += fresh
+        self._send(now, elapsed)
+
+    def _send(self, now: float, elapsed: float) -> None:
+        if not self._outbox:
+            return
+        count = len(self._outbox)
+        if self.realtime and self._transport.host_rate():
+            self._budget += elapsed * self.device.baud / 10.0
+            count = min(int(self._budget), count)
+            self._budget -= count
+        if count <= 0:
+            return
+        chunk = bytes(self._outbox[:count])
+        written = self._transport.write(chunk)
+        del self._outbox[:written]
+        if self.on_sent is not None and written:
+            self.on_sent(now, chunk[:written])
+
+    def _disturb(self, data: bytes) -> bytes:
+        f = self.faults
+        if f.drop_rate == f.duplicate_rate == f.corrupt_rate == 0.0:
+            return data
+        draw = self._generator.random((3, len(data)))
+        result = bytearray()
+        for byte, drop, duplicate, corrupt in zip(data, *draw, strict=True):
+            if drop < f.drop_rate:
+                continue
+            damaged = byte ^ int(self._generator.integers(1, 256))
+            result.append(damaged if corrupt < f.corrupt_rate else byte)
+            if duplicate < f.duplicate_rate:
+                result.append(byte)
+        return bytes(result)
+
+    def _garble(self, data: bytes) -> bytes:
+        return self._generator.bytes(max(len(data) // 2, 1))
+
+
+class _PtyEnd:
+    """Our end of a pseudo terminal; both ends are held open so that clients may come and go."""
+
+    def __init__(self, link: Path | None) -> None:
+        self._link = link
+        self._master = self._slave = -1
+        self._name = ''
+
+    @property
+    def path(self) -> str:
+        return str(self._link) if self._link is not None else self._name
+
+    @property
+    def connected(self) -> bool:
+        return self._master >= 0
+
+    def open(self) -> None:
+        self.close()
+        self._master, self._slave = pty.openpty()
+        self._name = os.ttyname(self._slave)
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        if self._link is not None:
+            temporary = self._link.with_name(f'.{self._link.name}.{os.getpid()}')
+            temporary.unlink(missing_ok=True)
+            temporary.symlink_to(self._name)
+            temporary.replace(self._link)
+
+    def close(self) -> None:
+        if self._master < 0:
+            return
+        os.close(self._master)
+        os.close(self._slave)
+        self._master = self._slave = -1
+        if self._link is not None and self._link.is_symlink():
+            self._link.unlink()
+
+    def wait(self, timeout: float) -> None:
+        master = self._master
+        if master < 0:
+            time.sleep(timeout)
+            return
+        with contextlib.suppress(OSError, ValueError):
+            select.select([master], [], [], timeout)
+
+    def host_rate(self) -> int:
+        if self._master < 0:
+            return 0
+        return _TERMIOS_RATES.get(termios.tcgetattr(self._slave)[5], 1)
+
+    def read(self) -> bytes:
+        try:
+            return os.read(self._master, 4096) if self._master >= 0 else b''
+        except OSError:
+            return b''
+
+    def write(self, data: bytes) -> int:
+        try:
+            return os.write(self._master, data)
+        except BlockingIOError:
+            return len(data)  # nobody reads: a UART would lose the bytes too
+        except OSError:
+            return len(data)
+
+
+class _TcpEnd:
+    """A listening socket with one client at a time, as the TCP simulators of ARCOS have."""
+
+    def __init__(self, port: int) -> None:
+        self._port = port
+        self._server: socket.socket | None = None
+        self._client: socket.socket | None = None
+
+    @property
+    def path(self) -> str:
+        return f'tcp://127.0.0.1:{self._port}'
+
+    @property
+    def connected(self) -> bool:
+        return self._client is not None
+
+    def open(self) -> None:
+        self.close()
+        server = socket.socket()
+        server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            server.bind(('127.0.0.1', self._port))
+        except OSError as error:
+            server.close()
+            raise SimulationError(f'TCP port {self._port} cannot be had: {error}') from error
+        self._port = server.getsockname()[1]
+        server.listen(1)
+        server.setblocking(False)
+        self._server = server
+
+    def close(self) -> None:
+        for end in (self._client, self._server):
+            if end is not None:
+                end.close()
+        self._client = self._server = None
+
+    def wait(self, timeout: float) -> None:
+        end = self._client or self._server
+        if end is None:
+            time.sleep(timeout)
+            return
+        with contextlib.suppress(OSError, ValueError):
+            select.select([end], [], [], timeout)
+
+    def host_rate(self) -> int:
+        return 0
+
+    def read(self) -> bytes:
+        if self._client is None and self._server is not None:
+            with contextlib.suppress(OSError):
+                self._client, _ = self._server.accept()
+                self._client.setblocking(False)
+                self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        if self._client is None:
+            return b''
+        try:
+            data = self._client.recv(4096)
+        except BlockingIOError:
+            return b''
+        except OSError:
+            data = b''
+        if not data:
+            self._client.close()
+            self._client = None
+        return data
+
+    def write(self, data: bytes) -> int:
+        assert self._client is not None
+        try:
+            return self._client.send(data)
+        except BlockingIOError:
+            return 0
+        except OSError:
+            return len(data)
