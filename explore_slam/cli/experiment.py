@@ -1,0 +1,64 @@
+"""`explore_slam experiment 1|2|3|4`: the paper's experiments, beside what the paper published."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from explore_slam.cli.benchmark import whole_numbers
+
+if TYPE_CHECKING:
+    from explore_slam.evaluation.experiments.tables import ExperimentReport
+
+HELP = "repeat one of the paper's experiments and print it beside the published tables"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument(
+        'number', type=int, choices=(1, 2, 3, 4),
+        help='1: common and dedicated maps; 2: association; 3: time per step; 4: two vehicles',
+    )  # fmt: skip
+    parser.add_argument(
+        '--seeds', type=whole_numbers, help='0..19 or 3,5; without: 0..19 (1) or 0..4 (2, 3, 4)'
+    )
+    parser.add_argument('--particles', type=int, help='particles of the filter; without: 1000')
+    parser.add_argument(
+        '--landmarks', type=int, default=60, help='experiment 1: landmarks in the world'
+    )
+    parser.add_argument(
+        '--without-isam2', action='store_true', help='experiment 1: no yardstick, no gtsam needed'
+    )
+    parser.add_argument(
+        '--data', type=Path, help='experiment 2: folder of TUM RGB-D frames (tum_fr1_rpy)'
+    )
+    parser.add_argument(
+        '--world', type=Path, help='experiments 2, 3, 4: world file of the simulated Kinect'
+    )
+    parser.add_argument(
+        '--output', type=Path, default=Path('runs'), help='where the run folder is made'
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run one experiment, print its tables, write tables and plots."""
+    report = _run_number(arguments)
+    print(report.markdown())
+    folder = report.save(arguments.output)
+    print(f'tables and plots: {folder}', file=sys.stderr)
+    return 0
+
+
+def _run_number(arguments: argparse.Namespace) -> 'ExperimentReport':
+    if arguments.number == 1:
+        from explore_slam.evaluation.experiments import experiment1
+
+        return experiment1.run(
+            experiment1.Options(
+                seeds=arguments.seeds or range(20),
+                particles=arguments.particles or 1000,
+                landmarks=arguments.landmarks,
+                isam2=not arguments.without_isam2,
+            )
+        )
+    raise NotImplementedError
