@@ -43,8 +43,10 @@ __all__ = [
     'find_frontiers',
     'make_cost_map',
     'plan_path',
+    'shortcut',
     'travel_cost',
     'utilities',
+    'visible_unknown',
     'warm_up',
 ]
 
@@ -66,12 +68,11 @@ class _TinyGrid:
 
     def to_cell(self, points: 'np.typing.ArrayLike') -> 'np.typing.NDArray[np.int64]':
         cells = np.floor(np.asarray(points, np.float64).reshape(-1, 2) / self.resolution)
-        return cells[:, ::-1].astype(np.int64)
+        return np.ascontiguousarray(cells[:, ::-1]).astype(np.int64)
 
     def to_point(self, cells: 'np.typing.ArrayLike') -> 'np.typing.NDArray[np.float64]':
         index = np.asarray(cells, np.int64).reshape(-1, 2)
-        points: np.typing.NDArray[np.float64] = (index[:, ::-1] + 0.5) * self.resolution
-        return points
+        return np.asarray((index[:, ::-1] + 0.5) * self.resolution, np.float64)
 
 
 def warm_up() -> None:

@@ -1,7 +1,7 @@
 """Utility of targets (equations 8 and 9) and who goes to which (section V-C)."""
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment
 
 from explore_slam.errors import ExplorationError
@@ -32,8 +32,8 @@ def assign_targets(
 ) -> list[int]:
     """Return the target of each vehicle, -1 for none: the paper's greedy choice.
 
-    costs (V, F), inf where a vehicle cannot go; targets (F, 2) m. Again and again the pair with the
-    best U - travel_weight * V is fixed and the utilities of the other targets are lowered. Every
+    costs (V, F), inf where a vehicle cannot go; targets (F, 2) m. Again and again the pair with
+    the best U - travel_weight * V is fixed and the utilities of the other targets are lowered. Every
     vehicle gets a target of its own as long as there are enough.
     """
     matrix, points = _checked(costs, targets)
@@ -108,7 +108,7 @@ def assign_jointly(
     return [int(target) for target in chosen]
 
 
-def _improve(chosen: Array, costs: Array, overlap: Array) -> bool:
+def _improve(chosen: NDArray[np.int64], costs: Array, overlap: Array) -> bool:
     """Move one vehicle at a time to the free target that is best given the others; in place."""
     changed = False
     for vehicle in range(len(chosen)):

@@ -1,4 +1,4 @@
-"""Targets that failed: left alone for a while, tried again, given up only until the map changes."""
+"""Targets that failed: left alone for a while, tried again, given up until the map changes."""
 
 import math
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ CHANGED_SHARE = 0.02
 
 @dataclass
 class Failure:
-    """One place that did not work out: where, how often, until when, and the map around it then."""
+    """One place that did not work out: where, how often, until when, how much was known there."""
 
     place: Point
     attempts: int

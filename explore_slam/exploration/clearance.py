@@ -12,10 +12,10 @@ from explore_slam.exploration.records import Grid
 
 
 class CostMap(NamedTuple):
-    """What paths are planned on: cost (H, W) per length, inf where impassable, and what it is from.
+    """What paths are planned on: cost (H, W) per length, inf where impassable, and its sources.
 
     free: known cells (H, W) that are no obstacles, whether or not the vehicle fits in.
-    unknown: cells (H, W) never seen. squared: squared distance (H, W) in cells to the next obstacle.
+    unknown: cells (H, W) never seen. squared: squared distance (H, W) to the next obstacle.
     """
 
     cost: NDArray[np.float32]

@@ -13,7 +13,7 @@ class PathConfig(Section):
         0.3, 'no path comes nearer to an obstacle than this', unit='m', low=0.0, high=5.0
     )
     occ_max: float = setting(
-        0.6, 'cells of higher probability are obstacles (paper, section V-A)', low=0.05, high=0.99
+        0.6, 'cells more probable than this are obstacles (section V-A)', low=0.05, high=0.99
     )
     cost_floor: float = setting(
         0.4,
@@ -161,4 +161,4 @@ class ExplorationConfig(Section):
     empty_searches: int = setting(
         3, 'so many searches without a target, one after the other, mean done', low=1, high=1000
     )
-    return_to_init: bool = setting(True, 'drive home when there is nothing left to explore')
+    return_to_init: bool = setting(False, 'drive home when there is nothing left to explore')

@@ -1,8 +1,8 @@
 """Frontiers: stretches of free cells beside unknown ones, and the place from which to look in.
 
 A frontier cell is a known free cell with an unknown neighbor (4-neighborhood). Cells that touch
-(8-neighborhood) are one cluster; long clusters are split along their main direction, short ones are
-dropped. The target of a frontier is a cell where a vehicle fits: in the cluster, or near it.
+(8-neighborhood) are one cluster; long clusters are split along their main direction, short ones
+are dropped. The target of a frontier is a cell where a vehicle fits: in the cluster, or near it.
 """
 
 import numpy as np

@@ -20,8 +20,8 @@ def plan_path(
 ) -> tuple[NDArray[np.int64], float]:
     """Return the cells (L, 2) of the cheapest path from start to goal (row, col), and its cost.
 
-    The costs are those of travel_cost, so the cost returned is V of the goal. A goal that cannot be
-    reached gives no cells and an infinite cost; a start or goal outside of the grid or in an
+    The costs are those of travel_cost, so the cost returned is V of the goal. A goal that cannot
+    be reached gives no cells and an infinite cost; a start or goal outside of the grid or in an
     impassable cell is an ExplorationError.
     """
     padded = padded_costs(check_costs(probability), occ_max)
@@ -71,7 +71,7 @@ def _push(keys: Array, items: NDArray[np.int64], size: int, key: float, item: in
 
 @kernel
 def _sift(keys: Array, items: NDArray[np.int64], size: int) -> None:
-    """Restore the heap after its first entry was taken: the last (at size) goes down from the top."""
+    """Restore the heap after its first entry was taken: the last one goes down from the top."""
     key, item = keys[size], items[size]
     at = 0
     while True:
@@ -147,14 +147,14 @@ def _a_star(
 def _straight_cost(
     cost: NDArray[np.float32], row_a: int, col_a: int, row_b: int, col_b: int
 ) -> float:
-    """Integrate the cost along the line between two cell centers; inf if it touches a blocked cell."""
+    """Integrate the cost along the line between two cell centers; inf through a blocked cell."""
     dr, dc = row_b - row_a, col_b - col_a
     length = math.sqrt(dr * dr + dc * dc)
     samples = max(1, math.ceil(length * 2.0))
     total = 0.0
     for i in range(samples + 1):
-        r = int(math.floor(row_a + dr * i / samples + 0.5))
-        c = int(math.floor(col_a + dc * i / samples + 0.5))
+        r = math.floor(row_a + dr * i / samples + 0.5)
+        c = math.floor(col_a + dc * i / samples + 0.5)
         value = cost[r, c]
         if value == np.inf:
             return np.inf
@@ -166,8 +166,8 @@ def _straight_cost(
 def shortcut(cost: NDArray[np.float32], cells: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the corners (W, 2) of a smoother path: straight where that costs no more.
 
-    cost (H, W) with inf for blocked cells; cells (L, 2) neighbors in a row. Each piece reaches as far
-    as a straight line is passable and costs at most 2 % more than the cells it replaces.
+    cost (H, W) with inf for blocked cells; cells (L, 2) neighbors in a row. Each piece reaches as
+    far as a straight line is passable and costs at most 2 % more than the cells it replaces.
     """
     count = cells.shape[0]
     along = np.zeros(count)

@@ -62,7 +62,7 @@ class PlanningMode(Enum):
 
 
 class VehicleSnapshot(NamedTuple):
-    """One vehicle at planning time: pose in the map, may it be sent anywhere, where is its home."""
+    """One vehicle at planning time: pose in the map, whether it takes orders, its home."""
 
     pose: Pose2
     active: bool = True
@@ -71,7 +71,7 @@ class VehicleSnapshot(NamedTuple):
 
 @dataclass(frozen=True)
 class Frontier:
-    """A stretch of free cells beside unknown ones: cells (N, 2), centroid (m), where to go, size (m)."""
+    """Free cells beside unknown ones: cells (N, 2), centroid (m), where to go, length (m)."""
 
     cells: NDArray[np.int64]
     centroid: Point

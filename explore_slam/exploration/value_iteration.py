@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from explore_slam.compiled import kernel
 from explore_slam.errors import ExplorationError
 from explore_slam.exploration.records import Cell
-from explore_slam.geometry import Array
 
-MOST_BUCKETS = 4096
+MOST_BUCKETS = 128
+Costs = NDArray[np.float32]
 
 
 def travel_cost(
@@ -27,14 +27,14 @@ def travel_cost(
     resolution: float = 1.0,
     *,
     charged: str = 'entered',
-) -> Array:
+) -> Costs:
     """Return the cost V (H, W) of moving from the start cell (row, col) to every cell.
 
     probability (H, W) is charged per step times its length in units of `resolution`; cells above
-    occ_max, and NaN (write it where unknown), cannot be entered and get inf. charged 'entered' takes
-    the probability of the cell that a step leads to, 'left' that of the cell it comes from, as the
-    update rule is printed in the paper. ExplorationError for an empty grid or a start that is
-    outside or impassable.
+    occ_max, and NaN (write it where unknown), cannot be entered and get inf. charged 'entered'
+    takes the probability of the cell that a step leads to, 'left' that of the cell it comes from,
+    as the update rule is printed in the paper. ExplorationError for an empty grid or a start
+    that is outside or impassable.
     """
     cost = check_costs(probability)
     if charged not in ('entered', 'left'):
@@ -46,10 +46,11 @@ def travel_cost(
     values = spread(
         padded, np.array([row], np.int64), np.array([col], np.int64), charged == 'left'
     )
-    return values[1:-1, 1:-1] * resolution
+    scaled: Costs = values[1:-1, 1:-1] * np.float32(resolution)
+    return scaled
 
 
-def check_costs(probability: ArrayLike) -> NDArray[np.float32]:
+def check_costs(probability: ArrayLike) -> Costs:
     """Return the array (H, W) as float32, or ExplorationError if it is empty or negative."""
     cost = np.asarray(probability, np.float32)
     if cost.ndim != 2 or cost.size == 0:
@@ -62,22 +63,22 @@ def check_costs(probability: ArrayLike) -> NDArray[np.float32]:
     return cost
 
 
-def padded_costs(cost: NDArray[np.float32], limit: float) -> NDArray[np.float32]:
+def padded_costs(cost: Costs, limit: float) -> Costs:
     """Return the costs (H + 2, W + 2) with inf around and where they are NaN or above the limit."""
     padded = np.full((cost.shape[0] + 2, cost.shape[1] + 2), np.inf, np.float32)
-    _copy_passable(cost, np.float32(limit), padded)
+    _copy_passable(cost, limit, padded)
     return padded
 
 
 @kernel
-def _copy_passable(cost: NDArray[np.float32], limit: float, padded: NDArray[np.float32]) -> None:
+def _copy_passable(cost: Costs, limit: float, padded: Costs) -> None:
     for row in range(cost.shape[0]):
         for col in range(cost.shape[1]):
             if cost[row, col] <= limit:
                 padded[row + 1, col + 1] = cost[row, col]
 
 
-def check_cell(padded: NDArray[np.float32], name: str, cell: Cell) -> Cell:
+def check_cell(padded: Costs, name: str, cell: Cell) -> Cell:
     """Return the cell (row, col) in the padded array, or ExplorationError if nobody can be there."""
     row, col = int(cell[0]), int(cell[1])
     height, width = padded.shape[0] - 2, padded.shape[1] - 2
@@ -91,113 +92,87 @@ def check_cell(padded: NDArray[np.float32], name: str, cell: Cell) -> Cell:
 
 
 def spread(
-    padded: NDArray[np.float32],
-    rows: NDArray[np.int64],
-    cols: NDArray[np.int64],
-    charge_left: bool = False,
-) -> Array:
+    padded: Costs, rows: NDArray[np.int64], cols: NDArray[np.int64], charge_left: bool = False
+) -> Costs:
     """Return V (H + 2, W + 2) over padded costs, from source cells (given in padded indices)."""
-    passable_low, passable_high = _finite_range(padded)
-    width = max(passable_low, passable_high * math.sqrt(2.0) / (MOST_BUCKETS - 2), 1e-12)
-    count = int(passable_high * math.sqrt(2.0) / width) + 3
-    values = np.full(padded.shape, np.inf)
+    low, high = _finite_range(padded.ravel())
+    dearest = high * math.sqrt(2.0)
+    # A bucket is a little narrower than the cheapest move, so that rounding cannot fill it again.
+    width = max(low * 0.999, dearest / (MOST_BUCKETS - 3), 1e-12)
+    count = int(dearest / width) + 3
+    values = np.full(padded.shape, np.inf, np.float32)
     sources = rows * padded.shape[1] + cols
-    exact = width <= passable_low
-    _spread(
-        padded.ravel(), values.ravel(), padded.shape[1], sources, width, count, exact, charge_left
+    final = width < low
+    _sweep(
+        padded.ravel(), values.ravel(), padded.shape[1], sources, width, count, final, charge_left
     )
     return values
 
 
 @kernel
-def _finite_range(padded: NDArray[np.float32]) -> tuple[float, float]:
+def _finite_range(cost: Costs) -> tuple[float, float]:
     low, high = np.inf, 0.0
-    for value in padded.flat:
+    for value in cost:
         if value < np.inf:
-            low = min(low, value)
-            high = max(high, value)
+            low = min(low, float(value))
+            high = max(high, float(value))
     return (low, high) if high > 0.0 else (0.0, 0.0)
 
 
 @kernel
-def _spread(
-    cost: NDArray[np.float32],
-    values: Array,
+def _sweep(
+    cost: Costs,
+    values: Costs,
     stride: int,
     sources: NDArray[np.int64],
     width: float,
     count: int,
-    exact: bool,
+    final: bool,
     charge_left: bool,
 ) -> None:
-    """Dial's buckets as linked lists in a pool that only holds the wave front.
+    """Update cells bucket by bucket until the queue is empty.
 
-    Not exact: moves may be cheaper than a bucket is wide, then a cell can come up again.
+    final: no move is cheaper than a bucket is wide, so a cell has its value when its bucket is up;
+    otherwise a cell is queued again whenever its value falls.
     """
     offsets = np.array(
         [-1, 1, -stride, stride, -stride - 1, -stride + 1, stride - 1, stride + 1], np.int64
     )
-    root = math.sqrt(2.0)
-    heads = np.full(count, -1, np.int32)
-    capacity = 4096
-    pool_cell, pool_next = np.empty(capacity, np.int32), np.empty(capacity, np.int32)
-    unused, free = 0, -1
-    pending = 0
+    lengths = np.array([1.0] * 4 + [math.sqrt(2.0)] * 4)
     scale = 1.0 / width
+    room = max(1024, sources.size)
+    queue = np.empty((count, room), np.int32)
+    filled = np.zeros(count, np.int64)
     for source in sources:
         values[source] = 0.0
-        pool_cell[unused], pool_next[unused] = source, heads[0]
-        heads[0] = unused
-        unused += 1
-        pending += 1
-        if unused == capacity:
-            break
-    number = 0
-    slot = 0
+        queue[0, filled[0]] = source
+        filled[0] += 1
+    pending, number, slot = sources.size, 0, 0
     while pending > 0:
-        while heads[slot] >= 0:
-            node = heads[slot]
-            heads[slot] = pool_next[node]
-            cell = pool_cell[node]
-            pool_next[node] = free
-            free = node
-            pending -= 1
+        taken = 0
+        while taken < filled[slot]:
+            cell = queue[slot, taken]
+            taken += 1
             value = values[cell]
             if int(value * scale) < number:
-                continue  # settled from an earlier bucket
-            left = cost[cell]
+                continue  # has had its turn in an earlier bucket
             for k in range(8):
                 other = cell + offsets[k]
-                entered = cost[other]
-                if entered == np.inf:
-                    continue
-                step = left if charge_left else entered
-                reached = value + (step if k < 4 else step * root)
+                entered = cost[cell] if charge_left and cost[other] < np.inf else cost[other]
+                reached = np.float32(value + entered * lengths[k])
                 before = values[other]
-                if reached >= before:
-                    continue
-                values[other] = reached
-                target = int(reached * scale)
-                if exact and before < np.inf and int(before * scale) == target:
-                    continue  # waits in that bucket already
-                if free >= 0:
-                    node = free
-                    free = pool_next[node]
-                else:
-                    if unused == capacity:
-                        larger_cell = np.empty(capacity * 2, np.int32)
-                        larger_next = np.empty(capacity * 2, np.int32)
-                        larger_cell[:capacity] = pool_cell
-                        larger_next[:capacity] = pool_next
-                        pool_cell, pool_next = larger_cell, larger_next
-                        capacity *= 2
-                    node = unused
-                    unused += 1
-                where = target % count
-                pool_cell[node], pool_next[node] = other, heads[where]
-                heads[where] = node
-                pending += 1
+                if reached < before:
+                    values[other] = reached
+                    bucket = int(reached * scale)
+                    if not (final and before < np.inf and int(before * scale) == bucket):
+                        target = bucket % count
+                        if filled[target] == room:
+                            queue = np.concatenate((queue, np.empty_like(queue)), axis=1)
+                            room *= 2
+                        queue[target, filled[target]] = other
+                        filled[target] += 1
+                        pending += 1
+        pending -= filled[slot]
+        filled[slot] = 0
         number += 1
-        slot += 1
-        if slot == count:
-            slot = 0
+        slot = slot + 1 if slot + 1 < count else 0
