@@ -288,7 +288,7 @@ def _svg(figure: Figure, name: str) -> str:
         figure.savefig(buffer, format='svg', metadata={'Date': None})
     text = buffer.getvalue()
     text = text[text.index('<svg') :]
-    text = re.sub(r' id="(figure|axes|patch|line2d|text|matplotlib|xtick|ytick)[^"]*"', '', text)
+    text = re.sub(r' id="[A-Za-z0-9.]+_[0-9]+"', '', text)
     text = re.sub(r'<metadata>.*?</metadata>', '', text, flags=re.DOTALL)
     size = re.search(r'viewBox="[^"]*"', text)
     head = f'<svg {size.group(0) if size else ""} role="img" xmlns="http://www.w3.org/2000/svg"'
