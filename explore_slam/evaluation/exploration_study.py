@@ -74,7 +74,8 @@ def make_study(
     for strategy in strategies:
         if strategy not in STRATEGIES:
             raise EvaluationError(f'strategy is {strategy!r}, expected one of {list(STRATEGIES)}')
-    own, planner = {}, {}
+    own: dict[str, Any] = {}
+    planner: dict[str, Any] = {}
     for change in changes:
         name, equals, text = change.partition('=')
         if not equals:

@@ -61,7 +61,7 @@ def _ratio_text(runs: Sequence[ExplorationRun], others: Sequence[ExplorationRun]
 def table_rows(runs: Iterable[ExplorationRun]) -> list[tuple[str, ...]]:
     """Return one row of text per (strategy, team size), to go below HEADER."""
     groups = grouped(runs)
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for (strategy, size), members in groups.items():
         alone, nearest = groups.get((strategy, 1)), groups.get(('nearest', size))
         rows.append(
@@ -161,9 +161,10 @@ def _figure(columns: int) -> tuple[Any, Any]:
     mpl.use('Agg')
     from matplotlib import pyplot
 
-    return pyplot.subplots(
+    figure, axes = pyplot.subplots(
         1, columns, figsize=(5.0 * columns, 4.0), squeeze=False, layout='constrained'
     )
+    return figure, axes
 
 
 def _save(figure: Any, path: Path) -> None:

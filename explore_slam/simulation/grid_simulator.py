@@ -34,7 +34,7 @@ class GridSimulatorConfig(Section):
     tick: float = setting(0.1, 'time step', unit='s', low=0.01, high=0.5)
     pursuit_distance: float = setting(0.35, 'lookahead on the path', unit='m', low=0.05, high=2.0)
     arrival_distance: float = setting(0.2, 'a goal is reached', unit='m', low=0.01, high=2.0)
-    wall_margin: float = setting(0.01, 'kept from obstacles', unit='m', low=0.0, high=1.0)
+    wall_margin: float = setting(0.005, 'kept from obstacles', unit='m', low=0.0, high=1.0)
     vehicle_margin: float = setting(0.15, 'kept from vehicles', unit='m', low=0.0, high=2.0)
     beams: int = setting(361, 'beams of the laser', low=1, high=5000)
     field_of_view: float = setting(
@@ -247,27 +247,32 @@ class GridSimulator:
                 config.turn_rate,
                 config.braking,
             )
+        change = config.turn_acceleration * config.tick
+        drive.turn = min(max(wanted_turn, drive.turn - change), drive.turn + change)
         wanted_speed = min(wanted_speed, self._safe_speed(index)) if wanted_speed > 0.0 else 0.0
         rise, fall = config.acceleration * config.tick, config.braking * config.tick
         drive.speed = min(max(wanted_speed, drive.speed - fall), drive.speed + rise)
-        change = config.turn_acceleration * config.tick
-        drive.turn = min(max(wanted_turn, drive.turn - change), drive.turn + change)
 
     def _safe_speed(self, index: int) -> float:
         """Return the speed from which the vehicle can stop in time for what lies ahead.
 
-        Obstacles (the sonar ring sees glass too) leave it the whole room; before another vehicle
-        it may use half of it, for that one may come nearer as well.
+        Obstacles (the sonar ring sees glass too) leave it the whole room, straight on and where
+        its turn leads it; before another vehicle it may use half of it, for that one may come
+        nearer as well.
         """
         config = self.config
         reach = config.cruise_speed**2 / (2.0 * config.braking) + config.cruise_speed * config.tick
-        room = kernels.free_distance(
-            self.world.clearance,
-            self.world.resolution,
-            self._origin,
-            self._poses[index],
-            config.body_radius + config.wall_margin,
-            2.0 * reach,
+        turned = np.array([0.0, 0.0, self._drives[index].turn])
+        room = min(
+            kernels.free_distance(
+                self.world.clearance,
+                self.world.resolution,
+                self._origin,
+                self._poses[index] + later * turned,
+                config.body_radius + config.wall_margin,
+                2.0 * reach,
+            )
+            for later in (0.0, config.tick, 3.0 * config.tick)
         )
         apart = 2.0 * config.body_radius + config.vehicle_margin
         before = 0.5 * kernels.room_before_others(self._poses, index, apart)

@@ -117,7 +117,8 @@ def sample_field(
     a, b = fx - col, fy - row
     low: float = (1.0 - a) * field[row, col] + a * field[row, col + 1]
     high: float = (1.0 - a) * field[row + 1, col] + a * field[row + 1, col + 1]
-    return (1.0 - b) * low + b * high
+    value: float = (1.0 - b) * low + b * high
+    return value
 
 
 @kernel

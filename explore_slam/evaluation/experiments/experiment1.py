@@ -118,7 +118,7 @@ def _report(options: Options, trials: dict[Key, list[Trial]]) -> ExperimentRepor
 
 def _accuracy_table(scene: str, options: Options, trials: dict[Key, list[Trial]]) -> Table:
     steps = len(draw_scenario(scene, 0).true_path('robot1')) - 1
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for (maps, vehicle), (x, y, heading, estimates, of, updates) in PAPER_ACCURACY[scene].items():
         rows.append(
             (

@@ -17,9 +17,10 @@ from explore_slam.slam import FastSlamConfig, TeamBelief
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one update brought: landmarks updated and, for filters, particles that count."""
+    """What one update brought: landmarks updated, landmarks in the map, particles that count."""
 
     updated: int
+    landmarks: int
     effective: float = float('nan')
 
 
@@ -45,6 +46,7 @@ class FilterEstimator:
         self.belief = TeamBelief(start_poses, config, seed)
         # the paper's estimate of location is the pose in the best particle (section III)
         self._best = config.engine == 'paper'
+        self._landmarks = 0
 
     def predict(self, vehicle: str, increment: Pose2, covariance: Array) -> None:
         """See Estimator."""
@@ -56,7 +58,8 @@ class FilterEstimator:
         """See Estimator; the identities are not looked at."""
         del identities
         summary = self.belief.update(vehicle, observations)
-        return Outcome(summary.associated, summary.effective_particles)
+        self._landmarks += summary.inserted - summary.removed
+        return Outcome(summary.associated, self._landmarks, summary.effective_particles)
 
     def pose(self, vehicle: str) -> Pose2:
         """Return the best particle's pose (engine paper) or the mean."""
@@ -89,7 +92,7 @@ class SmootherEstimator:
         seen = self._seen[id(graph)]
         again = len(seen.intersection(identities.tolist()))
         seen.update(identities.tolist())
-        return Outcome(again)
+        return Outcome(again, sum(map(len, self._seen.values())))
 
     def pose(self, vehicle: str) -> Pose2:
         """See Estimator."""
@@ -112,10 +115,11 @@ class VehicleTrial:
 
 @dataclass
 class Trial:
-    """One run: per vehicle results, effective particles after each update, time (s) in updates."""
+    """One run: results per vehicle, and after each update effective particles, landmarks, s."""
 
     vehicles: dict[str, VehicleTrial]
     effective: list[float] = field(default_factory=list)
+    landmarks: list[int] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
 
     @property
@@ -127,6 +131,16 @@ class Trial:
     def heading_rms(self) -> float:
         """Root mean square heading error (rad) over all vehicles and steps."""
         return rms(np.concatenate([v.table[:, 2] for v in self.vehicles.values()]))
+
+    @property
+    def updates(self) -> int:
+        """Landmark updates of all vehicles."""
+        return sum(v.updates for v in self.vehicles.values())
+
+    @property
+    def estimates(self) -> int:
+        """Steps with at least one landmark update, all vehicles."""
+        return sum(v.estimates for v in self.vehicles.values())
 
 
 def rms(values: Array | Sequence[float]) -> float:
@@ -150,4 +164,5 @@ def run_trial(scenario: Scenario, estimator: Estimator) -> Trial:
         mine.updates += outcome.updated
         mine.estimates += outcome.updated > 0
         trial.effective.append(outcome.effective)
+        trial.landmarks.append(outcome.landmarks)
     return trial
