@@ -28,7 +28,8 @@ from explore_slam.data import (
 from explore_slam.errors import AgentError
 from explore_slam.geometry import Array, Pose2
 from explore_slam.mapping import Body, LaserMap, OccupancyGrid, save_map
-from explore_slam.slam import Landmarks, PendingMotion, TeamBelief, UpdateSummary
+from explore_slam.slam import Landmarks, TeamBelief, UpdateSummary
+from explore_slam.slam.motion import PendingMotion
 from explore_slam.vision import FeatureExtractor, KeyframeSelector
 
 logger = logging.getLogger(__name__)
@@ -61,9 +62,8 @@ class Agent:
         self.start_poses = dict(start_poses)
         self.seed = seed
         self.paused = False
-        self._extractor = FeatureExtractor(config.vision)
-        scans = config.scans
-        self._laser = Pose2(scans.laser_x, scans.laser_y, scans.laser_yaw)
+        self.tracks: dict[str, VehicleTrack] = {}
+        self.configure(config)
         self._begin()
 
     def _begin(self) -> None:
@@ -84,6 +84,15 @@ class Agent:
         }
         self._events: list[KeyframeEvent] = []
         self._keyframe_stamps: list[float] = []
+
+    def configure(self, config: AgentConfig) -> None:
+        """Go on with other settings; those of belief and grid take effect at the next reset."""
+        extractor = FeatureExtractor(config.vision)
+        self.config, self._extractor = config, extractor
+        scans = config.scans
+        self._laser = Pose2(scans.laser_x, scans.laser_y, scans.laser_yaw)
+        for track in self.tracks.values():
+            track.selector.config = config.vision.keyframes
 
     def reset(self) -> None:
         """Forget everything learned; vehicles are at their start poses again."""
@@ -194,11 +203,18 @@ class Agent:
 
     def _update(self, track: VehicleTrack, observations: LandmarkObservations) -> None:
         self._predict(track, observations.stamp)
-        summary = self.belief.update(track.name, observations)
+        summary = None
+        if len(observations):
+            summary = self.belief.update(track.name, observations)
+        else:
+            track.count('frames_without_landmarks')
         self._add_keyframe(track, observations.stamp, summary)
 
     def _use_sighting(self, track: VehicleTrack, sighting: VehicleSighting) -> None:
         if self._too_late(track, sighting.stamp):
+            return
+        if self.config.slam.maps == 'dedicated' or not self.config.slam.vehicle_sightings:
+            track.count('unused_sightings')
             return
         other = self.tracks[sighting.vehicle]
         if other.odometry.last < sighting.stamp or self._too_late(other, sighting.stamp):
@@ -269,7 +285,7 @@ class Agent:
 
     def _bodies(self, track: VehicleTrack, stamp: float) -> list[Body]:
         """Return where the other vehicles were, so that they do not become walls."""
-        radius = self.config.exploration.vehicle_radius + self.config.scans.body_margin
+        radius = self.config.exploration.paths.vehicle_radius + self.config.scans.body_margin
         bodies = []
         for other in self.tracks.values():
             if other is track:

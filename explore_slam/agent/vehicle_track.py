@@ -22,7 +22,7 @@ Observation = LaserScan | RgbdFrame | LandmarkObservations | VehicleSighting
 
 @dataclass(frozen=True)
 class Keyframe:
-    """The vehicle's newest keyframe: its running number in the belief, stamp (s), odometry pose."""
+    """A vehicle's newest keyframe: running number in the belief, stamp (s), odometry pose."""
 
     number: int
     stamp: float

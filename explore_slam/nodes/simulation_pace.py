@@ -96,7 +96,7 @@ class Pace:
             self._followers[vehicle] = _Follower(sim, wall, moving)
 
     def delay(self, sim: float, wall: float) -> float:
-        """Return how long to wait (wall s) before time goes on; 0: go. Ask again after a report."""
+        """Return how long to wait (wall s) at most before time goes on; 0: go."""
         with self._lock:
             if self.config.real_time_factor > 0.0:
                 self.holder = 'clock'

@@ -102,8 +102,17 @@ def plan_record(message: Any, vehicle: str) -> Plan:
     return Plan(seconds(message.header.stamp), vehicle, goal, points)
 
 
-def path_message(factory: MessageFactory, stamp: float, frame: str, poses: Array) -> Any:
-    """Return a nav_msgs/Path along poses (W, 2) or (W, 3); headings are made where absent."""
+def path_message(
+    factory: MessageFactory,
+    stamp: float,
+    frame: str,
+    poses: Array,
+    stamps: Array | None = None,
+) -> Any:
+    """Return a nav_msgs/Path along poses (W, 2) or (W, 3); headings are made where absent.
+
+    stamps (W,) s are those of the single poses, for a path that was driven.
+    """
     points = np.asarray(poses, dtype=np.float64)
     if points.shape[-1] == 2:
         steps = np.diff(points, axis=0)
@@ -111,11 +120,14 @@ def path_message(factory: MessageFactory, stamp: float, frame: str, poses: Array
         last = headings[-1:] if len(headings) else np.zeros(min(1, len(points)))
         points = np.column_stack([points, np.concatenate([headings, last])])
     top = header(factory, stamp, frame)
+    tops = [top] * len(points)
+    if stamps is not None:
+        tops = [header(factory, when, frame) for when in stamps.tolist()]
     stamped = [
         factory.make(
-            'geometry_msgs/PoseStamped', header=top, pose=pose_message(factory, Pose2(*row))
+            'geometry_msgs/PoseStamped', header=one, pose=pose_message(factory, Pose2(*row))
         )
-        for row in points.tolist()
+        for one, row in zip(tops, points.tolist(), strict=True)
     ]
     return factory.make('nav_msgs/Path', header=top, poses=stamped)
 

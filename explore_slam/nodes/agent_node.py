@@ -1,0 +1,291 @@
+"""Node `agent`: the adapter between topics, services, parameters and the Agent.
+
+Callbacks convert and enqueue; one worker thread owns the agent and does all that takes long.
+"""
+
+import logging
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from nav_msgs.srv import GetMap
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.task import Future
+from std_msgs.msg import Bool
+from std_srvs.srv import SetBool, Trigger
+
+from explore_slam.agent import Agent, TeamPlanner
+from explore_slam.errors import ExploreSlamError
+from explore_slam.nodes.agent_inputs import SILENCE, VehicleInputs
+from explore_slam.nodes.agent_outputs import AgentOutputs
+from explore_slam.nodes.agent_parameters import AgentNodeConfig
+from explore_slam.nodes.agent_statistics import AgentStatistics
+from explore_slam.nodes.inbox import Inbox, Item
+from explore_slam.nodes.vehicle_support import (
+    LATCHED,
+    RosLogHandler,
+    changed_settings,
+    declare_settings,
+    diagnostics_message,
+    now_seconds,
+    run_node,
+)
+
+# how many of each kind may wait for the worker, per vehicle
+LIMITS = {'odometry': 2000, 'scan': 400, 'landmarks': 20, 'sighting': 100, 'follower': 100}
+
+# what other nodes rely on, or what the agent is made of, does not change under way
+FIXED = {
+    'vehicles', 'start_poses', 'seed', 'vision', 'frame_queue', 'map_frame', 'odom_frame',
+    'robot_base_frame', 'run_directory',
+}  # fmt: skip
+
+
+class AgentNode(Node):
+    """The central agent on topics."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__('agent', **options)
+        self._log_handler = RosLogHandler(self)
+        logging.getLogger('explore_slam').addHandler(self._log_handler)
+        logging.getLogger('explore_slam').setLevel(logging.INFO)
+        self.config = declare_settings(self, AgentNodeConfig())
+        self.agent = Agent(self.config.agent, self.config.poses(), self.config.seed)
+        self.planner = TeamPlanner(self.agent)
+        self.planner.pause(not self.config.explore)
+        self.inbox = Inbox({**LIMITS, 'frame': self.config.frame_queue})
+        self.outputs = AgentOutputs(self, self.config)
+        self.statistics = AgentStatistics()
+        self.outputs.status('exploration_started' if self.config.explore else 'exploration_paused')
+        self._inputs = self._listen()
+        self._offer_services()
+        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self._due = dict.fromkeys(('plan', 'map', 'landmarks', 'pose'), -np.inf)
+        self._reported = time.monotonic()
+        self._silence_timer = self.create_timer(
+            SILENCE, self._explain_silence, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
+        self.add_on_set_parameters_callback(self._on_parameters)
+        self._worker = threading.Thread(target=self._work, name='agent', daemon=True)
+        self._worker.start()
+
+    # -- wiring ----------------------------------------------------------------------------------
+
+    def _listen(self) -> list[VehicleInputs]:
+        takers = {
+            'odometry': lambda item: self.agent.add_odometry(*item),
+            'scan': lambda item: self.agent.add_scan(*item),
+            'frame': lambda item: self.agent.add_frame(*item),
+            'landmarks': lambda item: self.agent.add_landmarks(*item),
+            'sighting': lambda item: self.agent.add_sighting(*item),
+            'pose': lambda item: self.agent.set_pose(item[0], *item[1]),
+            'follower': lambda item: self.planner.report_follower(item[0], *item[1]),
+        }
+        self.create_subscription(Bool, 'explore/resume', self._on_resume, LATCHED)
+        names = list(self.config.vehicles)
+        images = self.config.vision == 'agent'
+        return [VehicleInputs(self, name, names, self.inbox, takers, images) for name in names]
+
+    def _offer_services(self) -> None:
+        directory = Path(self.config.run_directory)
+
+        def save_map() -> str:
+            return f'map written to {self.agent.save_map(directory / "map")}'
+
+        def save_state() -> str:
+            return f'state written to {self.agent.save_state(directory / "state.npz")}'
+
+        def load_state() -> str:
+            path = directory / 'state.npz'
+            self.agent.load_state(path)
+            return f'state read from {path}'
+
+        def reset() -> str:
+            self.agent.reset()
+            self.planner.reset()
+            return 'belief, map and targets are forgotten; vehicles are at their start poses'
+
+        def return_home() -> str:
+            self.planner.return_home()
+            return 'vehicles are called home'
+
+        for action in (save_map, save_state, load_state, reset, return_home):
+            self.create_service(Trigger, action.__name__, self._answer_with(action))
+        self.create_service(SetBool, 'pause_new_measurements', self._on_pause)
+        self.create_service(GetMap, 'get_map', self._on_get_map)
+
+    def _answer_with(self, action: Any) -> Any:
+        async def answer(_request: Any, response: Any) -> Any:
+            response.success, response.message = await self._ask(action)
+            return response
+
+        return answer
+
+    async def _on_pause(self, request: Any, response: Any) -> Any:
+        def pause() -> str:
+            self.agent.paused = bool(request.data)
+            return 'new measurements are ' + ('ignored' if request.data else 'used again')
+
+        response.success, response.message = await self._ask(pause)
+        return response
+
+    async def _on_get_map(self, _request: Any, response: Any) -> Any:
+        def read() -> str:
+            response.map = self.outputs.grid_message(now_seconds(self), self.agent.grid)
+            return ''
+
+        await self._ask(read)
+        return response
+
+    def _ask(self, action: Any) -> Future:
+        """Let the worker do something; the future holds (success, message)."""
+        future = Future(executor=self.executor)
+
+        def run(_: Any) -> None:
+            try:
+                future.set_result((True, action()))
+            except ExploreSlamError as error:
+                self.get_logger().error(f'{action.__name__}: {error}')
+                future.set_result((False, str(error)))
+
+        self.inbox.put('request', action.__name__, run, None)
+        return future
+
+    def _on_resume(self, message: Bool) -> None:
+        resume = bool(message.data)
+        self.inbox.put('request', 'resume', lambda _: self.planner.pause(not resume), None)
+
+    def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Check; settings of planning and publishing take effect at once, the rest at reset."""
+        fixed = [item.name for item in parameters if item.name in FIXED]
+        if fixed:
+            reason = f'{", ".join(fixed)}: set at start only'
+            return SetParametersResult(successful=False, reason=reason)
+        config, result = changed_settings(self.config, parameters)
+        if result.successful:
+
+            def apply(_: Any) -> None:
+                self.config = config
+                self.outputs.configure(config)
+                self.agent.configure(config.agent)
+                self.planner.configure(config.agent.exploration)
+
+            self.inbox.put('request', 'parameters', apply, None)
+        return result
+
+    # -- the worker ------------------------------------------------------------------------------
+
+    def _work(self) -> None:
+        while not self.inbox.closed:
+            item = self.inbox.get(timeout=0.05)
+            try:
+                if item is not None:
+                    with self.statistics.timed(item.kind):
+                        item.take(item.payload)
+                self._publish_keyframes(item)
+                self._do_what_is_due()
+                self._publish_diagnostics()
+            except ExploreSlamError as error:
+                source = item.source if item is not None else 'agent'
+                self.get_logger().warning(f'{source}: {error}', throttle_duration_sec=2.0)
+            except Exception as error:
+                if not self.inbox.closed:
+                    self.get_logger().error(f'{type(error).__name__}: {error}')
+                    raise
+
+    def _publish_keyframes(self, item: Item | None) -> None:
+        now = now_seconds(self)
+        received = item.received if item is not None and item.kind == 'frame' else None
+        for event in self.agent.take_events():
+            self._publish_pose(event.vehicle)
+            self.outputs.particles(
+                event.vehicle, event.stamp, self.agent.belief.particle_poses(event.vehicle)
+            )
+            self.statistics.add_keyframe(event, now, received)
+
+    def _publish_pose(self, vehicle: str) -> None:
+        track = self.agent.tracks[vehicle]
+        stamp = track.odometry.last
+        if not np.isfinite(stamp):
+            return
+        pose, covariance = self.agent.estimate(vehicle)
+        self.outputs.pose(vehicle, stamp, pose, covariance)
+        self.outputs.transform(vehicle, stamp, pose, track.odometry.pose)
+
+    def _is_due(self, what: str, period: float, now: float) -> bool:
+        if self._due[what] - period <= now < self._due[what]:
+            return False
+        self._due[what] = now + period
+        return True
+
+    def _do_what_is_due(self) -> None:
+        now = now_seconds(self)
+        if now == 0.0:  # simulated time has not begun
+            return
+        if self._is_due('pose', self.config.pose_period, now):
+            self.agent.advance(now)
+            for vehicle in self.agent.vehicles:
+                self._publish_pose(vehicle)
+        if self._is_due('plan', 1.0 / self.config.planner_frequency, now):
+            self._plan(now)
+        if self._is_due('map', self.config.map_period, now):
+            self.outputs.grid(now, self.agent.grid)
+        if self._is_due('landmarks', self.config.landmarks_period, now):
+            self.publish_results(now)
+
+    def _plan(self, now: float) -> None:
+        with self.statistics.timed('plan'):
+            result = self.planner.plan(now)
+        self.outputs.plans(now, result.plans)
+        self.outputs.frontiers(now, result.frontiers)
+        self.outputs.status(result.status.value)
+
+    def publish_results(self, now: float) -> None:
+        """Publish landmarks and trajectories."""
+        self.outputs.landmarks(now, self.agent.landmarks())
+        for vehicle in self.agent.vehicles:
+            self.outputs.trajectory(vehicle, now, *self.agent.trajectory(vehicle))
+
+    # -- health ----------------------------------------------------------------------------------
+
+    def _explain_silence(self) -> None:
+        self._silence_timer.cancel()
+        for inputs in self._inputs:
+            for text in inputs.silence():
+                self.get_logger().warning(text)
+
+    def _publish_diagnostics(self) -> None:
+        if time.monotonic() < self._reported + 1.0:
+            return
+        self._reported = time.monotonic()
+        parts = self.statistics.parts(
+            self.agent.statuses(),
+            self.agent.summary(),
+            self._inputs,
+            self.inbox,
+            self.planner.result,
+        )
+        self._diagnostics.publish(diagnostics_message(self, parts, 'explore_slam'))
+
+    def stop(self) -> None:
+        """End the worker and tell the vehicles to stand."""
+        self.inbox.close()
+        self._worker.join(timeout=5.0)
+        self.outputs.plans(now_seconds(self), {})
+        logging.getLogger('explore_slam').removeHandler(self._log_handler)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the node; the entry point of the executable."""
+    return run_node(AgentNode, arguments)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,130 @@
+"""How the agent node is doing: rates, latency, drops, effective particles, per vehicle states."""
+
+import time
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from explore_slam.agent import KeyframeEvent
+from explore_slam.data import VehicleState, VehicleStatus
+from explore_slam.exploration import PlanningResult
+from explore_slam.nodes.agent_inputs import VehicleInputs
+from explore_slam.nodes.inbox import Inbox
+from explore_slam.nodes.vehicle_support import OK, WARN
+
+WINDOW = 10.0  # s over which rates are taken
+KEPT = 2000  # newest latencies kept
+Part = tuple[bytes, str, Mapping[str, Any]]
+
+
+class AgentStatistics:
+    """Collects on the worker's thread; `parts` gives what /diagnostics says."""
+
+    def __init__(self) -> None:
+        self._busy: Counter[str] = Counter()
+        self._done: Counter[str] = Counter()
+        self._keyframes: dict[str, deque[float]] = {}
+        self._last: dict[str, KeyframeEvent] = {}
+        self._latency: deque[float] = deque(maxlen=KEPT)
+        self._wall_latency: deque[float] = deque(maxlen=KEPT)
+        self._began = time.monotonic()
+
+    @contextmanager
+    def timed(self, kind: str) -> Iterator[None]:
+        """Count one piece of work and the time it took."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self._busy[kind] += time.perf_counter() - start
+            self._done[kind] += 1
+
+    def add_keyframe(self, event: KeyframeEvent, now: float, received: float | None) -> None:
+        """Take a keyframe whose pose was just published.
+
+        now: ROS time (s); received: time.monotonic() when its image came, None if unknown.
+        """
+        self._keyframes.setdefault(event.vehicle, deque()).append(time.monotonic())
+        if event.update is None:
+            return
+        self._last[event.vehicle] = event
+        self._latency.append(now - event.stamp)
+        if received is not None:
+            self._wall_latency.append(time.monotonic() - received)
+
+    def _rate(self, vehicle: str) -> float:
+        times = self._keyframes.get(vehicle, deque())
+        now = time.monotonic()
+        while times and times[0] < now - WINDOW:
+            times.popleft()
+        return len(times) / min(WINDOW, max(now - self._began, 1e-3))
+
+    def parts(
+        self,
+        statuses: Iterable[VehicleStatus],
+        counts: Mapping[str, Mapping[str, int]],
+        inputs: Iterable[VehicleInputs],
+        inbox: Inbox,
+        planning: PlanningResult,
+    ) -> dict[str, Part]:
+        """Return name -> (level, message, values) for the agent and for every vehicle."""
+        heard = {one.vehicle: one for one in inputs}
+        parts = {'agent': self._agent(inbox, planning)}
+        for status in statuses:
+            name = status.vehicle
+            values = self._vehicle(status, heard[name], inbox)
+            values.update(counts.get(name, {}))
+            bad = status.state in (VehicleState.LOST, VehicleState.SILENT, VehicleState.BLOCKED)
+            reason = planning.waiting.get(name, '')
+            text = status.state.value + (f': {reason}' if reason else '')
+            parts[f'vehicle {name}'] = (WARN if bad else OK, text, values)
+        return parts
+
+    def _agent(self, inbox: Inbox, planning: PlanningResult) -> Part:
+        values: dict[str, Any] = {
+            'status': planning.status.value,
+            'reason': planning.reason,
+            'frontiers': len(planning.frontiers),
+            'waiting': len(inbox),
+            'dropped': sum(inbox.dropped.values()),
+        }
+        for name, samples in (('ros', self._latency), ('wall', self._wall_latency)):
+            if samples:
+                values[f'{name}_latency_median_s'] = float(np.median(samples))
+                values[f'{name}_latency_p95_s'] = float(np.percentile(samples, 95))
+        for kind, count in self._done.items():
+            values[f'{kind}_mean_ms'] = 1e3 * self._busy[kind] / count
+            values[f'{kind}_count'] = count
+        level = OK if planning.searched else WARN
+        return level, planning.reason or planning.status.value, values
+
+    def _vehicle(
+        self, status: VehicleStatus, inputs: VehicleInputs, inbox: Inbox
+    ) -> dict[str, Any]:
+        name = status.vehicle
+        deviation = np.sqrt(np.maximum(np.diag(status.covariance), 0.0))
+        values: dict[str, Any] = {
+            'state': status.state.value,
+            'x': status.pose.x,
+            'y': status.pose.y,
+            'heading': status.pose.theta,
+            'position_deviation_m': float(np.hypot(deviation[0], deviation[1])),
+            'heading_deviation_rad': float(deviation[2]),
+            'goal': '' if status.goal is None else f'{status.goal.x:.2f} {status.goal.y:.2f}',
+            'keyframes_per_second': self._rate(name),
+            'malformed': inputs.malformed,
+            'unpaired_images': inputs.pairing.unpaired,
+            'frames_without_camera_info': inputs.pairing.without_camera_info,
+            'dropped_frames': inbox.dropped[('frame', name)],
+        }
+        last = self._last.get(name)
+        if last is not None and last.update is not None:
+            update = last.update
+            values['observed'] = update.observed
+            values['associated'] = update.associated
+            values['inserted'] = update.inserted
+            values['effective_particles'] = float(update.effective_particles)
+        return values

@@ -1,0 +1,135 @@
+"""Nodes as processes of their own: started together, ended together, nothing left behind."""
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+
+from explore_slam.errors import ExploreSlamError
+
+PATIENCE = {signal.SIGINT: 6.0, signal.SIGTERM: 3.0, signal.SIGKILL: 2.0}  # s for each to work
+PR_SET_PDEATHSIG = 1
+
+
+def config_folder() -> Path:
+    """Return the folder of configuration files: that of the sources, or the installed one."""
+    sources = Path(__file__).resolve().parents[2] / 'config'
+    if sources.is_dir():
+        return sources
+    from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+
+    try:
+        return Path(get_package_share_directory('explore_slam')) / 'config'
+    except PackageNotFoundError:
+        installed = Path(sys.prefix) / 'share' / 'explore_slam' / 'config'
+        if installed.is_dir():
+            return installed
+        raise ExploreSlamError(
+            f'configuration files are neither in {sources} nor in {installed}; '
+            'source the workspace (install/setup.bash) or reinstall the package'
+        ) from None
+
+
+def one_machine_environment() -> dict[str, str]:
+    """Return the environment for nodes that talk on this machine alone.
+
+    A ROS_DOMAIN_ID that is set stays; otherwise one is drawn, so that two demos do not mix.
+    """
+    environment = dict(os.environ)
+    environment.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
+    environment.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    profile = config_folder() / 'fastdds_one_machine.xml'
+    environment.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(profile))
+    environment.setdefault('MUJOCO_GL', 'egl')
+    return environment
+
+
+def _die_with_parent() -> None:
+    """Ask the kernel to end this process when the one that started it is gone."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+@dataclass
+class NodeProcess:
+    """One node to start: module below explore_slam.nodes, ROS arguments, name for its log."""
+
+    name: str
+    module: str
+    arguments: Sequence[str] = ()
+    process: 'subprocess.Popen[bytes] | None' = field(default=None, repr=False)
+
+    def command(self) -> list[str]:
+        """Return the command line."""
+        return [sys.executable, '-m', f'explore_slam.nodes.{self.module}', *self.arguments]
+
+
+class NodeProcesses:
+    """Starts nodes and, as a context manager, ends them: SIGINT, then SIGTERM, then SIGKILL."""
+
+    def __init__(
+        self, nodes: Sequence[NodeProcess], logs: Path, environment: Mapping[str, str]
+    ) -> None:
+        self.nodes = list(nodes)
+        self._logs = logs
+        self._environment = dict(environment)
+
+    def __enter__(self) -> 'NodeProcesses':
+        self._logs.mkdir(parents=True, exist_ok=True)
+        try:
+            for node in self.nodes:
+                with self.log_of(node).open('wb') as log:
+                    node.process = subprocess.Popen(
+                        node.command(),
+                        stdin=subprocess.DEVNULL,
+                        stdout=log,
+                        stderr=subprocess.STDOUT,
+                        env=self._environment,
+                        start_new_session=True,  # the terminal's Ctrl-C comes through us, once
+                        preexec_fn=_die_with_parent,  # noqa: PLW1509 -- one call into the kernel
+                    )
+        except OSError as error:
+            self._end_all()
+            raise ExploreSlamError(f'a node cannot be started: {error}') from error
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._end_all()
+
+    def log_of(self, node: NodeProcess) -> Path:
+        """Return the file that takes what a node prints."""
+        return self._logs / f'{node.name}.log'
+
+    def check(self) -> None:
+        """Raise an error that names the node which has ended, with the end of its log."""
+        for node in self.nodes:
+            if node.process is not None and (code := node.process.poll()) is not None:
+                log = self.log_of(node)
+                lines = log.read_text(errors='replace').strip().splitlines()[-4:]
+                raise ExploreSlamError(
+                    f'node {node.name} has ended with code {code}: '
+                    + (' | '.join(lines) or 'it printed nothing')
+                    + f' (see {log})'
+                )
+
+    def _running(self) -> 'list[subprocess.Popen[bytes]]':
+        started = [node.process for node in self.nodes if node.process is not None]
+        return [process for process in started if process.poll() is None]
+
+    def _end_all(self) -> None:
+        for number, patience in PATIENCE.items():
+            for process in self._running():
+                process.send_signal(number)
+            deadline = time.monotonic() + patience
+            while self._running() and time.monotonic() < deadline:
+                time.sleep(0.05)
