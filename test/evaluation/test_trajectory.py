@@ -26,7 +26,7 @@ def wander(seed: int, count: int = 300, noise: float = 0.0) -> Trajectory:
     rng = np.random.default_rng(seed)
     poses = [np.zeros(3)]
     for turn in rng.normal(0.0, 0.1, count - 1):
-        step = np.array([0.05, 0.0, turn]) + noise * rng.normal(0.0, 1.0, 3)
+        step = np.array([0.0533, 0.0, turn]) + noise * rng.normal(0.0, 1.0, 3)
         poses.append(compose(poses[-1], step))
     return Trajectory(100.0 + 0.1 * np.arange(count), np.array(poses))
 
