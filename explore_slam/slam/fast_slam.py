@@ -93,20 +93,8 @@ class FastSlam:
             noise = self.config.odometry_noise.covariance(step)
         else:
             noise = checks.check_motion_covariance('covariance', covariance)
-        pending = self._pending[number]
-        pending.append(step, noise)
+        self._pending[number].append(step, noise, self.config.linearizable_heading)
         self._moved[number] = True
-        if pending.covariance[2, 2] > self.config.linearizable_heading**2:
-            self._sample_heading(number)
-
-    def _sample_heading(self, number: int) -> None:
-        """Sample a heading that has grown too uncertain to linearize over, and what goes with it."""
-        pending = self._pending[number]
-        direction = pending.split_heading(0.5 * self.config.linearizable_heading)
-        factors = self._random.standard_normal(self.config.particles)
-        moves = np.asarray(pending.mean) + factors[:, None] * direction
-        self._poses[number] = compose(self._poses[number], moves)
-        self._pending[number] = PendingMotion(covariance=pending.end_covariance())
 
     def set_pose(self, vehicle: str, pose: Pose2, covariance: Array) -> None:
         """Move a vehicle to a pose given by the user, covariance (3, 3) in the map frame."""
@@ -114,10 +102,8 @@ class FastSlam:
         place = checks.check_pose('pose', pose)
         spread = checks.check_motion_covariance('covariance', covariance)
         self._poses[number] = np.asarray(place)
-        self._pending[number] = PendingMotion(covariance=rotated(spread, place.theta))
+        self._pending[number] = PendingMotion.of(rotated(spread, place.theta))
         self._moved[number] = True
-        if spread[2, 2] > self.config.linearizable_heading**2:
-            self._sample_heading(number)
 
     # -- observation ----------------------------------------------------------------------------
 
@@ -135,7 +121,9 @@ class FastSlam:
             self._resample_round()
         sighted = engines.look_up(self.map, observations, self.config)
         data = self.map.rows.present_data
-        poses, P = self._predicted(number)
+        poses, P = self._pending[number].move(
+            self._poses[number], self.config.linearizable_heading, self._random
+        )
         normals = self._random.standard_normal((self.config.particles, 3))
         engine = engines.paper if self.config.engine == 'paper' else engines.fastslam2
         log_weights = engine(sighted, data, poses, P, normals, self.config)
@@ -180,14 +168,6 @@ class FastSlam:
                 'tell the motion since the start first, even if it is zero'
             )
 
-    def _predicted(self, number: int) -> tuple[Array, Array]:
-        """Return predicted poses (M, 3) and their covariance (3, 3) in the vehicle frame."""
-        if self._pending[number].covariance[2, 2] > self.config.linearizable_heading**2:
-            self._sample_heading(number)
-        pending = self._pending[number]
-        poses = compose(self._poses[number], np.asarray(pending.mean))
-        return poses, pending.end_covariance()
-
     def _weigh(self, log_weights: Array) -> None:
         shifted = log_weights - log_weights.max()
         self._score += shifted
@@ -226,7 +206,12 @@ class FastSlam:
         """Return (K, M): where an observation becomes a new landmark."""
         free: NDArray[np.bool_] = sighted.choice < 0
         if self.config.engine == 'fastslam2':
-            free &= ((free @ np.exp(self._log_weights)) > 0.5)[:, None]
+            unmatched = (free @ np.exp(self._log_weights)) > 0.5
+            alike = (sighted.candidates >= 0).any(axis=1)
+            agreeing = np.count_nonzero(alike & ~unmatched)
+            if agreeing < max(3, 0.5 * np.count_nonzero(alike)):
+                unmatched &= ~alike
+            free &= unmatched[:, None]
         if self.config.insertion_policy == 'unmapped_region':
             free &= self._unmapped(number, sighted.z)[:, None]
         return free

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from explore_slam.geometry import IDENTITY, Array, Pose2
+from explore_slam.geometry import IDENTITY, Array, Pose2, compose
 from explore_slam.settings import Section, setting
 
 
@@ -83,30 +83,75 @@ def rotated(covariance: Array, angle: float) -> Array:
 
 @dataclass
 class PendingMotion:
-    """Motion of one vehicle since the particles last moved: mean and covariance, in its own frame."""
+    """Motion of one vehicle since the particles last moved.
 
-    mean: Pose2 = IDENTITY
-    covariance: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    Kept in segments (mean, covariance (3, 3) in the frame where the segment begins), so short
+    that the heading within each stays certain enough to linearize over. Nothing is sampled
+    before an observation needs it: samples drawn early would be thinned out by the resamplings
+    that other vehicles cause meanwhile.
+    """
 
-    def append(self, increment: Pose2, noise: Array) -> None:
-        """Compound one more step."""
-        self.mean, self.covariance = compound(self.mean, self.covariance, increment, noise)
+    segments: list[tuple[Pose2, Array]] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, covariance: Array) -> 'PendingMotion':
+        """Make a motion of mean zero."""
+        return cls([(IDENTITY, covariance)])
+
+    def append(self, increment: Pose2, noise: Array, heading_limit: float) -> None:
+        """Compound one more step; a segment ends when its heading deviates by the limit (rad)."""
+        if not self.segments or self.segments[-1][1][2, 2] > heading_limit**2:
+            self.segments.append((IDENTITY, np.zeros((3, 3))))
+        self.segments[-1] = compound(*self.segments[-1], increment, noise)
+
+    @property
+    def mean(self) -> Pose2:
+        """The motion without noise."""
+        total = IDENTITY
+        for mean, _ in self.segments:
+            total = total.compose(mean)
+        return total
 
     def end_covariance(self) -> Array:
-        """Return the covariance (3, 3) in the frame where the mean ends."""
-        return rotated(self.covariance, self.mean.theta)
+        """Return the covariance (3, 3), linearized, in the frame where the mean ends."""
+        total, covariance = IDENTITY, np.zeros((3, 3))
+        for mean, noise in self.segments:
+            total, covariance = compound(total, covariance, mean, noise)
+        return rotated(covariance, total.theta)
 
-    def split_heading(self, deviation: float) -> Array:
-        """Take most of the heading uncertainty out, leaving the given deviation (rad).
+    def move(
+        self, poses: Array, heading_limit: float, random: np.random.Generator
+    ) -> tuple[Array, Array]:
+        """Return moved poses (M, 3) and the covariance (3, 3) that is left, in their frames.
 
-        Returns the direction (3,) in the frame of the start along which to sample with a standard
-        normal factor: the covariance is now the rest, P − δ δᵀ, conditioned on that sample.
+        Where the heading is more uncertain than the limit (rad) it is sampled, and the position
+        conditioned on the sample; the covariance left has half the limit in heading.
         """
-        variance = float(self.covariance[2, 2])
-        if variance <= deviation**2:
-            return np.zeros(3)
-        part = 1.0 - deviation**2 / variance
-        direction: Array = self.covariance[:, 2] * math.sqrt(part / variance)
-        rest = self.covariance - np.outer(direction, direction)
-        self.covariance = 0.5 * (rest + rest.T)
-        return direction
+        total, left = IDENTITY, np.zeros((3, 3))
+        uncertain = self.end_covariance()[2, 2] > heading_limit**2
+        last = len(self.segments) - 1
+        for number, (mean, noise) in enumerate(self.segments):
+            moves, rest = np.asarray(mean), noise
+            if uncertain:
+                deviation = 0.5 * heading_limit if number == last else 0.0
+                direction, rest = split_heading(noise, deviation)
+                factors = random.standard_normal(len(poses))
+                moves = moves + factors[:, None] * direction
+            poses = compose(poses, moves)
+            total, left = compound(total, left, mean, rest)
+        return poses, rotated(left, total.theta)
+
+
+def split_heading(covariance: Array, deviation: float) -> tuple[Array, Array]:
+    """Take heading uncertainty out of a covariance (3, 3), leaving the deviation (rad).
+
+    Returns the direction δ (3,) along which to sample with a standard normal factor, and the
+    rest P − δ δᵀ, which is conditioned on that sample.
+    """
+    variance = float(covariance[2, 2])
+    if variance <= deviation**2:
+        return np.zeros(3), covariance
+    part = 1.0 - deviation**2 / variance
+    direction: Array = covariance[:, 2] * math.sqrt(part / variance)
+    rest = covariance - np.outer(direction, direction)
+    return direction, 0.5 * (rest + rest.T)
