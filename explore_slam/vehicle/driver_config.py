@@ -96,6 +96,14 @@ class CameraConfig(Section):
     use_camera: bool = setting(True, 'read a Kinect')
     camera_index: int = setting(0, 'which Kinect, counted from 0', low=0, high=15)
     camera_rate: float = setting(10.0, 'frames published per second', unit='Hz', low=0.2, high=30)
+    camera_depth: str = setting(
+        'registered', 'registered: mm, aligned with the colour image; raw: disparities, by a fit',
+        choices=('registered', 'raw'),
+    )  # fmt: skip
+    camera_timeout: float = setting(
+        3.0, 'report the camera lost when no image has come for longer', unit='s',
+        low=0.5, high=60.0,
+    )  # fmt: skip
     camera_focal_length: float = setting(
         525.0, 'focal length of the colour camera', unit='pixels', low=100.0, high=2000.0
     )

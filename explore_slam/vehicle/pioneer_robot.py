@@ -31,6 +31,8 @@ BAUD_RATES = (9600, 38400, 19200, 115200, 57600)
 BAUD_CODES = {9600: 0, 19200: 1, 38400: 2, 57600: 3, 115200: 4}
 _REPLY_TIMEOUT = 0.25  # s for an echo of the handshake
 _SYNC_ATTEMPTS = 3
+_REST_TIMEOUT = 1.0  # s to come to rest before the motors are switched off
+_AT_REST = 0.02  # m/s, rad/s
 _PULSE_PERIOD = 0.4  # s
 _SPEED_PERIOD = 0.2  # s: velocities are sent again, lest the robot's watchdog fires
 
@@ -208,15 +210,26 @@ class PioneerRobot:
         if self._port is None:
             return
         try:
-            for _ in range(2):  # twice: a byte may get lost
-                self._command(Command.STOP)
-                self._command(Command.ENABLE, 0)
-            self._command(Command.CLOSE)
+            self._come_to_rest()
+            for command, argument in ((Command.ENABLE, 0), (Command.CLOSE, None)):
+                for _ in range(2):  # twice: a byte may get lost
+                    self._command(command, argument)
             time.sleep(0.02 + self._port.transmission_time(60))
         except VehicleError:
             pass
         self._port.close()
         self._port = None
+
+    def _come_to_rest(self) -> None:
+        """Command rest until the wheels stand: without power they would roll on."""
+        end = time.monotonic() + _REST_TIMEOUT
+        moving = self._odometry is not None
+        while moving and time.monotonic() < end:
+            self._velocity = (0, 0)
+            self._send_velocity()
+            for state in self.poll(0.1):
+                moving = abs(state.linear) > _AT_REST or abs(state.angular) > _AT_REST
+        self._command(Command.STOP)
 
     # -- while the session is open ----------------------------------------------------------------
 

@@ -1,0 +1,316 @@
+"""Node `pioneer_driver`: base, laser and Kinect of one vehicle on relative topics.
+
+Each part runs in a thread of its own and can be switched off (use_base, use_laser, use_camera).
+Velocities go through the safety gate in the base's thread, not in the executor's: whatever the
+executor is busy with, the vehicle stops when commands or the laser fall silent.
+"""
+
+import logging
+import sys
+import threading
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import Twist
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import LaserScan as ScanMessage
+from std_srvs.srv import SetBool
+
+from explore_slam.data import LaserScan, RgbdFrame
+from explore_slam.errors import DataError
+from explore_slam.geometry import Pose2
+from explore_slam.nodes.conversions import scan_record
+from explore_slam.nodes.driver_outputs import DriverOutputs, Frames, Latency
+from explore_slam.nodes.vehicle_support import (
+    ERROR,
+    OK,
+    WARN,
+    RosLogHandler,
+    changed_settings,
+    declare_settings,
+    now_seconds,
+    run_node,
+    vehicle_name,
+)
+from explore_slam.settings import Section, section, setting
+from explore_slam.vehicle import (
+    BaseState,
+    DriverConfig,
+    Kinect,
+    Lms200,
+    PioneerRobot,
+    SafetyGate,
+    SafetyInputs,
+    Supervisor,
+)
+from explore_slam.vehicle.safety import SafeVelocity, sonar_points
+
+CONTROL_PERIOD = 0.02  # s
+_MOTOR_GRACE = 1.0  # s for the status to show that motors were switched on
+_SAFETY_SETTINGS = {
+    'command_timeout', 'laser_timeout', 'driver_obstacle_stop', 'sonar_stop', 'guard_distance',
+    'guard_half_width', 'guard_length', 'guard_acceleration', 'guard_deceleration',
+    'guard_turn_acceleration', 'use_sim_time',
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class DriverNodeConfig(Section):
+    """All parameters of the driver node."""
+
+    odom_frame: str = setting('odom', "frame of odometry, behind the vehicle's name and a slash")
+    robot_base_frame: str = setting(
+        'base_link', "frame of the vehicle, behind the vehicle's name and a slash"
+    )
+    laser_frame: str = setting('laser', "frame of the laser, behind the vehicle's name")
+    camera_frame: str = setting(
+        'camera_optical_frame', "frame of the camera, behind the vehicle's name"
+    )
+    publish_tf: bool = setting(True, 'publish tf, where tf2_msgs is installed')
+    watch_scan_topic: bool = setting(
+        False, "stop for another driver's laser: use the topic scan where use_laser is false"
+    )
+    driver: DriverConfig = section(DriverConfig)
+
+
+class PioneerDriverNode(Node):
+    """Adapter between topics and the devices of one vehicle."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__('pioneer_driver', **options)
+        self._log_handler = RosLogHandler(self)
+        logging.getLogger('explore_slam').addHandler(self._log_handler)
+        logging.getLogger('explore_slam').setLevel(logging.INFO)
+        self.config = declare_settings(self, DriverNodeConfig())
+        driver = self.config.driver
+        names = self.config
+        frames = Frames(
+            vehicle_name(self), names.odom_frame, names.robot_base_frame,
+            names.laser_frame, names.camera_frame,
+        )  # fmt: skip
+        self.outputs = DriverOutputs(self, frames, driver, self.config.publish_tf)
+        self._laser_pose = Pose2.from_array(driver.laser_mount)
+        base = driver.base
+        self._gate = SafetyGate(driver.safety, base.maximum_speed, base.maximum_turn_rate)
+        self._inputs = SafetyInputs()
+        self._safe = SafeVelocity(0.0, 0.0, 'base not connected')
+        self._lock = threading.Lock()
+        self._motors_wanted: bool | None = None  # None: nobody has said yet
+        self._motors_asked = 0.0
+        self._watched_scan = -np.inf
+        self._latency = {'base': Latency(), 'laser': Latency(), 'camera': Latency()}
+        self.robot, self.laser, self.camera = self._make_devices()
+        self.parts = self._make_parts()
+        self._subscribe()
+        for part in self.parts.values():
+            part.start()
+
+    # -- wiring ----------------------------------------------------------------------------------
+
+    def _clock_seconds(self) -> float:
+        return now_seconds(self)
+
+    def _make_devices(self) -> tuple[PioneerRobot | None, Lms200 | None, Kinect | None]:
+        driver, clock = self.config.driver, self._clock_seconds
+        return (
+            PioneerRobot(driver.base, clock) if driver.base.use_base else None,
+            Lms200(driver.laser, clock) if driver.laser.use_laser else None,
+            Kinect(driver.camera, clock) if driver.camera.use_camera else None,
+        )
+
+    def _make_parts(self) -> dict[str, Supervisor]:
+        retry = self.config.driver.retry_after
+        parts = {}
+        if self.robot is not None:
+            parts['base'] = Supervisor(
+                'base', self.robot, self._on_state, on_connected=self._on_base_connected,
+                on_turn=self._control, retry_after=retry, poll_timeout=CONTROL_PERIOD,
+            )  # fmt: skip
+        if self.laser is not None:
+            parts['laser'] = Supervisor('laser', self.laser, self._on_scan, retry_after=retry)
+        if self.camera is not None:
+            parts['camera'] = Supervisor('camera', self.camera, self._on_frame, retry_after=retry)
+        return parts
+
+    def _subscribe(self) -> None:
+        if self.robot is not None:
+            self.create_subscription(Twist, 'cmd_vel', self._on_velocity, 1)
+            self.create_service(SetBool, 'enable_motors', self._on_enable_motors)
+        if self.laser is None and self.config.watch_scan_topic:
+            self.create_subscription(
+                ScanMessage, 'scan', self._on_watched_scan, qos_profile_sensor_data
+            )
+        self.add_on_set_parameters_callback(self._on_parameters)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(1.0, self._report, clock=steady)
+
+    def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        fixed = [item.name for item in parameters if item.name not in _SAFETY_SETTINGS]
+        if fixed:
+            reason = f'{", ".join(fixed)}: set at start only'
+            return SetParametersResult(successful=False, reason=reason)
+        self.config, result = changed_settings(self.config, parameters)
+        with self._lock:
+            self._gate.config = self.config.driver.safety
+        return result
+
+    # -- from ROS --------------------------------------------------------------------------------
+
+    def _on_velocity(self, message: Twist) -> None:
+        with self._lock:
+            self._gate.command(message.linear.x, message.angular.z, time.monotonic())
+
+    def _on_enable_motors(self, request: Any, response: Any) -> Any:
+        with self._lock:
+            self._motors_wanted = bool(request.data)
+            self._motors_asked = 0.0  # the base's thread will ask
+        connected = self.parts['base'].health.connected
+        response.success = connected
+        word = 'on' if request.data else 'off'
+        response.message = (
+            f'motors are switched {word}' if connected else self.parts['base'].health.message
+        )
+        return response
+
+    def _on_watched_scan(self, message: ScanMessage) -> None:
+        try:
+            self._keep_points(scan_record(message))
+            self._watched_scan = time.monotonic()
+        except DataError as error:
+            self.get_logger().warning(f'scan: {error}', throttle_duration_sec=5.0)
+
+    # -- in the base's thread --------------------------------------------------------------------
+
+    def _on_base_connected(self) -> None:
+        first = self._motors_wanted is None
+        base = self.config.driver.base
+        with self._lock:
+            if first:
+                self._motors_wanted = base.motors_at_start
+            elif self._motors_wanted and not base.motors_after_reconnect:
+                self._motors_wanted = False
+                self.get_logger().warning(
+                    'base: motors stay off after the reconnection; call enable_motors'
+                )
+            self._motors_asked = 0.0
+
+    def _on_state(self, state: BaseState) -> None:
+        with self._lock:
+            inputs = self._inputs
+            inputs.bumpers_front = bool(state.status.front_bumpers)
+            inputs.bumpers_rear = bool(state.status.rear_bumpers)
+            inputs.stalled = state.stalled
+            inputs.emergency_stop = state.status.emergency_stop
+            inputs.sonar_points = sonar_points(state.sonar)
+        self.outputs.publish_state(state, self.config.driver.base.use_sonar)
+        self._latency['base'].add(now_seconds(self) - state.received)
+        self._watch_motors(state.status.motors_on)
+
+    def _watch_motors(self, on: bool) -> None:
+        """Ask for the motors that are wanted; give in where the robot says otherwise later."""
+        assert self.robot is not None
+        now = time.monotonic()
+        if self._motors_asked == 0.0:
+            self._motors_asked = now
+            self.robot.enable_motors(bool(self._motors_wanted))
+        elif self._motors_wanted and not on and now - self._motors_asked > _MOTOR_GRACE:
+            self._motors_wanted = False
+            self.get_logger().warning(
+                'base: motors were switched off at the robot; call enable_motors to go on'
+            )
+
+    def _control(self) -> None:
+        assert self.robot is not None
+        now = time.monotonic()
+        with self._lock:
+            inputs = self._inputs
+            inputs.connected = self.parts['base'].health.connected
+            if self.laser is not None:
+                inputs.laser_heard = self.laser.heard
+            elif self.config.watch_scan_topic:
+                inputs.laser_heard = self._watched_scan
+            self._safe = self._gate.update(inputs, now)
+        self.robot.set_velocity(self._safe.linear, self._safe.angular)
+
+    # -- in the other parts' threads -------------------------------------------------------------
+
+    def _on_scan(self, scan: LaserScan) -> None:
+        self.outputs.publish_scan(scan)
+        assert self.laser is not None
+        self._latency['laser'].add(time.monotonic() - self.laser.heard)
+        self._keep_points(scan)
+
+    def _keep_points(self, scan: LaserScan) -> None:
+        points = SafetyGate.points_of(scan, self._laser_pose)
+        with self._lock:
+            self._inputs.laser_points = points
+
+    def _on_frame(self, frame: RgbdFrame) -> None:
+        self.outputs.publish_frame(frame)
+        self._latency['camera'].add(now_seconds(self) - frame.stamp)
+
+    # -- health ----------------------------------------------------------------------------------
+
+    def _report(self) -> None:
+        parts: dict[str, Any] = {}
+        for name, part in self.parts.items():
+            health = part.health
+            values = {
+                'connected': health.connected,
+                'records': health.records,
+                'losses': health.losses,
+                'attempts': health.attempts,
+                **self._latency[name].summary(),
+            }
+            level = OK if health.connected else ERROR
+            parts[name] = (level, health.message, {**values, **self._details(name)})
+        if self.robot is not None:
+            reason = self._safe.reason
+            values = {'linear_m_s': self._safe.linear, 'angular_rad_s': self._safe.angular}
+            values['motors_wanted'] = bool(self._motors_wanted)
+            parts['safety'] = (WARN if reason else OK, reason or 'as commanded', values)
+        self.outputs.publish_diagnostics(parts)
+
+    def _details(self, name: str) -> dict[str, Any]:
+        if name == 'base' and self.robot is not None:
+            return {
+                'packets': self.robot.packets,
+                'rejected': self.robot.rejected,
+                'baud': self.robot.last_baud,
+                **self.outputs.base_values,
+            }
+        if name == 'laser' and self.laser is not None:
+            status = self.laser.status
+            return {
+                'scans': self.laser.scans,
+                'rejected': self.laser.rejected,
+                'unusable': self.laser.unusable,
+                'severity': status.severity,
+                'polluted': status.polluted,
+            }
+        if name == 'camera' and self.camera is not None:
+            return {'frames': self.camera.frames, 'unpaired': self.camera.pairing.unpaired}
+        return {}
+
+    def stop(self) -> None:
+        """Bring the vehicle to rest, switch its motors off, release all devices."""
+        with self._lock:
+            self._gate.command(0.0, 0.0, time.monotonic())
+        for part in self.parts.values():
+            part.stop(timeout=3.0 if part.name == 'base' else 1.0)
+        logging.getLogger('explore_slam').removeHandler(self._log_handler)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the node; the entry point of the executable."""
+    return run_node(PioneerDriverNode, arguments)
+
+
+if __name__ == '__main__':
+    sys.exit(main())
