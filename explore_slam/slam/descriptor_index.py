@@ -111,38 +111,42 @@ class KdTreeIndex(BruteForceIndex):
     def __init__(self, rebuild_part: float = 0.25) -> None:
         super().__init__()
         self.rebuild_part = rebuild_part
-        self._bulk = np.empty(0, np.int64)
+        self.bulk = np.empty(0, np.int64)
         self._tree: object | None = None
-        self._tail: dict[int, None] = {}
+        self.tail: dict[int, None] = {}
 
     def add(self, ids: Ids, descriptors: Descriptors) -> None:
         """See DescriptorIndex."""
         self.store(ids, descriptors)
-        self._tail.update(dict.fromkeys(ids.tolist()))
-        if len(self._tail) > self.rebuild_part * len(self._bulk) + 64:
+        self.tail.update(dict.fromkeys(ids.tolist()))
+        if len(self.tail) > self.rebuild_part * len(self.bulk) + 64:
             self._build()
 
     def remove(self, ids: Ids) -> None:
         """See DescriptorIndex."""
         super().remove(ids)
-        if np.isin(ids, self._bulk).any():
+        if np.isin(ids, self.bulk).any():
             self._build()
         for item in ids.tolist():
-            self._tail.pop(item, None)
+            self.tail.pop(item, None)
 
     def _build(self) -> None:
+        self.restore(np.flatnonzero(self.alive), np.empty(0, np.int64))
+
+    def restore(self, bulk: Ids, tail: Ids) -> None:
+        """Set which ids are in the tree and which are compared one by one."""
         from scipy.spatial import cKDTree
 
-        self._bulk = np.flatnonzero(self.alive)
-        self._tail.clear()
-        self._tree = cKDTree(self.table[self._bulk]) if len(self._bulk) else None
+        self.bulk = bulk.copy()
+        self.tail = dict.fromkeys(tail.tolist())
+        self._tree = cKDTree(self.table[self.bulk]) if len(self.bulk) else None
 
     def query(
         self, descriptors: Descriptors, radius: float, count: int
     ) -> tuple[Ids, NDArray[np.float32]]:
         """See DescriptorIndex."""
         tail = BruteForceIndex()
-        tail_ids = np.array(list(self._tail), np.int64)
+        tail_ids = np.array(list(self.tail), np.int64)
         tail.store(np.arange(len(tail_ids)), self.table[tail_ids])
         places, far = tail.query(descriptors, radius, count)
         near_ids = np.where(places >= 0, tail_ids[places] if len(tail_ids) else -1, -1)
@@ -153,7 +157,7 @@ class KdTreeIndex(BruteForceIndex):
             descriptors, k=np.arange(1, count + 1), distance_upper_bound=bound
         )
         inside = np.isfinite(lengths)
-        bulk_ids = np.where(inside, self._bulk[np.where(inside, rows, 0)], -1)
+        bulk_ids = np.where(inside, self.bulk[np.where(inside, rows, 0)], -1)
         ids = np.concatenate([near_ids, bulk_ids], 1)
         distances = np.concatenate([far, (lengths**2).astype(np.float32)], 1)
         order = np.argsort(distances, axis=1, kind='stable')[:, :count]

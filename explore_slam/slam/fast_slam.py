@@ -3,6 +3,8 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +12,8 @@ from numpy.typing import NDArray
 from explore_slam.data import LandmarkObservations, VehicleSighting
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Array, Pose2, compose, wrap_angles
-from explore_slam.slam import checks, engines
+from explore_slam.settings import values_of, with_values
+from explore_slam.slam import checkpoint, checks, engines
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.engines import Sighted
 from explore_slam.slam.genealogy import Genealogy, Index
@@ -352,6 +355,78 @@ class FastSlam:
         """Return stamps (T,) and poses (T, 3) of the keyframes of a vehicle, best lineage."""
         chosen = self.path.of_vehicle(self._number(vehicle))
         return np.array(self.path.stamps)[chosen], self.best_path()[chosen]
+
+    # -- state ----------------------------------------------------------------------------------
+
+    def state_dict(self) -> checkpoint.State:
+        """Return the whole state as named arrays; see `from_state`."""
+        pending = [
+            [vehicle, *mean, *covariance.ravel()]
+            for vehicle, motion in enumerate(self._pending)
+            for mean, covariance in motion.segments
+        ]
+        about = {
+            'settings': values_of(self.config),
+            'vehicles': list(self.vehicles),
+            'random': self._random.bit_generator.state,
+            'contributed': sorted(self._contributed),
+            'regions': [[x, y, owner] for (x, y), owner in self._regions.items()],
+        }
+        stores = [self.map.rows, self.path.rows]
+        return {
+            'about': checkpoint.text_array(about),
+            'poses': self._poses,
+            'pending': np.array(pending, np.float64).reshape(-1, 13),
+            'moved': np.array(self._moved),
+            'stamps': np.array(self._stamps),
+            'log_weights': self._log_weights,
+            'score': self._score,
+            'path_stamps': np.array(self.path.stamps, np.float64),
+            'path_vehicles': np.array(self.path.vehicles, np.int64),
+            **checkpoint.under('map', checkpoint.map_state(self.map)),
+            **checkpoint.under('path', checkpoint.store_state(self.path.rows)),
+            **checkpoint.under('tree', checkpoint.genealogy_state(self.genealogy, stores)),
+        }
+
+    @classmethod
+    def from_state(cls, state: checkpoint.State) -> 'FastSlam':
+        """Make a filter that goes on, bit by bit, where `state_dict` was called."""
+        try:
+            about = checkpoint.text_value(state['about'])
+            starts = dict.fromkeys(about['vehicles'], Pose2(0.0, 0.0, 0.0))
+            slam = cls(starts, with_values(FastSlamConfig(), about['settings']))
+            slam._restore(about, state)
+        except (KeyError, ValueError, IndexError, TypeError) as error:
+            raise SlamError(f'the state of the belief is not whole: {error!r}') from error
+        return slam
+
+    def _restore(self, about: dict[str, Any], state: checkpoint.State) -> None:
+        self._random.bit_generator.state = about['random']
+        self._contributed = set(about['contributed'])
+        self._regions = {(x, y): owner for x, y, owner in about['regions']}
+        self._poses = state['poses'].copy()
+        for row in state['pending']:
+            segment = (Pose2(*row[1:4].tolist()), row[4:].reshape(3, 3).copy())
+            self._pending[int(row[0])].segments.append(segment)
+        self._moved = state['moved'].tolist()
+        self._stamps = state['stamps'].tolist()
+        self._log_weights = state['log_weights'].copy()
+        self._score = state['score'].copy()
+        self.path.stamps = state['path_stamps'].tolist()
+        self.path.vehicles = state['path_vehicles'].tolist()
+        checkpoint.restore_map(self.map, checkpoint.part('map', state))
+        checkpoint.restore_store(self.path.rows, checkpoint.part('path', state))
+        stores = [self.map.rows, self.path.rows]
+        checkpoint.restore_genealogy(self.genealogy, stores, checkpoint.part('tree', state))
+
+    def save(self, path: str | Path) -> None:
+        """Write the state to a file, atomically; SlamError where it cannot be written."""
+        checkpoint.write(Path(path), self.state_dict())
+
+    @classmethod
+    def load(cls, path: str | Path) -> 'FastSlam':
+        """Read a filter from a file; SlamError where the file is none."""
+        return cls.from_state(checkpoint.read(Path(path)))
 
     def _number(self, vehicle: str) -> int:
         try:

@@ -1,12 +1,14 @@
 """One interface for common and dedicated maps: a joint filter, or one filter per vehicle."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
 from explore_slam.data import LandmarkObservations, VehicleSighting
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Array, Pose2
+from explore_slam.slam import checkpoint
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.fast_slam import FastSlam, UpdateSummary
 from explore_slam.slam.landmark_map import Landmarks
@@ -118,3 +120,41 @@ class TeamBelief:
     def trajectory(self, vehicle: str) -> tuple[Array, Array]:
         """See FastSlam.trajectory."""
         return self.filter_of(vehicle).trajectory(vehicle)
+
+    def state_dict(self) -> checkpoint.State:
+        """Return the whole state as named arrays; see `from_state`."""
+        state: checkpoint.State = {
+            'keyframes': np.array(self._keyframes, np.int64),
+            'filters': np.array(len(self.filters)),
+        }
+        for number, item in enumerate(self.filters):
+            state |= checkpoint.under(f'filter{number}', item.state_dict())
+        return state
+
+    @classmethod
+    def from_state(cls, state: checkpoint.State) -> 'TeamBelief':
+        """Make a belief that goes on, bit by bit, where `state_dict` was called."""
+        if 'filters' not in state or 'keyframes' not in state:
+            raise SlamError('the state of the belief is not whole: filters or keyframes are absent')
+        filters = [
+            FastSlam.from_state(checkpoint.part(f'filter{number}', state))
+            for number in range(int(state['filters']))
+        ]
+        belief = cls.__new__(cls)
+        belief.config = filters[0].config
+        belief.filters = filters
+        belief.vehicles = tuple(name for item in filters for name in item.vehicles)
+        belief._filter_of = {
+            name: number for number, item in enumerate(filters) for name in item.vehicles
+        }
+        belief._keyframes = state['keyframes'].tolist()
+        return belief
+
+    def save(self, path: str | Path) -> None:
+        """Write the state to a file, atomically; SlamError where it cannot be written."""
+        checkpoint.write(Path(path), self.state_dict())
+
+    @classmethod
+    def load(cls, path: str | Path) -> 'TeamBelief':
+        """Read a belief from a file; SlamError where the file is none."""
+        return cls.from_state(checkpoint.read(Path(path)))

@@ -1,0 +1,105 @@
+"""Real data: five robots of MR.CLAM set 6, online, common and dedicated maps, several seeds.
+
+python benchmarks/slam_mrclam.py FOLDER [--seeds 10] [--particles 300] [--maps common] [--sightings]
+Prints per seed the RMS position of each robot (m, mean over robots last), the greatest error and
+the RMS of the landmarks, in the frame of the true start poses, without any alignment.
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+
+import mrclam
+from explore_slam.geometry import Array, Pose2
+from explore_slam.settings import with_values
+from explore_slam.slam import FastSlamConfig, OdometryNoise, TeamBelief
+
+#: The same for all robots: variance of what was driven (OdometryNoise), and of the camera,
+#: deviation of the range 0.03 m + 0.035 · range, of the bearing 0.014 rad.
+ODOMETRY = OdometryNoise(
+    forward_variance_per_metre=0.005,
+    lateral_variance_per_metre=0.0005,
+    position_variance_per_radian=0.0002,
+    heading_variance_per_metre=0.01,
+    heading_variance_per_radian=0.01,
+)
+CAMERA = (0.03, 0.035, 0.014)
+
+
+def drive(
+    team: mrclam.Team, config: FastSlamConfig, seed: int, sightings: bool
+) -> tuple[Array, Array, TeamBelief]:
+    """Run a belief over the recording; return times × robots × (dx, dy), the times, the belief."""
+    belief = TeamBelief(mrclam.start_poses(team), config, seed)
+    errors: dict[float, Array] = {}
+    for event in mrclam.events(team):
+        name = f'robot{event.robot + 1}'
+        for step in event.steps:
+            increment = Pose2(*step)
+            belief.predict(name, increment, ODOMETRY.covariance(increment))
+        if not len(event.measured):
+            pose, _ = belief.estimate(name)
+            true = mrclam.true_poses(team.robots[event.robot], np.array([event.stamp]))[0]
+            row = errors.setdefault(event.stamp, np.full((mrclam.ROBOTS, 2), np.nan))
+            row[event.robot] = pose.x - true[0], pose.y - true[1]
+            continue
+        if not len(event.steps):
+            belief.predict(name, Pose2(0.0, 0.0, 0.0), np.zeros((3, 3)))
+        seen, others = mrclam.observations(event.stamp, event.measured, CAMERA)
+        if len(seen):
+            belief.update(name, seen)
+        if sightings and others:
+            belief.update_sightings(name, others)
+    return np.array(list(errors.values())), np.array(list(errors)), belief
+
+
+def landmark_errors(team: mrclam.Team, belief: TeamBelief) -> Array:
+    """Return (n, 2) errors of the landmarks mapped (of the first vehicle's map if dedicated)."""
+    found = belief.landmarks(belief.vehicles[0])
+    subjects = np.argmax(found.descriptors, axis=1)
+    return found.means[:, :2] - team.landmarks[subjects - mrclam.ROBOTS - 1]
+
+
+def main() -> None:
+    """Run the seeds and print a line for each."""
+    parser = argparse.ArgumentParser(description=__doc__.split('\n')[0])
+    parser.add_argument('folder', type=Path)
+    parser.add_argument('--seeds', type=int, default=10)
+    parser.add_argument('--first', type=int, default=0)
+    parser.add_argument('--particles', type=int, default=300)
+    parser.add_argument('--maps', default='common', choices=('common', 'dedicated'))
+    parser.add_argument('--sightings', action='store_true')
+    parser.add_argument('--set', nargs='*', default=[], metavar='NAME=VALUE')
+    arguments = parser.parse_args()
+    values = {
+        'particles': arguments.particles,
+        'maps': arguments.maps,
+        'maximum_descriptor_distance': 0.0,
+    }
+    for text in arguments.set:
+        name, value = text.split('=')
+        values[name] = eval(value)
+    config = with_values(FastSlamConfig(), values)
+    team = mrclam.read(arguments.folder)
+    means, marks = [], []
+    for seed in range(arguments.first, arguments.first + arguments.seeds):
+        begin = time.perf_counter()
+        errors, _, belief = drive(team, config, seed, arguments.sightings)
+        lengths = np.linalg.norm(errors, axis=2)
+        rms = np.sqrt(np.mean(lengths**2, axis=0))
+        mark = np.sqrt(np.mean(np.sum(landmark_errors(team, belief) ** 2, axis=1)))
+        means.append(rms.mean())
+        marks.append(mark)
+        print(
+            f'seed {seed}: robots {rms.round(3)} mean {rms.mean():.3f} m, greatest '
+            f'{lengths.max():.2f} m, last {lengths[-1].round(2)}, landmarks {mark:.3f} m, '
+            f'{time.perf_counter() - begin:.1f} s',
+            flush=True,
+        )
+    print(f'mean over seeds: robots {np.mean(means):.3f} m, landmarks {np.mean(marks):.3f} m')
+
+
+if __name__ == '__main__':
+    main()
