@@ -9,6 +9,7 @@ from explore_slam.simulation.posters import Image
 
 PAGE_SIZE = 4096  # pixels; every OpenGL in use offers that much
 MAX_PAGES = 2
+NARROW = 25  # pixels; what is less wide gets no patch of its own
 MARGIN = 2  # pixels between surfaces, so that a coarser mipmap does not mix them at once
 
 
@@ -40,8 +41,8 @@ class Atlas(NamedTuple):
 def build_atlas(surfaces: list[Surface], resolution: float, seed: int) -> Atlas:
     """Paint the surfaces at a resolution (m per pixel).
 
-    Each surface has a generator of its own (seed and index). When all pages are full, the
-    surfaces left over share patches of their style with others.
+    Each surface has a generator of its own (seed and index). Narrow surfaces, and those left over
+    when all pages are full, show parts of wider ones of their style.
     """
     sizes = [_pixels(surface, resolution) for surface in surfaces]
     patches = _arrange(surfaces, sizes)
@@ -73,32 +74,44 @@ def _arrange(surfaces: list[Surface], sizes: list[tuple[int, int]]) -> list[tupl
 
     Rows of patches, the highest first (the first-fit shelf method).
     """
-    order = sorted(range(len(sizes)), key=lambda i: (-sizes[i][1], i))
+    widest = {surface.style: 0 for surface in surfaces}
+    for surface, size in zip(surfaces, sizes, strict=True):
+        widest[surface.style] = max(widest[surface.style], size[0])
+    order = sorted(range(len(sizes)), key=lambda i: (-sizes[i][1], -sizes[i][0], i))
     placed: dict[int, tuple[Patch, bool]] = {}
     donors: dict[str, list[Patch]] = {}
+    later: list[int] = []
     page = left = top = row_height = 0
     for index in order:
         columns, rows = sizes[index]
+        style = surfaces[index].style
+        if columns < NARROW <= widest[style]:
+            later.append(index)
+            continue
         if left + columns + MARGIN > PAGE_SIZE:
             left, top, row_height = 0, top + row_height, 0
         if top + rows + MARGIN > PAGE_SIZE and page < MAX_PAGES:
             page, left, top, row_height = page + 1, 0, 0, 0
-        style = surfaces[index].style
         if page >= MAX_PAGES:
-            pool = donors.get(style) or [patch for patch, _ in placed.values()]
-            placed[index] = (_share(pool, columns, rows, index), False)
+            later.append(index)
             continue
         patch = Patch(page, left, top, left + columns, top + rows)
         left, row_height = left + columns + MARGIN, max(row_height, rows + MARGIN)
         donors.setdefault(style, []).append(patch)
         placed[index] = (patch, True)
+    everything = [patch for patch, _ in placed.values()]
+    for index in later:
+        pool = donors.get(surfaces[index].style) or everything
+        placed[index] = (_share(pool, *sizes[index], index), False)
     return [placed[index] for index in range(len(sizes))]
 
 
 def _share(pool: list[Patch], columns: int, rows: int, index: int) -> Patch:
     """Return a part of a patch in the pool that is as large as asked, if there is one."""
-    fitting = [p for p in pool if p.right - p.left >= columns and p.bottom - p.top >= rows]
-    chosen = (fitting or pool)[index % len(fitting or pool)]
+    chosen = pool[index % len(pool)]
+    if chosen.right - chosen.left < columns or chosen.bottom - chosen.top < rows:
+        fitting = [p for p in pool if p.right - p.left >= columns and p.bottom - p.top >= rows]
+        chosen = (fitting or pool)[index % len(fitting or pool)]
     left = chosen.left + (index * 131) % max(1, chosen.right - chosen.left - columns)
     right, top = min(left + columns, chosen.right), max(chosen.top, chosen.bottom - rows)
     return Patch(chosen.page, left, top, right, chosen.bottom)

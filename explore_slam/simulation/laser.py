@@ -1,4 +1,4 @@
-"""The simulated laser scanner: rays against solids and vehicle bodies."""
+"""The simulated laser scanner: rays against walls, furniture and vehicle bodies."""
 
 import math
 from typing import Any
@@ -9,7 +9,7 @@ from explore_slam.data import LaserScan
 from explore_slam.geometry import Pose2
 from explore_slam.simulation.config import SimulatedLaserConfig
 from explore_slam.simulation.mujoco_import import mujoco
-from explore_slam.simulation.scene import BODY, SOLID
+from explore_slam.simulation.scene import BODY, PAINTED
 
 RANGE_MIN = 0.05  # m
 
@@ -28,7 +28,7 @@ class LaserScanner:
         self._hit = np.zeros(beams, np.int32)
         self._distance = np.zeros(beams)
         self._groups = np.zeros(6, np.uint8)
-        self._groups[[BODY, SOLID]] = 1
+        self._groups[[BODY, PAINTED]] = 1
 
     def measure(self, stamp: float, pose: Pose2, model: Any, data: Any) -> LaserScan:
         """Return the scan of a vehicle at its true pose; +inf where nothing is in range."""

@@ -1,7 +1,7 @@
-"""A world raised from a map of map_server: occupied cells become walls, merged to few boxes.
+"""A world raised from a map of map_server: what is not free becomes walls, merged to few boxes.
 
-Unknown cells that border on free ones become walls too, else lasers would look out of the world
-there. The world has the frame of the map.
+What is solid is decided by GridWorld, so that planning studies and measures of coverage see the
+same walls. Only the rim of the solid parts is raised. The world has the frame of the map.
 """
 
 from pathlib import Path
@@ -10,40 +10,53 @@ import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.errors import MappingError, SimulationError
-from explore_slam.mapping import load_map
-from explore_slam.simulation.world import Block, Face, Top, World, block_corners
+from explore_slam.geometry import Pose2
+from explore_slam.simulation.grid_world import GridWorld
+from explore_slam.simulation.grid_world_kernels import FREE
+from explore_slam.simulation.world import Block, Face, World
 
 WALL_HEIGHT = 2.2  # m
 WALL_STYLES = ('plaster', 'brick', 'concrete', 'panel')
 STYLE_AREA = 5.0  # m; walls within such squares are of one style
+START_RADIUS, MOST_STARTS = 0.35, 8  # m of room around a suggested start; how many
 Mask = NDArray[np.bool_]
 
 
 def world_of_map(path: Path) -> World:
     """Return the world of a map_server YAML file; SimulationError tells what is wrong with it."""
     try:
-        grid = load_map(path)
+        grid = GridWorld.load(path)
     except MappingError as error:
         raise SimulationError(f'no world can be made of a map: {error}') from error
-    known, probability = grid.known(), grid.probability()
-    free = known & (probability <= 0.5)
+    free = grid.cells == FREE
     if not free.any():
         raise SimulationError(f'{path}: the map has no free cell, expected some to drive on')
-    walls = (known & (probability > 0.5)) | (~known & grown(free))
-    rows, columns = np.nonzero(walls | free)
+    free = np.pad(free, 1)  # walls where free cells lie at the border of the map
+    walls = ~free & grown(free)
+    cell = grid.resolution
+    rows, columns = np.nonzero(walls)
     r0, r1 = int(rows.min()), int(rows.max()) + 1
     c0, c1 = int(columns.min()), int(columns.max()) + 1
-    cell = grid.resolution
-    origin = (grid.origin[0] + c0 * cell, grid.origin[1] + r0 * cell)
+    origin = (grid.origin[0] + (c0 - 1) * cell, grid.origin[1] + (r0 - 1) * cell)
     walls, free = walls[r0:r1, c0:c1], free[r0:r1, c0:c1]
-    blocks = tuple(_block(rectangle, origin, cell) for rectangle in merge_cells(walls))
     return World(
         name=path.stem,
         bounds=(*origin, origin[0] + (c1 - c0) * cell, origin[1] + (r1 - r0) * cell),
-        blocks=blocks,
+        blocks=tuple(_block(rectangle, origin, cell) for rectangle in merge_cells(walls)),
         faces=tuple(wall_faces(walls, free, origin, cell)),
-        tops=tuple(Top(block_corners(block), WALL_HEIGHT, 'wood') for block in blocks),
+        starts=_starts(grid),
     )
+
+
+def _starts(grid: GridWorld) -> dict[str, Pose2]:
+    """Suggest starts near each other, for as many vehicles as find room."""
+    for count in range(MOST_STARTS, 0, -1):
+        try:
+            poses = grid.start_poses(count, 0, START_RADIUS)
+        except SimulationError:
+            continue
+        return {f'robot{index + 1}': pose for index, pose in enumerate(poses)}
+    return {}
 
 
 def grown(mask: Mask) -> Mask:

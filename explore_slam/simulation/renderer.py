@@ -8,14 +8,17 @@ from numpy.typing import NDArray
 
 from explore_slam.errors import SimulationError
 from explore_slam.simulation.mujoco_import import mujoco, rendering_error
-from explore_slam.simulation.scene import SOLID, Z_FAR, Z_NEAR
+from explore_slam.simulation.scene import HIDDEN, PAINTED, TILE, Z_FAR, Z_NEAR, Scene
+
+VIEW = 12.0  # m; what is farther away is left out of pictures
 
 
 class Renderer:
     """Off-screen OpenGL of one model; use it from one thread only, close() frees it."""
 
-    def __init__(self, model: Any) -> None:
-        self._model = model
+    def __init__(self, scene: Scene) -> None:
+        self._model = model = scene.model
+        self._tiles = scene
         self.width = int(model.vis.global_.offwidth)
         self.height = int(model.vis.global_.offheight)
         self._context: Any = None
@@ -33,7 +36,7 @@ class Renderer:
         for name in ('SHADOW', 'REFLECTION', 'SKYBOX', 'HAZE', 'FOG'):
             self._scene.flags[getattr(mujoco.mjtRndFlag, f'mjRND_{name}')] = 0
         self._options = mujoco.MjvOption()
-        self._options.geomgroup[SOLID] = 0
+        self._options.geomgroup[HIDDEN] = 0
         self._camera = mujoco.MjvCamera()
         self._viewport = mujoco.MjrRect(0, 0, self.width, self.height)
 
@@ -44,7 +47,14 @@ class Renderer:
         """
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
         self._camera.fixedcamid = camera
-        return self._draw(data)
+        place = data.cam_xpos[camera]
+        gaps = np.hypot(*(self._tiles.centers - place[:2]).T)
+        near = gaps < VIEW + 1.21 * TILE  # from its middle to the far end of a face of a tile
+        groups = self._model.geom_group
+        groups[self._tiles.geoms] = np.where(near, PAINTED, HIDDEN)
+        drawn = self._draw(data)
+        groups[self._tiles.geoms] = PAINTED  # lasers see all of them
+        return drawn
 
     def render_from_above(
         self, data: Any, center: tuple[float, float], width: float

@@ -1,28 +1,42 @@
-"""World and vehicles -> a MuJoCo model: painted meshes for the camera, solids for the laser."""
+"""World and vehicles -> a MuJoCo model: painted meshes that both camera and laser see.
+
+A world is cut into square tiles, one mesh per tile and texture: what is far away can then be left
+out of a picture. MuJoCo keeps a tree of the triangles of a mesh, so rays stay cheap.
+"""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from explore_slam.errors import SimulationError
 from explore_slam.geometry import Array, rotation_matrix
-from explore_slam.simulation.atlas import PAGE_SIZE, Patch, Surface, build_atlas
+from explore_slam.simulation.atlas import PAGE_SIZE, Atlas, Patch, Surface, build_atlas
 from explore_slam.simulation.config import SimulationConfig
 from explore_slam.simulation.mujoco_import import mujoco
 from explore_slam.simulation.paint import paint_floor
 from explore_slam.simulation.posters import Image
 from explore_slam.simulation.world import Face, World
 
-PAINTED, BODY, DECORATION, SOLID = 0, 1, 2, 3  # groups of MuJoCo geoms
+PAINTED, BODY, DECORATION, FLOOR, HIDDEN = 0, 1, 2, 3, 4  # groups of MuJoCo geoms
+TILE = 8.0  # m
 Z_NEAR, Z_FAR = 0.1, 40.0  # m
 FLOOR_PIXELS = 2048
 COLORS = (
     (0.75, 0.10, 0.10), (0.10, 0.25, 0.75), (0.10, 0.55, 0.15),
     (0.80, 0.60, 0.05), (0.50, 0.10, 0.60), (0.05, 0.55, 0.60),
 )  # fmt: skip
+
+
+class Scene(NamedTuple):
+    """The MjModel; ids (G,) of the geoms that are walls, and the middles (G, 2) m of their tiles."""
+
+    model: Any
+    geoms: NDArray[np.intp]
+    centers: Array
 
 
 @dataclass
@@ -42,8 +56,8 @@ class _Mesh:
             self.triangles.append((first, first + k, first + k + 1))
 
 
-def build_model(world: World, vehicles: Sequence[str], config: SimulationConfig) -> Any:
-    """Return the MjModel: one mocap body and camera per vehicle, in the order of the names."""
+def build_scene(world: World, vehicles: Sequence[str], config: SimulationConfig) -> Scene:
+    """Return the scene: one mocap body and camera per vehicle, in the order of the names."""
     spec = mujoco.MjSpec()
     kinect = config.kinect
     visual = spec.visual
@@ -55,18 +69,21 @@ def build_model(world: World, vehicles: Sequence[str], config: SimulationConfig)
     visual.map.znear, visual.map.zfar = Z_NEAR, Z_FAR
     spec.stat.extent = 1.0
     spec.stat.center = [0.0, 0.0, 0.0]
-    if kinect.simulated_camera_rate > 0.0:
-        _add_painted(spec, world)
+    seen = kinect.simulated_camera_rate > 0.0
+    tiles = _add_walls(spec, world, painted=seen)
+    if seen:
         _add_floor(spec, world)
-    _add_solids(spec, world)
     for index, name in enumerate(vehicles):
         _add_vehicle(spec, name, COLORS[index % len(COLORS)], config)
     try:
-        return spec.compile()
+        model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         raise SimulationError(
             f'world {world.name!r}: MuJoCo cannot build it: {" ".join(str(error).split())}'
         ) from error
+    geoms = [int(model.geom(name).id) for name in tiles]
+    centers = np.array(list(tiles.values()), dtype=np.float64).reshape(-1, 2)
+    return Scene(model, np.array(geoms, dtype=np.intp), centers)
 
 
 def _material(spec: Any, name: str, image: Image) -> None:
@@ -83,20 +100,22 @@ def _material(spec: Any, name: str, image: Image) -> None:
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
 
 
-def _add_mesh(spec: Any, name: str, material: str, mesh: _Mesh) -> None:
+def _add_mesh(spec: Any, name: str, mesh: _Mesh, material: str, group: int) -> None:
     made = spec.add_mesh(name=name)
     made.uservert = np.asarray(mesh.vertices, dtype=np.float64).ravel()
     made.usertexcoord = np.asarray(mesh.coordinates, dtype=np.float64).ravel()
     made.userface = np.asarray(mesh.triangles, dtype=np.int32).ravel()
     made.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-    spec.worldbody.add_geom(
+    geom = spec.worldbody.add_geom(
+        name=name,
         type=mujoco.mjtGeom.mjGEOM_MESH,
         meshname=name,
-        material=material,
         contype=0,
         conaffinity=0,
-        group=PAINTED,
+        group=group,
     )
+    if material:
+        geom.material = material
 
 
 def _pieces(face: Face, longest: float) -> list[Face]:
@@ -107,24 +126,41 @@ def _pieces(face: Face, longest: float) -> list[Face]:
     return [Face(x[i], y[i], x[i + 1], y[i + 1], face.height, face.style) for i in range(count)]
 
 
-def _add_painted(spec: Any, world: World) -> None:
-    """Add faces and tops, one mesh per texture page."""
-    longest = 0.5 * PAGE_SIZE * world.texture_resolution
+def _add_walls(spec: Any, world: World, painted: bool) -> dict[str, tuple[float, float]]:
+    """Add faces and tops, one geom per tile and texture page; return its name -> tile's middle."""
+    longest = min(TILE, 0.5 * PAGE_SIZE * world.texture_resolution)
     faces = [piece for face in world.faces for piece in _pieces(face, longest)]
     surfaces = [Surface(face.style, face.length, face.height) for face in faces]
-    # a top shows a plain part of its style: it is seen from above only
-    surfaces += [Surface('wood', 0.5, 0.5)]
-    atlas = build_atlas(surfaces, world.texture_resolution, world.texture_seed)
-    meshes = [_Mesh([], [], []) for _ in atlas.pages]
+    surfaces += [Surface('wood', 0.5, 0.5)]  # all tops: they are hardly seen but from above
+    nowhere = Atlas([np.zeros((1, 1, 3), np.uint8)], [Patch(0, 0, 0, 1, 1)] * len(surfaces))
+    atlas = nowhere
+    if painted:
+        atlas = build_atlas(surfaces, world.texture_resolution, world.texture_seed)
+        for page, image in enumerate(atlas.pages):
+            _material(spec, f'page{page}', image)
+    meshes: dict[tuple[int, int, int], _Mesh] = {}
     for face, patch in zip(faces, atlas.patches, strict=False):
-        corners = [
-            (face.x0, face.y0, 0.0),
-            (face.x1, face.y1, 0.0),
-            (face.x1, face.y1, face.height),
-            (face.x0, face.y0, face.height),
-        ]
+        middle = (0.5 * (face.x0 + face.x1), 0.5 * (face.y0 + face.y1))
         u0, v0, u1, v1 = _texture_box(patch, atlas.pages[patch.page])
-        meshes[patch.page].add(corners, [(u0, v1), (u1, v1), (u1, v0), (u0, v0)])
+        _mesh_at(meshes, patch.page, middle).add(
+            [
+                (face.x0, face.y0, 0.0),
+                (face.x1, face.y1, 0.0),
+                (face.x1, face.y1, face.height),
+                (face.x0, face.y0, face.height),
+            ],
+            [(u0, v1), (u1, v1), (u1, v0), (u0, v0)],
+        )
+    _add_tops(meshes, world, atlas)
+    tiles = {}
+    for (page, row, column), mesh in meshes.items():
+        name = f'walls_{page}_{row}_{column}'
+        _add_mesh(spec, name, mesh, f'page{page}' if painted else '', PAINTED)
+        tiles[name] = ((column + 0.5) * TILE, (row + 0.5) * TILE)
+    return tiles
+
+
+def _add_tops(meshes: dict[tuple[int, int, int], _Mesh], world: World, atlas: Atlas) -> None:
     patch = atlas.patches[-1]
     u0, v0, u1, v1 = _texture_box(patch, atlas.pages[patch.page])
     for top in world.tops:
@@ -132,10 +168,16 @@ def _add_painted(spec: Any, world: World) -> None:
         low, high = top.corners.min(axis=0), top.corners.max(axis=0)
         part = (top.corners - low) / np.maximum(high - low, 1e-9)
         uv = [(u0 + float(a) * (u1 - u0), v0 + float(b) * (v1 - v0)) for a, b in part]
-        meshes[patch.page].add(polygon, uv)
-    for page, (image, mesh) in enumerate(zip(atlas.pages, meshes, strict=True)):
-        _material(spec, f'page{page}', image)
-        _add_mesh(spec, f'painted{page}', f'page{page}', mesh)
+        middle = 0.5 * (low + high)
+        _mesh_at(meshes, patch.page, (float(middle[0]), float(middle[1]))).add(polygon, uv)
+
+
+def _mesh_at(
+    meshes: dict[tuple[int, int, int], _Mesh], page: int, point: tuple[float, float]
+) -> _Mesh:
+    """Return the mesh of a page for the tile around a point."""
+    key = (page, math.floor(point[1] / TILE), math.floor(point[0] / TILE))
+    return meshes.setdefault(key, _Mesh([], [], []))
 
 
 def _texture_box(patch: Patch, page: Image) -> tuple[float, float, float, float]:
@@ -158,31 +200,7 @@ def _add_floor(spec: Any, world: World) -> None:
     mesh = _Mesh([], [], [])
     corners = [(x0, y0, 0.0), (x1, y0, 0.0), (x1, y1, 0.0), (x0, y1, 0.0)]
     mesh.add(corners, [(0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 0.0)])
-    # a flat mesh has no hull: a speck far below makes it solid
-    mesh.add([(x0, y0, -1.0), (x0 + 0.01, y0, -1.0), (x0, y0 + 0.01, -1.0)], [(0.0, 0.0)] * 3)
-    _add_mesh(spec, 'floor', 'floor', mesh)
-
-
-def _add_solids(spec: Any, world: World) -> None:
-    for block in world.blocks:
-        spec.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[block.half_x, block.half_y, 0.5 * block.height],
-            pos=[block.x, block.y, 0.5 * block.height],
-            quat=[math.cos(block.yaw / 2), 0.0, 0.0, math.sin(block.yaw / 2)],
-            contype=0,
-            conaffinity=0,
-            group=SOLID,
-        )
-    for pillar in world.pillars:
-        spec.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-            size=[pillar.radius, 0.5 * pillar.height, 0.0],
-            pos=[pillar.x, pillar.y, 0.5 * pillar.height],
-            contype=0,
-            conaffinity=0,
-            group=SOLID,
-        )
+    _add_mesh(spec, 'floor', mesh, 'floor', FLOOR)
 
 
 def _add_vehicle(

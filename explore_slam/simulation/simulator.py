@@ -19,7 +19,7 @@ from explore_slam.simulation.mujoco_import import mujoco
 from explore_slam.simulation.obstacles import Obstacles
 from explore_slam.simulation.records import Collision, Record, SimEvent, TruePose
 from explore_slam.simulation.renderer import Renderer
-from explore_slam.simulation.scene import build_model
+from explore_slam.simulation.scene import build_scene
 from explore_slam.simulation.world import World
 
 CONTACT_RELEASE = 0.01  # m of room after which a new contact counts as another collision
@@ -85,14 +85,15 @@ class Simulator:
             )
         self._obstacles = Obstacles(self.world)
         self._check_starts(starts)
-        self._model = build_model(self.world, list(starts), self.config)
+        scene = build_scene(self.world, list(starts), self.config)
+        self._model = scene.model
         self._data = mujoco.MjData(self._model)
         self._vehicles = self._make_vehicles(starts, seed)
         self._log = _Log(counts=dict.fromkeys(starts, 0))
         self._ticks = 0
         self._renderer: Renderer | None = None
         if self.config.kinect.simulated_camera_rate > 0.0:
-            self._renderer = Renderer(self._model)
+            self._renderer = Renderer(scene)
 
     # -- what callers need ----------------------------------------------------------------------
 

@@ -103,8 +103,8 @@ class World:
         x_min, y_min, x_max, y_max = self.bounds
         columns = math.ceil((x_max - x_min) / resolution - 1e-9)
         rows = math.ceil((y_max - y_min) / resolution - 1e-9)
-        x: Array = x_min + (np.arange(columns) + 0.5) * resolution
-        y: Array = y_min + (np.arange(rows) + 0.5) * resolution
+        x = x_min + (np.arange(columns, dtype=np.float64) + 0.5) * resolution
+        y = y_min + (np.arange(rows, dtype=np.float64) + 0.5) * resolution
         solid = np.zeros((rows, columns), np.bool_)
         for block in self.blocks:
             reach = math.hypot(block.half_x, block.half_y)
