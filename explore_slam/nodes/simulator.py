@@ -12,6 +12,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -36,6 +37,7 @@ from explore_slam.nodes.vehicle_support import (
 )
 from explore_slam.settings import Section, section, setting
 from explore_slam.simulation import SimulationConfig, Simulator, World
+from explore_slam.simulation.hardware_bridge import HardwareBridge
 from explore_slam.simulation.world import world_path
 
 REPORT_PERIOD = 1.0  # wall s between diagnostics
@@ -62,6 +64,11 @@ class SimulatorNodeConfig(Section):
     seed: int = setting(0, 'seed of all noise', low=0)
     command_timeout: float = setting(
         0.6, 'a vehicle without a velocity command for longer stops', unit='s', low=0.05, high=60.0
+    )
+    hardware: str = setting(
+        '',
+        'folder for serial ports <vehicle>_base and <vehicle>_laser of emulated hardware, which '
+        "then takes the place of cmd_vel, odom and scan: '' is off; wants real_time_factor 1",
     )
     map_frame: str = setting('map', 'frame of the ground truth')
     odom_frame: str = setting('odom', "frame of odometry, behind the vehicle's name and a slash")
@@ -104,6 +111,11 @@ class SimulatorNode(Node):
         self._worker = ThreadPoolExecutor(1, thread_name_prefix='simulator')
         self.simulator: Simulator = self._worker.submit(self._make_simulator).result()
         names = self.simulator.vehicles
+        self._hardware: HardwareBridge | None = None
+        if self.config.hardware:
+            self._hardware = HardwareBridge(Path(self.config.hardware), names, self.config.seed)
+            for name, ports in self._hardware.paths.items():
+                self.get_logger().info(f'{name}: base at {ports[0]}, laser at {ports[1]}')
         self._wake = threading.Condition()
         self._stopping = False
         self._commands: dict[str, tuple[float, float]] = {}
@@ -113,9 +125,10 @@ class SimulatorNode(Node):
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._outputs = self._make_outputs()
         for name in names:
-            self.create_subscription(
-                Twist, f'{name}/cmd_vel', partial(self._on_velocity, name), QoSProfile(depth=1)
-            )
+            if self._hardware is None:
+                self.create_subscription(
+                    Twist, f'{name}/cmd_vel', partial(self._on_velocity, name), QoSProfile(depth=1)
+                )
             self.create_subscription(
                 PoseWithCovarianceStamped, f'{name}/pose', partial(self._on_pose, name), 10
             )
@@ -192,7 +205,11 @@ class SimulatorNode(Node):
         while self._wait_for_turn():
             self._apply_commands()
             for event in simulator.step():
-                self._outputs[event.vehicle].publish(event, simulator.velocity(event.vehicle))
+                velocity = simulator.velocity(event.vehicle)
+                if self._hardware is None or not self._hardware.take(event, velocity):
+                    self._outputs[event.vehicle].publish(event, velocity)
+            if self._hardware is not None:
+                self._hardware.advance(simulator.time)
             self._time_out.publish(clock_message(simulator.time))
             self._report()
 
@@ -211,6 +228,10 @@ class SimulatorNode(Node):
         return False
 
     def _apply_commands(self) -> None:
+        if self._hardware is not None:
+            for vehicle, command in self._hardware.commands().items():
+                self.simulator.set_velocity(vehicle, *command)
+            return
         with self._wake:
             commands, self._commands = self._commands, {}
         now = self.simulator.time
@@ -245,6 +266,8 @@ class SimulatorNode(Node):
         self._stopping = True
         with self._wake:
             self._wake.notify()
+        if self._hardware is not None:
+            self._hardware.close()
         self._worker.submit(self.simulator.close)
         self._worker.shutdown(wait=True)
         logging.getLogger('explore_slam').removeHandler(self._log_handler)

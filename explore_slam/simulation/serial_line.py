@@ -60,7 +60,8 @@ class SerialLine:
     """Runs a device behind a pty (`link` is a symbolic link to it) or a TCP port.
 
     realtime: bytes take 10 bits each at the device's rate; a host at another rate sends and
-    receives garbage. on_sent(time, data) is called when the last byte of a chunk is out.
+    receives garbage. on_sent(time, data) is called when the last byte of a chunk is out. clock
+    (s) is the time the device and the line live in: real time, or simulated time.
     """
 
     def __init__(
@@ -70,12 +71,14 @@ class SerialLine:
         *,
         tcp_port: int | None = None,
         realtime: bool = True,
+        clock: Callable[[], float] = time.monotonic,
         seed: int = 0,
     ) -> None:
         self.device = device
         self.faults = LineFaults()
         self.link = link
         self.realtime = realtime
+        self._clock = clock
         self.on_sent: Callable[[float, bytes], None] | None = None
         self._generator = np.random.default_rng(seed)
         self._outbox = bytearray()
@@ -122,12 +125,12 @@ class SerialLine:
         self.stop()
 
     def _run(self) -> None:
-        last = time.monotonic()
+        last = self._clock()
         while not self._end.is_set():
             wait = _TICK if self._outbox else 2.0 * _TICK
             self._transport.wait(wait)
             with self._lock:
-                now = time.monotonic()
+                now = self._clock()
                 self._exchange(now, now - last)
                 last = now
 
