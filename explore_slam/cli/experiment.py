@@ -61,4 +61,16 @@ def _run_number(arguments: argparse.Namespace) -> 'ExperimentReport':
                 isam2=not arguments.without_isam2,
             )
         )
-    raise NotImplementedError
+    from explore_slam.evaluation.experiments import experiment2, experiment3, experiment4
+    from explore_slam.evaluation.experiments.walk_trials import WalkOptions
+
+    options = WalkOptions(
+        seeds=arguments.seeds or range(5),
+        particles=arguments.particles or 1000,
+        world=arguments.world,
+    )
+    if arguments.number == 2:
+        return experiment2.run(experiment2.Options(options, arguments.data))
+    if arguments.number == 3:
+        return experiment3.run(options)
+    return experiment4.run(options)

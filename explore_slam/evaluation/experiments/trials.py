@@ -154,15 +154,20 @@ def run_trial(scenario: Scenario, estimator: Estimator) -> Trial:
     for step in scenario.steps:
         began = time.perf_counter()
         estimator.predict(step.vehicle, step.increment, step.covariance)
-        outcome = estimator.update(step.vehicle, step.observations, step.identities)
+        seen = step.observations
+        # a frame without features is no update
+        outcome = estimator.update(step.vehicle, seen, step.identities) if len(seen) else None
         pose = estimator.pose(step.vehicle)
-        trial.seconds.append(time.perf_counter() - began)
+        seconds = time.perf_counter() - began
         true = step.true_pose
         mine = trial.vehicles[step.vehicle]
         turn = float(wrap_angles(pose.theta - true.theta))
         mine.errors.append((pose.x - true.x, pose.y - true.y, turn))
+        if outcome is None:
+            continue
         mine.updates += outcome.updated
         mine.estimates += outcome.updated > 0
+        trial.seconds.append(seconds)
         trial.effective.append(outcome.effective)
         trial.landmarks.append(outcome.landmarks)
     return trial
