@@ -12,7 +12,7 @@ from explore_slam.exploration.assignment import (
 )
 from explore_slam.exploration.clearance import CostMap, make_cost_map
 from explore_slam.exploration.config import ExplorationConfig
-from explore_slam.exploration.frontiers import find_frontiers, visible_unknown
+from explore_slam.exploration.frontiers import find_frontiers
 from explore_slam.exploration.paths import plan_path, shortcut
 from explore_slam.exploration.planner import Planner
 from explore_slam.exploration.records import (
@@ -46,7 +46,6 @@ __all__ = [
     'shortcut',
     'travel_cost',
     'utilities',
-    'visible_unknown',
     'warm_up',
 ]
 

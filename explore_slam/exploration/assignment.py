@@ -32,8 +32,8 @@ def assign_targets(
 ) -> list[int]:
     """Return the target of each vehicle, -1 for none: the paper's greedy choice.
 
-    costs (V, F), inf where a vehicle cannot go; targets (F, 2) m. Again and again the pair with
-    the best U - travel_weight * V is fixed and the utilities of the other targets are lowered. Every
+    costs (V, F), inf where a vehicle cannot go; targets (F, 2) m. Again and again the
+    pair with the best U - travel_weight * V is fixed and the utilities of the other targets are lowered. Every
     vehicle gets a target of its own as long as there are enough.
     """
     matrix, points = _checked(costs, targets)

@@ -1,8 +1,7 @@
 """Which vehicle goes to which frontier, by the strategy that is set."""
 
-import math
-
 import numpy as np
+from numpy.typing import NDArray
 
 from explore_slam.exploration.assignment import (
     assign_jointly,
@@ -10,53 +9,128 @@ from explore_slam.exploration.assignment import (
     assign_random,
     assign_targets,
 )
-from explore_slam.exploration.config import ExplorationConfig
-from explore_slam.exploration.frontiers import visible_unknown
+from explore_slam.exploration.config import AssignmentConfig, ExplorationConfig
 from explore_slam.exploration.records import Frontier
+from explore_slam.exploration.routes import RouteCache
 from explore_slam.exploration.scene import Scene
+from explore_slam.exploration.tours import Tours, plan_tours
 from explore_slam.geometry import Array
 
-RAYS = 48
 
+class Chooser:
+    """Chooses targets; keeps its random generator and the distances between targets."""
 
-def choose_targets(
-    scene: Scene,
-    frontiers: list[Frontier],
-    costs: Array,
-    kept: list[int],
-    generator: np.random.Generator,
-) -> list[int]:
-    """Return for each vehicle the index of its frontier, -1 for none.
+    def __init__(self, config: ExplorationConfig) -> None:
+        self.config = config
+        self._random = np.random.default_rng(config.assignment.exploration_seed)
+        self._cache = RouteCache()
 
-    costs (V, F) m; kept holds for each vehicle the frontier it is on the way to, or -1.
-    """
-    config: ExplorationConfig = scene.config
-    sensor = config.frontiers.sensor_range
-    targets = np.array([f.target for f in frontiers])
-    strategy = config.assignment.strategy
-    if strategy == 'random':
-        drawn = assign_random(costs, generator)
-        return [k if k >= 0 else d for k, d in zip(kept, drawn, strict=True)]
-    biased = costs.astype(np.float64)
-    for i, target in enumerate(kept):
-        if target >= 0:
-            biased[i, target] -= config.assignment.hysteresis
-    if strategy == 'nearest':
-        return assign_nearest(biased)
-    if strategy == 'paper':
-        return assign_targets(biased, targets, sensor, config.assignment.travel_weight)
-    biased -= config.assignment.gain_weight * expected_gains(scene, frontiers)[None]
-    return assign_jointly(biased, targets, sensor, config.assignment.overlap_weight)
+    def choose(
+        self, scene: Scene, frontiers: list[Frontier], costs: Array, kept: list[int]
+    ) -> list[int]:
+        """Return for each vehicle the index of its frontier, -1 for none.
 
+        costs (V, F) m; kept holds for each vehicle the frontier it is on the way to, or -1.
+        """
+        config = self.config.assignment
+        targets = np.array([f.target for f in frontiers])
+        sensor = self.config.frontiers.sensor_range
+        if config.strategy == 'random':
+            drawn = assign_random(costs, self._random)
+            return [k if k >= 0 else d for k, d in zip(kept, drawn, strict=True)]
+        if config.strategy == 'default':
+            return self._by_tours(scene, frontiers, costs, kept)
+        biased = costs.copy()
+        for i, target in enumerate(kept):
+            if target >= 0:
+                biased[i, target] -= config.hysteresis
+        if config.strategy == 'nearest':
+            return assign_nearest(biased)
+        return assign_targets(biased, targets, sensor, config.travel_weight)
 
-def expected_gains(scene: Scene, frontiers: list[Frontier]) -> Array:
-    """Return for each frontier the unknown area in sight of its target, as a share of a disc."""
-    reach = int(scene.config.frontiers.sensor_range / scene.grid.resolution)
-    occupied = ~(scene.costs.free | scene.costs.unknown)
-    area = math.pi * reach * reach
-    return np.array(
-        [
-            visible_unknown(occupied, scene.costs.unknown, *f.target_cell, reach, RAYS) / area
-            for f in frontiers
-        ]
-    )
+    def _by_tours(
+        self, scene: Scene, frontiers: list[Frontier], costs: Array, kept: list[int]
+    ) -> list[int]:
+        """Plan tours of the whole team and take the first target of each.
+
+        Vehicles go on to the targets they have unless all tours together get shorter by more than
+        the hysteresis.
+        """
+        config = self.config.assignment
+        gains = np.array([f.gain for f in frontiers])
+        members, groups = self._nodes(frontiers, costs, gains, kept)
+        cells = np.array([frontiers[i].target_cell for i in members])
+        routes = scene.routes()
+        between = self._cache.between(routes, routes.blocks(cells))
+        node_gains = np.array([gains[group].sum() for group in groups])
+        work = config.work_per_area * np.minimum(node_gains, config.largest_gain)
+        bonus = config.last_bonus * np.minimum(node_gains, config.largest_gain)
+        starts = costs[:, members]
+        fixed = np.array([members.index(k) if k in members else -1 for k in kept], np.int64)
+        tours = self._solve(starts, between, work, bonus, fixed)
+        chosen = [members[order[0]] if order else -1 for order in tours.orders]
+        return self._employ_idle(chosen, frontiers, costs)
+
+    def _solve(
+        self, starts: Array, between: Array, work: Array, bonus: Array, fixed: NDArray[np.int64]
+    ) -> Tours:
+        config: AssignmentConfig = self.config.assignment
+        open_tours = plan_tours(
+            starts, between, work, bonus, np.full_like(fixed, -1), config.longest_weight
+        )
+        if (fixed < 0).all():
+            return open_tours
+        bound = plan_tours(starts, between, work, bonus, fixed, config.longest_weight)
+        return open_tours if open_tours.cost < bound.cost - config.hysteresis else bound
+
+    def _nodes(
+        self, frontiers: list[Frontier], costs: Array, gains: Array, kept: list[int]
+    ) -> tuple[list[int], list[list[int]]]:
+        """Merge frontiers that lie together into nodes: the one to go to, and all of its group.
+
+        The most worthwhile ones first; at most `most_nodes` of them.
+        """
+        reachable = np.isfinite(costs).any(axis=0)
+        first = [k for k in dict.fromkeys(kept) if k >= 0 and reachable[k]]
+        order = first + [int(i) for i in np.argsort(-gains, kind='stable') if reachable[i]]
+        points = np.array([f.target for f in frontiers])
+        members: list[int] = []
+        groups: list[list[int]] = []
+        seen: set[int] = set()
+        radius = self.config.assignment.merge_distance
+        for index in order:
+            if index in seen:
+                continue
+            seen.add(index)
+            if members and index not in first:
+                gaps = np.linalg.norm(points[members] - points[index], axis=1)
+                nearest = int(np.argmin(gaps))
+                if gaps[nearest] <= radius:
+                    groups[nearest].append(index)
+                    continue
+            if len(members) < self.config.assignment.most_nodes:
+                members.append(index)
+                groups.append([index])
+        return members, groups
+
+    def _employ_idle(
+        self, chosen: list[int], frontiers: list[Frontier], costs: Array
+    ) -> list[int]:
+        """Send vehicles without a tour along to where most is left to see."""
+        idle = [i for i, target in enumerate(chosen) if target < 0]
+        if not idle:
+            return chosen
+        config = self.config
+        targets = np.array([f.target for f in frontiers])
+        weight = config.assignment.overlap_weight
+        taken = [t for t in chosen if t >= 0]
+        free = [j for j in range(len(frontiers)) if j not in taken]
+        if not free:
+            return chosen
+        picks = assign_jointly(
+            costs[np.ix_(idle, free)], targets[free], config.frontiers.sensor_range, weight
+        )
+        for vehicle, pick in zip(idle, picks, strict=True):
+            if pick >= 0:
+                chosen[vehicle] = free[pick]
+        return chosen

@@ -10,15 +10,20 @@ from explore_slam.compiled import kernel
 from explore_slam.exploration.config import PathConfig
 from explore_slam.exploration.records import Grid
 
+TIGHT = 20.0  # a cell that vehicle_radius does not clear costs so many times more on tight maps
+
 
 class CostMap(NamedTuple):
     """What paths are planned on: cost (H, W) per length, inf where impassable, and its sources.
 
+    tight_cost: the same, but cells between tight_radius and vehicle_radius of an obstacle are
+    passable at a high price: for a vehicle that is shut in by what it sees from where it is.
     free: known cells (H, W) that are no obstacles, whether or not the vehicle fits in.
     unknown: cells (H, W) never seen. squared: squared distance (H, W) to the next obstacle.
     """
 
     cost: NDArray[np.float32]
+    tight_cost: NDArray[np.float32]
     free: NDArray[np.bool_]
     unknown: NDArray[np.bool_]
     squared: NDArray[np.int32]
@@ -66,6 +71,7 @@ def _charge(
     factors: NDArray[np.float32],
     occ_max: float,
     floor: float,
+    scale: float,
 ) -> NDArray[np.float32]:
     cost = np.full(probability.shape, np.inf, np.float32)
     last = factors.size - 1
@@ -74,7 +80,7 @@ def _charge(
             p = probability[row, col]
             if known[row, col] and p <= occ_max:
                 factor = factors[min(squared[row, col], last)]
-                cost[row, col] = max(p, floor) * factor
+                cost[row, col] = max(p, floor) * scale * factor
     return cost
 
 
@@ -88,18 +94,23 @@ def make_cost_map(grid: Grid, config: PathConfig, *, paper_costs: bool = False) 
     with np.errstate(invalid='ignore'):
         obstacles = known & ~(probability <= config.occ_max)
     free = known & ~obstacles
-    factors = clearance_factors(config, grid.resolution, soft=not paper_costs)
+    factors, tight = clearance_factors(config, grid.resolution, soft=not paper_costs)
     limit = math.isqrt(factors.size) + 1
     squared = squared_distance(obstacles, limit)
     floor = 0.0 if paper_costs else config.cost_floor
-    cost = _charge(probability, known, squared, factors, config.occ_max, floor)
-    if not paper_costs:
-        cost /= np.float32(config.cost_floor)
-    return CostMap(cost, free, ~known, squared)
+    scale = 1.0 if paper_costs else 1.0 / config.cost_floor
+    cost = _charge(probability, known, squared, factors, config.occ_max, floor, scale)
+    tight_cost = _charge(probability, known, squared, tight, config.occ_max, floor, scale)
+    return CostMap(cost, tight_cost, free, ~known, squared)
 
 
-def clearance_factors(config: PathConfig, resolution: float, *, soft: bool) -> NDArray[np.float32]:
-    """Return the factor on the cost by squared distance (cells) to an obstacle; the last is 1."""
+def clearance_factors(
+    config: PathConfig, resolution: float, *, soft: bool
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return factors on the cost by squared distance (cells) to an obstacle; the last is 1.
+
+    The first array has inf up to vehicle_radius, the second up to tight_radius only.
+    """
     radius = config.vehicle_radius / resolution
     reach = radius + (config.clearance_distance / resolution if soft else 0.0)
     distances = np.sqrt(np.arange(int(reach * reach) + 2))
@@ -107,7 +118,10 @@ def clearance_factors(config: PathConfig, resolution: float, *, soft: bool) -> N
     if soft and reach > radius:
         nearness = np.clip((reach - distances) / (reach - radius), 0.0, 1.0)
         factors += np.float32(config.clearance_weight) * nearness.astype(np.float32) ** 2
+    tight = factors.copy()
     factors[distances <= radius] = np.inf
-    factors[0] = np.inf
-    factors[-1] = 1.0
-    return factors
+    tight[distances <= radius] *= np.float32(TIGHT)
+    tight[distances <= min(config.tight_radius, config.vehicle_radius) / resolution] = np.inf
+    for array in (factors, tight):
+        array[0], array[-1] = np.inf, 1.0
+    return factors, tight

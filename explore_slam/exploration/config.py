@@ -12,12 +12,19 @@ class PathConfig(Section):
     vehicle_radius: float = setting(
         0.3, 'no path comes nearer to an obstacle than this', unit='m', low=0.0, high=5.0
     )
+    tight_radius: float = setting(
+        0.2,
+        'a vehicle that sees no other way out passes obstacles at this distance, if it can',
+        unit='m',
+        low=0.0,
+        high=5.0,
+    )
     occ_max: float = setting(
         0.6, 'cells more probable than this are obstacles (section V-A)', low=0.05, high=0.99
     )
     cost_floor: float = setting(
         0.4,
-        'least probability that a cell is charged with (strategy default), so that distance counts',
+        'least probability charged for a cell (not by strategy paper), so that distance counts',
         low=0.001,
         high=0.9,
     )
@@ -33,6 +40,13 @@ class PathConfig(Section):
         'extra cost of a cell that vehicle_radius just clears, in multiples',
         low=0.0,
         high=50.0,
+    )
+    route_resolution: float = setting(
+        0.3,
+        'side of the blocks on which costs between targets are computed (not by paper)',
+        unit='m',
+        low=0.01,
+        high=2.0,
     )
     escape_distance: float = setting(
         1.0,
@@ -63,6 +77,13 @@ class FrontierConfig(Section):
         low=0.0,
         high=10.0,
     )
+    min_frontier_gain: float = setting(
+        0.2,
+        'frontiers with less unknown area behind them are left alone',
+        unit='m²',
+        low=0.0,
+        high=100.0,
+    )
     sensor_range: float = setting(
         8.0,
         'range that the laser is expected to cover (max_range of equation 9)',
@@ -85,9 +106,30 @@ class AssignmentConfig(Section):
     hysteresis: float = setting(
         2.0, 'another target must be better by this much travel', unit='m', low=0.0, high=100.0
     )
-    gain_weight: float = setting(
-        2.0, 'travel that the largest expected gain is worth', unit='m', low=0.0, high=1000.0
+    work_per_area: float = setting(
+        0.3,
+        'travel that seeing an unknown area is expected to take',
+        unit='m per m²',
+        low=0.0,
+        high=100.0,
     )
+    last_bonus: float = setting(
+        0.3, 'travel saved if a tour ends at an unknown area', unit='m per m²', low=0.0, high=100.0
+    )
+    largest_gain: float = setting(
+        60.0, 'larger unknown areas count as so large', unit='m²', low=0.0, high=10000.0
+    )
+    longest_weight: float = setting(
+        3.0, 'weight of the longest tour against the sum of all', low=0.0, high=1000.0
+    )
+    merge_distance: float = setting(
+        1.5,
+        'frontiers this near to each other are one stop of a tour',
+        unit='m',
+        low=0.0,
+        high=20.0,
+    )
+    most_nodes: int = setting(40, 'so many stops are planned ahead at most', low=1, high=200)
     overlap_weight: float = setting(
         20.0,
         'travel that avoiding two vehicles at one place is worth',

@@ -1,18 +1,29 @@
 """Frontiers: stretches of free cells beside unknown ones, and the place from which to look in.
 
-A frontier cell is a known free cell with an unknown neighbor (4-neighborhood). Cells that touch
-(8-neighborhood) are one cluster; long clusters are split along their main direction, short ones
-are dropped. The target of a frontier is a cell where a vehicle fits: in the cluster, or near it.
+A frontier cell is a known free cell with an unknown neighbor (4-neighborhood); unknown cells that
+stand alone, as between far beams, do not count. Cells that touch (8-neighborhood) are one cluster;
+long clusters are split along their main direction, short ones and those with little to see are
+dropped. The target of a frontier is a cell where a vehicle fits: in the cluster, or near it.
 """
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
-from explore_slam.compiled import kernel
 from explore_slam.exploration.clearance import CostMap, make_cost_map
 from explore_slam.exploration.config import ExplorationConfig, FrontierConfig
+from explore_slam.exploration.frontier_kernels import (
+    frontier_clusters,
+    nearest_stand,
+    pocket_size,
+    visible_unknown,
+)
 from explore_slam.exploration.records import Frontier, Grid
 from explore_slam.geometry import Array
+
+RAYS = 64
+POCKET = 6.0  # m²: unknown areas that are smaller than this are measured, not estimated
 
 
 def find_frontiers(
@@ -30,8 +41,7 @@ def find_frontiers(
     if 0 in grid.shape:
         return []
     costs = cost_map or make_cost_map(grid, settings.paths)
-    passable = np.isfinite(costs.cost)
-    stands = passable if reachable is None else passable & reachable
+    stands = np.isfinite(costs.cost) if reachable is None else reachable
     return _frontiers_of(grid, settings.frontiers, costs, stands)
 
 
@@ -39,40 +49,60 @@ def _frontiers_of(
     grid: Grid, config: FrontierConfig, costs: CostMap, stands: NDArray[np.bool_]
 ) -> list[Frontier]:
     cells, lengths = frontier_clusters(costs.free, costs.unknown)
-    smallest = max(1, round(config.min_frontier_size / grid.resolution))
-    largest = max(1, round(config.max_frontier_size / grid.resolution))
-    reach = round(config.frontier_reach / grid.resolution)
+    scale = grid.resolution
+    smallest = max(1, round(config.min_frontier_size / scale))
+    largest = max(1, round(config.max_frontier_size / scale))
+    reach = round(config.frontier_reach / scale)
+    sensor, area = int(config.sensor_range / scale), scale * scale
     marks = np.zeros(costs.free.shape, np.int32)
-    mark = 0
-    frontiers = []
+    parts: list[NDArray[np.int64]] = []
+    places: list[tuple[int, int]] = []
+    gains: list[float] = []
     end = 0
     for length in lengths.tolist():
         start, end = end, end + length
         if length < smallest:
             continue
         for part in _split(cells[start:end], largest):
-            mark += 1
-            center = part.mean(axis=0)
-            row, col = _nearest_stand(costs.free, stands, marks, mark, part, center, reach)
-            if row < 0:
+            mark = 2 * len(parts) + 1
+            row, col = nearest_stand(costs.free, stands, marks, mark, part, reach)
+            pocket = pocket_size(costs.unknown, marks, mark + 1, part, int(POCKET / area))
+            if row < 0 or pocket * area < config.min_frontier_gain:
                 continue
-            points = grid.to_point(np.array([[row, col]]))
-            middle = grid.to_point(part).mean(axis=0)
-            frontiers.append(
-                Frontier(
-                    part,
-                    (float(middle[0]), float(middle[1])),
-                    (float(points[0, 0]), float(points[0, 1])),
-                    (int(row), int(col)),
-                    len(part) * grid.resolution,
-                )
-            )
+            seen = visible_unknown(costs.free, costs.unknown, row, col, sensor, RAYS)
+            gain = area * (pocket if pocket * area < POCKET else max(seen, pocket))
+            parts.append(part)
+            places.append((row, col))
+            gains.append(gain)
+    return _records(grid, parts, places, gains)
+
+
+def _records(
+    grid: Grid,
+    parts: list[NDArray[np.int64]],
+    places: list[tuple[int, int]],
+    gains: list[float],
+) -> list[Frontier]:
+    if not parts:
+        return []
+    points = grid.to_point(np.array(places))
+    x, y = grid.origin
+    frontiers = []
+    for part, place, point, gain in zip(parts, places, points.tolist(), gains, strict=True):
+        middle_row, middle_col = part.mean(axis=0).tolist()
+        centroid = (
+            x + (middle_col + 0.5) * grid.resolution,
+            y + (middle_row + 0.5) * grid.resolution,
+        )
+        size = len(part) * grid.resolution
+        cell = (int(place[0]), int(place[1]))
+        frontiers.append(Frontier(part, centroid, (point[0], point[1]), cell, size, gain))
     return frontiers
 
 
 def _split(cells: NDArray[np.int64], largest: int) -> list[NDArray[np.int64]]:
     """Cut a cluster across its main direction into pieces of about equal length."""
-    pieces = -(-len(cells) // largest)
+    pieces = math.ceil(len(cells) / largest)
     if pieces == 1:
         return [cells]
     centered = cells - cells.mean(axis=0)
@@ -80,125 +110,3 @@ def _split(cells: NDArray[np.int64], largest: int) -> list[NDArray[np.int64]]:
     direction = np.linalg.eigh(spread)[1][:, -1]
     order = np.argsort(np.round(centered @ direction, 6), kind='stable')
     return [np.ascontiguousarray(part) for part in np.array_split(cells[order], pieces)]
-
-
-@kernel
-def frontier_clusters(
-    free: NDArray[np.bool_], unknown: NDArray[np.bool_]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the frontier cells (N, 2) cluster by cluster, and the length of each cluster."""
-    height, width = free.shape
-    edge = np.zeros((height, width), np.bool_)
-    total = 0
-    for row in range(height):
-        for col in range(width):
-            if free[row, col] and (
-                (row > 0 and unknown[row - 1, col])
-                or (row + 1 < height and unknown[row + 1, col])
-                or (col > 0 and unknown[row, col - 1])
-                or (col + 1 < width and unknown[row, col + 1])
-            ):
-                edge[row, col] = True
-                total += 1
-    cells = np.empty((total, 2), np.int64)
-    lengths = np.empty(total, np.int64)
-    clusters, filled = 0, 0
-    for row in range(height):
-        for col in range(width):
-            if not edge[row, col]:
-                continue
-            first = filled
-            edge[row, col] = False
-            cells[filled, 0], cells[filled, 1] = row, col
-            filled += 1
-            head = first
-            while head < filled:
-                r, c = cells[head, 0], cells[head, 1]
-                head += 1
-                for dr in range(-1, 2):
-                    for dc in range(-1, 2):
-                        nr, nc = r + dr, c + dc
-                        if 0 <= nr < height and 0 <= nc < width and edge[nr, nc]:
-                            edge[nr, nc] = False
-                            cells[filled, 0], cells[filled, 1] = nr, nc
-                            filled += 1
-            lengths[clusters] = filled - first
-            clusters += 1
-    return cells, lengths[:clusters]
-
-
-@kernel
-def _nearest_stand(
-    free: NDArray[np.bool_],
-    stands: NDArray[np.bool_],
-    marks: NDArray[np.int32],
-    mark: int,
-    cells: NDArray[np.int64],
-    center: Array,
-    reach: int,
-) -> tuple[int, int]:
-    """Return the cell to stand on: of the cluster, nearest to its center, else the nearest one.
-
-    The search spreads from the cluster over free cells (so never through a wall), up to `reach`
-    steps; (-1, -1) if a vehicle fits nowhere there.
-    """
-    best_row, best_col, best = -1, -1, np.inf
-    for i in range(cells.shape[0]):
-        row, col = cells[i, 0], cells[i, 1]
-        if stands[row, col]:
-            distance = (row - center[0]) ** 2 + (col - center[1]) ** 2
-            if distance < best:
-                best_row, best_col, best = row, col, distance
-    if best_row >= 0:
-        return best_row, best_col
-    height, width = free.shape
-    wave = [(cells[i, 0], cells[i, 1]) for i in range(cells.shape[0])]
-    for row, col in wave:
-        marks[row, col] = mark
-    for _ in range(reach):
-        following = [(0, 0) for _ in range(0)]
-        for row, col in wave:
-            for k in range(4):
-                nr = row + (k == 0) - (k == 1)
-                nc = col + (k == 2) - (k == 3)
-                if not (0 <= nr < height and 0 <= nc < width):
-                    continue
-                if marks[nr, nc] == mark or not free[nr, nc]:
-                    continue
-                marks[nr, nc] = mark
-                following.append((nr, nc))
-                if stands[nr, nc]:
-                    distance = (nr - center[0]) ** 2 + (nc - center[1]) ** 2
-                    if distance < best:
-                        best_row, best_col, best = nr, nc, distance
-        if best_row >= 0:
-            return best_row, best_col
-        wave = following
-    return -1, -1
-
-
-@kernel
-def visible_unknown(
-    occupied: NDArray[np.bool_],
-    unknown: NDArray[np.bool_],
-    row: int,
-    col: int,
-    reach: int,
-    rays: int,
-) -> float:
-    """Estimate the unknown area (cells) in sight of a cell: rays up to `reach` or an obstacle."""
-    height, width = unknown.shape
-    area = 0.0
-    wedge = 2.0 * np.pi / rays
-    for ray in range(rays):
-        c, s = np.cos(ray * wedge), np.sin(ray * wedge)
-        for step in range(1, reach + 1):
-            r, q = int(np.floor(row + 0.5 + step * s)), int(np.floor(col + 0.5 + step * c))
-            if not (0 <= r < height and 0 <= q < width):
-                area += wedge * 0.5 * (reach * reach - step * step)
-                break
-            if occupied[r, q]:
-                break
-            if unknown[r, q]:
-                area += wedge * step
-    return area

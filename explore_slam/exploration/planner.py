@@ -9,7 +9,7 @@ import numpy as np
 
 from explore_slam.data import Plan
 from explore_slam.exploration.blacklist import Blacklist
-from explore_slam.exploration.choice import choose_targets
+from explore_slam.exploration.choice import Chooser
 from explore_slam.exploration.config import ExplorationConfig
 from explore_slam.exploration.frontiers import find_frontiers
 from explore_slam.exploration.records import (
@@ -63,7 +63,7 @@ class Planner:
         self._blacklist = Blacklist(self.config.blacklist)
         self._traffic = Traffic(self.config.traffic)
         self._retreats: dict[str, Plan] = {}
-        self._random = np.random.default_rng(self.config.assignment.exploration_seed)
+        self._chooser = Chooser(self.config)
         self._failed: list[Point] = []
         self._empty = 0
         self._cycles = 0
@@ -95,7 +95,6 @@ class Planner:
             return self._cannot_search('no vehicle with a valid pose')
         if not scene.starts:
             return self._cannot_search('no vehicle stands on or near a free cell of the map')
-        scene.compute_values()
         self._cycles += 1
         known = ~scene.costs.unknown
         self._blacklist.refresh(grid, known)
@@ -113,8 +112,9 @@ class Planner:
         return PlanningResult(ExplorationStatus.PAUSED, text, plans, searched=False)
 
     def _explore(self, scene: Scene) -> PlanningResult:
-        reachable = np.any([np.isfinite(v) for v in scene.values.values()], axis=0)
-        found = find_frontiers(scene.grid, self.config, scene.costs, reachable)
+        found = find_frontiers(scene.grid, self.config, scene.costs, scene.reachable())
+        if self._widen_shut_in(scene, found):
+            found = find_frontiers(scene.grid, self.config, scene.costs, scene.reachable())
         open_now = [f for f in found if not self._blacklist.blocks(f.target, scene.now)]
         if not open_now:
             open_now = [f for f in found if not self._blacklist.gave_up(f.target)]
@@ -130,12 +130,19 @@ class Planner:
         reason = f'nothing left to explore, {len(found)} frontiers given up'
         return self._finish(scene, ExplorationStatus.COMPLETE, reason, {}, {}, tuple(found))
 
+    @staticmethod
+    def _widen_shut_in(scene: Scene, frontiers: list[Frontier]) -> bool:
+        """Let vehicles that reach no frontier through tight places; tell whether that helps."""
+        cells = [f.target_cell for f in frontiers]
+        shut_in = [n for n, mask in scene.reach.items() if not any(mask[cell] for cell in cells)]
+        widened = [scene.widen(name) for name in shut_in]
+        return any(widened)
+
     def _assign(self, scene: Scene, frontiers: list[Frontier]) -> PlanningResult:
         names = tuple(scene.starts)
-        rows = np.array([f.target_cell for f in frontiers])
-        costs = np.array([scene.values[n][rows[:, 0], rows[:, 1]] for n in names], np.float64)
+        costs = scene.costs_to(names, frontiers)
         kept = self._kept_targets(names, np.array([f.target for f in frontiers]))
-        chosen = choose_targets(scene, frontiers, costs, kept, self._random)
+        chosen = self._chooser.choose(scene, frontiers, costs, kept)
         tasks: dict[str, Task] = {}
         waiting: dict[str, str] = {}
         standing = [n for n, index in zip(names, chosen, strict=True) if index < 0]
@@ -193,10 +200,10 @@ class Planner:
                 self._failed.append(target)
             elif old.right is Right.GO and not arrived:
                 ahead = remaining_path(np.array([pose.x, pose.y]), old.path)
-                if scene.is_passable(ahead):
+                if scene.is_passable(name, ahead):
                     return old
         parked = [scene.vehicles[n].pose for n in standing if n != name]
-        path = scene.path(name, cell, scene.around_standing(parked))
+        path = scene.path(name, cell, scene.around_standing(name, parked))
         if path is None:
             return None
         task = Task(target, path, look_at, None, Right.GO, math.inf, scene.now)
@@ -293,7 +300,7 @@ class Planner:
             home = self._homes[name]
             goal = scene.nearest_passable(home)
             task = None
-            if goal is not None and math.isfinite(scene.values[name][goal]):
+            if goal is not None and (scene.reach[name][goal] or scene.widen(name)):
                 task = self._task_for(scene, name, (home.x, home.y), goal, None, arrived)
             if task is None:
                 waiting[name] = 'its home cannot be reached'

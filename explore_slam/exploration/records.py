@@ -71,13 +71,17 @@ class VehicleSnapshot(NamedTuple):
 
 @dataclass(frozen=True)
 class Frontier:
-    """Free cells beside unknown ones: cells (N, 2), centroid (m), where to go, length (m)."""
+    """Free cells beside unknown ones: cells (N, 2), centroid (m), where to go, length (m).
+
+    gain: the unknown area (m²) that is expected to be seen from the target.
+    """
 
     cells: NDArray[np.int64]
     centroid: Point
     target: Point
     target_cell: Cell
     size: float
+    gain: float = 0.0
 
 
 @dataclass(frozen=True)

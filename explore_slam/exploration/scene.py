@@ -6,19 +6,21 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from explore_slam.compiled import kernel
 from explore_slam.exploration.clearance import CostMap, make_cost_map
 from explore_slam.exploration.config import ExplorationConfig
 from explore_slam.exploration.paths import search_path, shortcut
-from explore_slam.exploration.records import Cell, Grid, Point, VehicleSnapshot
-from explore_slam.exploration.traffic import Traveler, along, stamp_disc
-from explore_slam.exploration.value_iteration import padded_costs, spread
+from explore_slam.exploration.records import Cell, Frontier, Grid, Point, VehicleSnapshot
+from explore_slam.exploration.routes import Field, RouteGrid, block_size
+from explore_slam.exploration.traffic import Traveler, along, arc_lengths, stamp_disc
+from explore_slam.exploration.value_iteration import Costs, padded_costs, spread
 from explore_slam.geometry import Array, Pose2
 
 BYPASS = 8.0  # a cell beside a standing vehicle costs so many times more
 
 
 class Scene:
-    """The map at one time with the costs of travel of every vehicle; see `look`."""
+    """The map at one time, where each vehicle can get, and what that costs."""
 
     def __init__(
         self,
@@ -31,25 +33,97 @@ class Scene:
         self.vehicles = {n: v for n, v in vehicles.items() if v.active and v.pose.is_finite()}
         paper = config.assignment.strategy == 'paper'
         self.costs: CostMap = make_cost_map(grid, config.paths, paper_costs=paper)
-        parked = [
-            v.pose for n, v in vehicles.items() if n not in self.vehicles and v.pose.is_finite()
-        ]
-        for pose in parked:
-            self.bar(self.costs.cost, pose, 2.0 * config.paths.vehicle_radius)
-        self.padded = padded_costs(self.costs.cost, math.inf)
+        for name, vehicle in vehicles.items():
+            if name not in self.vehicles and vehicle.pose.is_finite():
+                for cost in (self.costs.cost, self.costs.tight_cost):
+                    self.bar(cost, vehicle.pose, 2.0 * config.paths.vehicle_radius)
         self.starts: dict[str, Cell] = {}
-        self.values: dict[str, NDArray[np.float32]] = {}
+        self.reach: dict[str, NDArray[np.bool_]] = {}
+        self.tight: set[str] = set()
+        self._routes: RouteGrid | None = None
+        self._fields: dict[str, Field] = {}
+        self._padded: dict[bool, Costs] = {}
         for name in sorted(self.vehicles):
-            cell = self.nearest_passable(self.vehicles[name].pose)
-            if cell is not None:
-                self.starts[name] = cell
+            self._place(name)
 
-    def compute_values(self) -> None:
-        """Compute the cost of travel (m) from every vehicle to every cell."""
-        for name, cell in self.starts.items():
-            self.values[name] = self._spread(self.padded, cell)
+    def _place(self, name: str) -> None:
+        """Find the cell where a vehicle starts, and all that it can reach from there."""
+        pose = self.vehicles[name].pose
+        cell = self.nearest_passable(pose)
+        if cell is None:
+            cell = self._nearest(self.costs.tight_cost, pose)
+            if cell is None:
+                return
+            self.tight.add(name)
+        self.starts[name] = cell
+        for other, mask in self.reach.items():
+            if mask[cell] and (other in self.tight) == (name in self.tight):
+                self.reach[name] = mask
+                return
+        self.reach[name] = flood(self.cost_of(name), cell[0], cell[1])
 
-    def _spread(self, padded: NDArray[np.float32], cell: Cell) -> NDArray[np.float32]:
+    def widen(self, name: str) -> bool:
+        """Let a vehicle through tight places too; tell whether that takes it any further."""
+        if name in self.tight:
+            return False
+        mask = flood(self.costs.tight_cost, *self.starts[name])
+        if np.count_nonzero(mask & np.isfinite(self.costs.cost)) <= np.count_nonzero(
+            self.reach[name]
+        ):
+            return False
+        self.tight.add(name)
+        self.reach[name] = mask
+        self._routes = None
+        self._fields.clear()
+        return True
+
+    def cost_of(self, name: str) -> Costs:
+        """Return the costs (H, W) that a vehicle plans on."""
+        return self.costs.tight_cost if name in self.tight else self.costs.cost
+
+    def padded_of(self, name: str) -> Costs:
+        """Return the costs of cost_of, padded for searches."""
+        tight = name in self.tight
+        if tight not in self._padded:
+            self._padded[tight] = padded_costs(self.cost_of(name), math.inf)
+        return self._padded[tight]
+
+    def reachable(self) -> NDArray[np.bool_]:
+        """Return the cells (H, W) that some vehicle can get to."""
+        masks = list({id(mask): mask for mask in self.reach.values()}.values())
+        return masks[0] if len(masks) == 1 else np.logical_or.reduce(masks)
+
+    def routes(self) -> RouteGrid:
+        """Return the coarse grid over all reachable cells."""
+        if self._routes is None:
+            config, x, y = self.config, *self.grid.origin
+            first = round(y / self.grid.resolution), round(x / self.grid.resolution)
+            paths = config.paths
+            block = block_size(paths.route_resolution, paths.vehicle_radius, self.grid.resolution)
+            cost = self.costs.tight_cost if self.tight else self.costs.cost
+            self._routes = RouteGrid(cost, self.reachable(), first, block, self.grid.resolution)
+        return self._routes
+
+    def cost_to(self, name: str, cells: NDArray[np.int64]) -> Array:
+        """Return the cost of travel (N,) m of a vehicle to cells (N, 2); inf if unreachable."""
+        start = np.array([self.starts[name]])
+        if self.config.assignment.strategy == 'paper':
+            values = self._spread(self.padded_of(name), self.starts[name])
+            costs = values[cells[:, 0], cells[:, 1]].astype(np.float64)
+        else:
+            routes = self.routes()
+            if name not in self._fields:
+                self._fields[name] = routes.values_from(routes.blocks(start)[0])
+            costs = self._fields[name].at(routes.blocks(cells))
+        costs[~self.reach[name][cells[:, 0], cells[:, 1]]] = np.inf
+        return costs
+
+    def costs_to(self, names: tuple[str, ...], frontiers: list[Frontier]) -> Array:
+        """Return the costs of travel (V, F) m of vehicles to frontiers."""
+        cells = np.array([f.target_cell for f in frontiers])
+        return np.array([self.cost_to(name, cells) for name in names])
+
+    def _spread(self, padded: Costs, cell: Cell) -> Costs:
         rows, cols = np.array([cell[0] + 1], np.int64), np.array([cell[1] + 1], np.int64)
         values = spread(padded, rows, cols)[1:-1, 1:-1]
         values *= np.float32(self.grid.resolution)
@@ -60,7 +134,7 @@ class Scene:
         row, col = self.grid.to_cell([(place[0], place[1])])[0].tolist()
         return int(row), int(col)
 
-    def bar(self, cost: NDArray[np.float32], place: Point | Pose2, radius: float) -> None:
+    def bar(self, cost: Costs, place: Point | Pose2, radius: float) -> None:
         """Make a disc (m) impassable in costs (H, W)."""
         mask = np.zeros(cost.shape, np.bool_)
         stamp_disc(mask, *self.cell_of(place), radius / self.grid.resolution)
@@ -68,14 +142,15 @@ class Scene:
 
     def nearest_passable(self, place: Point | Pose2) -> Cell | None:
         """Return the passable cell nearest to a point within escape_distance, or None."""
-        reach = self.config.paths.escape_distance / self.grid.resolution
-        return nearest_passable(self.costs.cost, self.cell_of(place), reach)
+        return self._nearest(self.costs.cost, place)
 
-    def path(
-        self, name: str, goal: Cell, padded: NDArray[np.float32] | None = None
-    ) -> Array | None:
+    def _nearest(self, cost: Costs, place: Point | Pose2) -> Cell | None:
+        reach = self.config.paths.escape_distance / self.grid.resolution
+        return nearest_passable(cost, self.cell_of(place), reach)
+
+    def path(self, name: str, goal: Cell, padded: Costs | None = None) -> Array | None:
         """Return the smoothed path (W, 2) m of a vehicle to a cell, or None."""
-        over = self.padded if padded is None else padded
+        over = self.padded_of(name) if padded is None else padded
         stride = over.shape[1]
         row, col = self.starts[name]
         start, end = (row + 1) * stride + col + 1, (goal[0] + 1) * stride + goal[1] + 1
@@ -90,7 +165,7 @@ class Scene:
             points = np.delete(points, 1, axis=0)
         return points
 
-    def around_standing(self, standing: list[Pose2]) -> NDArray[np.float32] | None:
+    def around_standing(self, name: str, standing: list[Pose2]) -> Costs | None:
         """Return costs (padded) that make a path rather lead around vehicles that stand."""
         if not standing:
             return None
@@ -98,30 +173,28 @@ class Scene:
         reach = self.config.traffic.vehicle_separation / self.grid.resolution
         for pose in standing:
             stamp_disc(mask, *self.cell_of(pose), reach)
-        padded = self.padded.copy()
+        padded = self.padded_of(name).copy()
         padded[1:-1, 1:-1][mask] *= np.float32(BYPASS)
         return padded
 
-    def is_passable(self, points: Array) -> bool:
-        """Tell whether a path (W, 2) m is still free, start excepted."""
-        lengths = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
-        if lengths[-1] == 0.0:
-            return True
-        step = self.grid.resolution
-        # The start may lie in a blocked cell, from which the vehicle is just escaping.
-        first = min(self.config.paths.escape_distance, float(lengths[-1]))
-        at = np.append(np.arange(first, lengths[-1], step), lengths[-1])
+    def is_passable(self, name: str, points: Array) -> bool:
+        """Tell whether a path (W, 2) m is still free; its start may lie in a blocked cell."""
+        lengths = arc_lengths(points)
+        at = np.append(np.arange(0.0, lengths[-1], self.grid.resolution), lengths[-1])
         cells = self.grid.to_cell(along(points, lengths, at))
         if not ((cells >= 0).all() and (cells < self.grid.shape).all()):
             return False
-        return bool(np.isfinite(self.costs.cost[cells[:, 0], cells[:, 1]]).all())
+        free = np.isfinite(self.cost_of(name)[cells[:, 0], cells[:, 1]])
+        first = int(np.argmax(free))
+        escaped = at[first] <= self.config.paths.escape_distance
+        return bool(free[first:].all()) and bool(escaped)
 
     def retreat(self, one: Traveler, winners: list[Traveler]) -> tuple[Array | None, float]:
         """Return the path to the nearest place off the paths of others, and its cost (m)."""
         start = self.starts.get(one.name)
         if start is None:
             return None, math.inf
-        cost = self.costs.cost.copy()
+        cost = self.cost_of(one.name).copy()
         separation = self.config.traffic.vehicle_separation
         for winner in winners:
             gap = math.dist(winner.place, one.place)
@@ -145,7 +218,28 @@ class Scene:
         return self.path(one.name, best, padded), float(values[best])
 
 
-def nearest_passable(cost: NDArray[np.float32], cell: Cell, reach: float) -> Cell | None:
+@kernel
+def flood(cost: Costs, row: int, col: int) -> NDArray[np.bool_]:
+    """Return the cells (H, W) of finite cost that hang together with a cell (8-neighborhood)."""
+    height, width = cost.shape
+    mask = np.zeros((height, width), np.bool_)
+    stack = np.empty(height * width, np.int32)
+    stack[0] = row * width + col
+    mask[row, col] = True
+    size = 1
+    while size > 0:
+        size -= 1
+        r, c = stack[size] // width, stack[size] % width
+        for nr in range(max(0, r - 1), min(height, r + 2)):
+            for nc in range(max(0, c - 1), min(width, c + 2)):
+                if not mask[nr, nc] and cost[nr, nc] < np.inf:
+                    mask[nr, nc] = True
+                    stack[size] = nr * width + nc
+                    size += 1
+    return mask
+
+
+def nearest_passable(cost: Costs, cell: Cell, reach: float) -> Cell | None:
     """Return the passable cell nearest to a cell (which may lie outside), within `reach` cells."""
     row, col = cell
     height, width = cost.shape

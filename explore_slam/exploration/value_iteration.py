@@ -64,7 +64,7 @@ def check_costs(probability: ArrayLike) -> Costs:
 
 
 def padded_costs(cost: Costs, limit: float) -> Costs:
-    """Return the costs (H + 2, W + 2) with inf around and where they are NaN or above the limit."""
+    """Return the costs (H + 2, W + 2), inf around and where they are NaN or above the limit."""
     padded = np.full((cost.shape[0] + 2, cost.shape[1] + 2), np.inf, np.float32)
     _copy_passable(cost, limit, padded)
     return padded
@@ -79,7 +79,7 @@ def _copy_passable(cost: Costs, limit: float, padded: Costs) -> None:
 
 
 def check_cell(padded: Costs, name: str, cell: Cell) -> Cell:
-    """Return the cell (row, col) in the padded array, or ExplorationError if nobody can be there."""
+    """Return the cell (row, col) in the padded array; ExplorationError if nobody can be there."""
     row, col = int(cell[0]), int(cell[1])
     height, width = padded.shape[0] - 2, padded.shape[1] - 2
     if not (0 <= row < height and 0 <= col < width):

@@ -1,0 +1,175 @@
+"""Compiled loops of the search for frontiers."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from explore_slam.compiled import kernel
+
+Mask = NDArray[np.bool_]
+Cells = NDArray[np.int64]
+ALONE = 2  # an unknown cell with fewer unknown cells among its 8 neighbors says nothing
+
+
+@kernel
+def _solid(unknown: Mask, row: int, col: int) -> bool:
+    """Tell whether a cell is unknown and not alone in that."""
+    height, width = unknown.shape
+    if not (0 <= row < height and 0 <= col < width) or not unknown[row, col]:
+        return False
+    count = 0
+    for r in range(max(0, row - 1), min(height, row + 2)):
+        for c in range(max(0, col - 1), min(width, col + 2)):
+            count += unknown[r, c]
+    return count > ALONE
+
+
+@kernel
+def _edges(free: Mask, unknown: Mask) -> tuple[Mask, int]:
+    height, width = free.shape
+    edge = np.zeros((height, width), np.bool_)
+    total = 0
+    for row in range(height):
+        for col in range(width):
+            if not free[row, col]:
+                continue
+            if (
+                _solid(unknown, row - 1, col)
+                or _solid(unknown, row + 1, col)
+                or _solid(unknown, row, col - 1)
+                or _solid(unknown, row, col + 1)
+            ):
+                edge[row, col] = True
+                total += 1
+    return edge, total
+
+
+@kernel
+def frontier_clusters(free: Mask, unknown: Mask) -> tuple[Cells, Cells]:
+    """Return the frontier cells (N, 2) cluster by cluster, and the length of each cluster."""
+    height, width = free.shape
+    edge, total = _edges(free, unknown)
+    cells = np.empty((total, 2), np.int64)
+    lengths = np.empty(total, np.int64)
+    clusters, filled = 0, 0
+    for row in range(height):
+        for col in range(width):
+            if not edge[row, col]:
+                continue
+            head = filled
+            edge[row, col] = False
+            cells[filled, 0], cells[filled, 1] = row, col
+            filled += 1
+            first = head
+            while head < filled:
+                r, c = cells[head, 0], cells[head, 1]
+                head += 1
+                for nr in range(max(0, r - 1), min(height, r + 2)):
+                    for nc in range(max(0, c - 1), min(width, c + 2)):
+                        if edge[nr, nc]:
+                            edge[nr, nc] = False
+                            cells[filled, 0], cells[filled, 1] = nr, nc
+                            filled += 1
+            lengths[clusters] = filled - first
+            clusters += 1
+    return cells, lengths[:clusters]
+
+
+@kernel
+def _best_stand(stands: Mask, cells: Cells, first: int, last: int, row: float, col: float) -> int:
+    """Return which of some cells lies nearest to a place and can be stood on, -1 for none."""
+    best, found = np.inf, -1
+    for i in range(first, last):
+        if stands[cells[i, 0], cells[i, 1]]:
+            distance = (cells[i, 0] - row) ** 2 + (cells[i, 1] - col) ** 2
+            if distance < best:
+                best, found = distance, i
+    return found
+
+
+@kernel
+def _grow(
+    allowed: Mask, marks: NDArray[np.int32], mark: int, queue: Cells, at: int, end: int
+) -> int:
+    """Append the unmarked allowed 4-neighbors of one queued cell; return the new end."""
+    height, width = allowed.shape
+    for k in range(4):
+        row = queue[at, 0] + (k == 0) - (k == 1)
+        col = queue[at, 1] + (k == 2) - (k == 3)
+        inside = 0 <= row < height and 0 <= col < width
+        if end < len(queue) and inside and marks[row, col] != mark and allowed[row, col]:
+            marks[row, col] = mark
+            queue[end, 0], queue[end, 1] = row, col
+            end += 1
+    return end
+
+
+@kernel
+def nearest_stand(
+    free: Mask, stands: Mask, marks: NDArray[np.int32], mark: int, cells: Cells, reach: int
+) -> tuple[int, int]:
+    """Return the cell to stand on: of the cluster, nearest to its center, else the nearest one.
+
+    The search spreads from the cluster over free cells (so never through a wall), up to `reach`
+    steps; (-1, -1) if a vehicle fits nowhere there. marks (H, W) must not hold mark yet.
+    """
+    row, col = cells[:, 0].mean(), cells[:, 1].mean()
+    count = cells.shape[0]
+    found = _best_stand(stands, cells, 0, count, row, col)
+    if found >= 0:
+        return cells[found, 0], cells[found, 1]
+    queue = np.empty((count + 4 * (reach + 1) * (reach + count), 2), np.int64)
+    queue[:count] = cells
+    for i in range(count):
+        marks[cells[i, 0], cells[i, 1]] = mark
+    start, end = 0, count
+    for _ in range(reach):
+        fresh = end
+        for at in range(start, fresh):
+            end = _grow(free, marks, mark, queue, at, end)
+        found = _best_stand(stands, queue, fresh, end, row, col)
+        if found >= 0:
+            return queue[found, 0], queue[found, 1]
+        start = fresh
+    return -1, -1
+
+
+@kernel
+def pocket_size(
+    unknown: Mask, marks: NDArray[np.int32], mark: int, cells: Cells, limit: int
+) -> int:
+    """Return the number of unknown cells that hang together behind a frontier, up to a limit."""
+    queue = np.empty((limit + 4, 2), np.int64)
+    end = 0
+    for i in range(cells.shape[0]):
+        for k in range(4):
+            row = cells[i, 0] + (k == 0) - (k == 1)
+            col = cells[i, 1] + (k == 2) - (k == 3)
+            if end < limit and _solid(unknown, row, col) and marks[row, col] != mark:
+                marks[row, col] = mark
+                queue[end, 0], queue[end, 1] = row, col
+                end += 1
+    at = 0
+    while at < end < limit:
+        end = _grow(unknown, marks, mark, queue, at, end)
+        at += 1
+    return min(end, limit)
+
+
+@kernel
+def visible_unknown(free: Mask, unknown: Mask, row: int, col: int, reach: int, rays: int) -> float:
+    """Estimate the unknown area (cells) in sight of a cell: rays up to `reach` or an obstacle."""
+    height, width = unknown.shape
+    area = 0.0
+    wedge = 2.0 * np.pi / rays
+    for ray in range(rays):
+        c, s = np.cos(ray * wedge), np.sin(ray * wedge)
+        for step in range(1, reach + 1):
+            r, q = int(np.floor(row + 0.5 + step * s)), int(np.floor(col + 0.5 + step * c))
+            if not (0 <= r < height and 0 <= q < width):
+                area += wedge * 0.5 * (reach * reach - step * step)
+                break
+            if unknown[r, q]:
+                area += wedge * step
+            elif not free[r, q]:
+                break
+    return area

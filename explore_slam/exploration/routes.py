@@ -1,0 +1,115 @@
+"""Costs of travel on a coarser grid: from vehicles to targets and between targets.
+
+A block of cells costs what its cheapest reachable cell costs. Blocks are no wider than the
+vehicle's radius, so walls, being inflated by that radius on both sides, stay walls. The cost of
+travel is the same value iteration as on the fine grid. Fields of targets are kept: as the map
+grows, a new target needs a field of its own, the distance to an old one is read from either.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from explore_slam.compiled import kernel
+from explore_slam.exploration.value_iteration import Costs, spread
+from explore_slam.geometry import Array
+
+
+@kernel
+def _cheapest(
+    cost: Costs,
+    reach: NDArray[np.bool_],
+    row_shift: int,
+    col_shift: int,
+    block: int,
+    padded: Costs,
+) -> None:
+    for row in range(cost.shape[0]):
+        target = padded[(row + row_shift) // block + 1]
+        for col in range(cost.shape[1]):
+            if reach[row, col]:
+                at = (col + col_shift) // block + 1
+                target[at] = min(target[at], cost[row, col])
+
+
+class RouteGrid:
+    """The coarse grid of one planning cycle, over the cells that some vehicle can reach."""
+
+    def __init__(
+        self,
+        cost: Costs,
+        reach: NDArray[np.bool_],
+        first: tuple[int, int],
+        block: int,
+        unit: float,
+    ) -> None:
+        """Build over cost (H, W); first: (row, col) of its cell [0, 0] in the world's cells."""
+        self.block, self.unit = block, unit * block
+        self.first = (first[0] // block, first[1] // block)
+        self._world = first
+        shift = (first[0] % block, first[1] % block)
+        height = -(-(cost.shape[0] + shift[0]) // block)
+        width = -(-(cost.shape[1] + shift[1]) // block)
+        self.padded = np.full((height + 2, width + 2), np.inf, np.float32)
+        _cheapest(cost, reach, shift[0], shift[1], block, self.padded)
+
+    def blocks(self, cells: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the blocks (N, 2), numbered in the world, of cells (N, 2) of the fine grid."""
+        blocks: NDArray[np.int64] = (cells + np.array(self._world)) // self.block
+        return blocks
+
+    def values_from(self, block: NDArray[np.int64]) -> 'Field':
+        """Return the cost of travel (m) from a block."""
+        row, col = (block - np.array(self.first) + 1).tolist()
+        rows, cols = np.array([row], np.int64), np.array([col], np.int64)
+        values = spread(self.padded, rows, cols)
+        values *= np.float32(self.unit)
+        return Field(values, self.first)
+
+
+class Field:
+    """Cost of travel from one block to all others of a route grid."""
+
+    def __init__(self, values: Costs, first: tuple[int, int]) -> None:
+        self._values, self._first = values, np.array(first)
+
+    def at(self, blocks: NDArray[np.int64]) -> Array:
+        """Return the cost (N,) m to blocks (N, 2), inf where unreachable or outside."""
+        index = blocks - self._first + 1
+        inside = ((index >= 0) & (index < self._values.shape)).all(axis=1)
+        result = np.full(len(blocks), np.inf)
+        picked = index[inside]
+        result[inside] = self._values[picked[:, 0], picked[:, 1]]
+        return result
+
+
+class RouteCache:
+    """Distances between targets, kept from cycle to cycle."""
+
+    def __init__(self, lifetime: int = 40) -> None:
+        self._fields: dict[tuple[int, int], tuple[int, Field]] = {}
+        self._lifetime = lifetime
+        self._cycle = 0
+
+    def between(self, grid: RouteGrid, blocks: NDArray[np.int64]) -> Array:
+        """Return the costs (F, F) m between targets in blocks (F, 2)."""
+        self._cycle += 1
+        keys = [(int(row), int(col)) for row, col in blocks]
+        wanted = set(keys)
+        oldest = self._cycle - self._lifetime
+        self._fields = {
+            key: item for key, item in self._fields.items() if key in wanted and item[0] >= oldest
+        }
+        matrix = np.full((len(keys), len(keys)), np.inf)
+        for i, key in enumerate(keys):
+            if key not in self._fields:
+                self._fields[key] = (self._cycle, grid.values_from(blocks[i]))
+            matrix[i] = self._fields[key][1].at(blocks)
+        symmetric: Array = np.minimum(matrix, matrix.T)
+        return symmetric
+
+
+def block_size(width: float, radius: float, resolution: float) -> int:
+    """Return how many cells wide a block is: as wanted (m), but within the vehicle's radius."""
+    return max(1, math.floor(min(width, radius) / resolution + 1e-9))
