@@ -32,7 +32,7 @@ COLORS = (
 
 
 class Scene(NamedTuple):
-    """The MjModel; ids (G,) of the geoms that are walls, and the middles (G, 2) m of their tiles."""
+    """The MjModel, the ids (G,) of its walls, and the middles (G, 2) m of their tiles."""
 
     model: Any
     geoms: NDArray[np.intp]

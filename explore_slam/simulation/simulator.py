@@ -253,12 +253,24 @@ class Simulator:
                 self._log.collisions.append(Collision(self.time, vehicle.name, obstacle))
             vehicle.touching = obstacle
             vehicle.drive.stall()
-            increment = Pose2(0.0, 0.0, increment.theta)
+            increment = self._up_to_contact(vehicle, increment)
             wanted = vehicle.pose.compose(increment)
         elif vehicle.touching and self._room(vehicle, wanted) > CONTACT_RELEASE:
             vehicle.touching = ''
         vehicle.pose = wanted
         vehicle.odometry.move(increment)
+
+    def _up_to_contact(self, vehicle: _Vehicle, increment: Pose2) -> Pose2:
+        """Return the increment with as much of its way as is free, by bisection."""
+        free, blocked = 0.0, 1.0
+        for _ in range(6):
+            part = 0.5 * (free + blocked)
+            tried = Pose2(part * increment.x, part * increment.y, increment.theta)
+            if self._in_the_way(vehicle, vehicle.pose.compose(tried)):
+                blocked = part
+            else:
+                free = part
+        return Pose2(free * increment.x, free * increment.y, increment.theta)
 
     def _in_the_way(self, vehicle: _Vehicle, wanted: Pose2) -> str:
         """Return what a vehicle would run into, or an empty text."""
