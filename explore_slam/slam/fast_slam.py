@@ -23,6 +23,7 @@ from explore_slam.slam.motion import PendingMotion, rotated
 from explore_slam.slam.path_store import PathStore
 from explore_slam.slam.resampling import effective_particles, normalized, systematic_ancestors
 from explore_slam.slam.row_store import RowStore
+from explore_slam.slam.sighting import sight
 
 
 @dataclass(frozen=True)
@@ -124,15 +125,11 @@ class FastSlam:
             self._resample_round()
         sighted = engines.look_up(self.map, observations, self.config)
         data = self.map.rows.present_data
-        poses, P = self._pending[number].move(
-            self._poses[number], self.config.linearizable_heading, self._random
-        )
+        poses, P = self._settled(number)
         normals = self._random.standard_normal((self.config.particles, 3))
         engine = engines.paper if self.config.engine == 'paper' else engines.fastslam2
         log_weights = engine(sighted, data, poses, P, normals, self.config)
-        poses[:, 2] = wrap_angles(poses[:, 2])
-        self._poses[number] = poses
-        self._pending[number] = PendingMotion()
+        self._place(number, poses)
         self._stamps[number] = observations.stamp
         engines.update_matched(sighted, data, poses)
         self._weigh(log_weights)
@@ -156,8 +153,50 @@ class FastSlam:
         )
 
     def update_sightings(self, vehicle: str, sightings: Sequence[VehicleSighting]) -> None:
-        """Take in where a vehicle sees other vehicles of the team (their motion told up to now)."""
-        raise NotImplementedError
+        """Take in where a vehicle sees other vehicles of the team, whose motion is told up to now.
+
+        Without effect where the setting vehicle_sightings is off.
+        """
+        number = self._number(vehicle)
+        others = [self._number(sighting.vehicle) for sighting in sightings]
+        for sighting in sightings:
+            checks.check_sighting(sighting)
+            if sighting.vehicle == vehicle:
+                raise SlamError(f'sighting: vehicle {vehicle!r} cannot see itself')
+        if not self.config.vehicle_sightings:
+            return
+        for other, sighting in zip(others, sightings, strict=True):
+            self._sight(number, other, sighting)
+
+    def _sight(self, number: int, other: int, sighting: VehicleSighting) -> None:
+        seer, seer_P = self._settled(number)
+        motion = self._pending[other]
+        seen = compose(self._poses[other], np.asarray(motion.mean))
+        normals = self._random.standard_normal((self.config.particles, 3))
+        log_weights, left = np.zeros(self.config.particles), np.empty((3, 3))
+        sight(
+            seer, seer_P, seen, motion.end_covariance(), sighting.position, sighting.covariance,
+            self.config.association.association_gate**2, self.config.outlier_threshold,
+            normals, np.exp(self._log_weights), log_weights, left,
+        )  # fmt: skip
+        self._weigh(log_weights)
+        self._place(number, seer)
+        self._place(other, seen)
+        self._pending[other] = PendingMotion.of(0.5 * (left + left.T))
+        if self.config.engine == 'fastslam2':
+            self._resample_if_due(number, self.effective_particles())
+
+    def _settled(self, number: int) -> tuple[Array, Array]:
+        """Return predicted poses (M, 3) and their covariance (3, 3) in the vehicle frame."""
+        return self._pending[number].move(
+            self._poses[number], self.config.linearizable_heading, self._random
+        )
+
+    def _place(self, number: int, poses: Array) -> None:
+        """Set the poses (M, 3) of a vehicle; its motion so far is in them."""
+        poses[:, 2] = wrap_angles(poses[:, 2])
+        self._poses[number] = poses
+        self._pending[number] = PendingMotion()
 
     def _check_time(self, number: int, stamp: float) -> None:
         if stamp < self._stamps[number]:
