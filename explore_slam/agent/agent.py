@@ -28,8 +28,7 @@ from explore_slam.data import (
 from explore_slam.errors import AgentError
 from explore_slam.geometry import Array, Pose2
 from explore_slam.mapping import Body, LaserMap, OccupancyGrid, save_map
-from explore_slam.slam import Landmarks, TeamBelief, UpdateSummary
-from explore_slam.slam.motion import PendingMotion
+from explore_slam.slam import Landmarks, TeamBelief, UpdateSummary, compound
 from explore_slam.vision import FeatureExtractor, KeyframeSelector
 
 logger = logging.getLogger(__name__)
@@ -319,12 +318,10 @@ class Agent:
         """Return mean pose and covariance (3, 3) of a vehicle at its newest odometry."""
         track = self._track(vehicle)
         pose, covariance = self.belief.estimate(vehicle)
-        motion = PendingMotion()
+        noise = self.config.slam.odometry_noise
         for step in track.steps_since_keyframe(track.odometry.last):
-            motion.append(step, self.config.slam.odometry_noise.covariance(step))
-        before = PendingMotion(pose, covariance)
-        before.append(motion.mean, motion.covariance)
-        return before.mean, before.covariance
+            pose, covariance = compound(pose, covariance, step, noise.covariance(step))
+        return pose, covariance
 
     def map_pose(self, vehicle: str) -> Pose2:
         """Return the pose on the best particle's path, which is the one the grid was drawn on."""

@@ -1,5 +1,7 @@
 """Where the team goes next: the planner fed with what the agent knows, and people's requests."""
 
+from dataclasses import replace
+
 from explore_slam.agent.agent import Agent
 from explore_slam.data import VehicleState, VehicleStatus
 from explore_slam.exploration import (
@@ -18,6 +20,7 @@ class TeamPlanner:
     def __init__(self, agent: Agent) -> None:
         self._agent = agent
         self._planner = Planner(agent.config.exploration)
+        self._searched = False
         self.mode = PlanningMode.EXPLORE
         self.result = PlanningResult(ExplorationStatus.STARTED, 'nothing searched yet')
 
@@ -37,6 +40,7 @@ class TeamPlanner:
     def reset(self) -> None:
         """Forget targets, black list and mode."""
         self._planner = Planner(self._agent.config.exploration)
+        self._searched = False
         self.mode = PlanningMode.EXPLORE
         for track in self._agent.tracks.values():
             track.plan = None
@@ -53,6 +57,9 @@ class TeamPlanner:
         """Search frontiers, choose targets, make paths; the agent's tracks carry the plans."""
         vehicles = {status.vehicle: self._snapshot(status) for status in self._agent.statuses()}
         result = self._planner.plan(self._agent.grid, now, vehicles, self.mode)
+        if not result.searched and not self._searched and self.mode is not PlanningMode.PAUSED:
+            result = replace(result, status=ExplorationStatus.STARTED)  # no map yet: no pause
+        self._searched |= result.searched
         for name, track in self._agent.tracks.items():
             track.plan = result.plans.get(name)
             track.state = self._state(name, result)

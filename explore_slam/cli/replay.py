@@ -59,6 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
     _limit_threads(arguments.threads)
     from explore_slam.agent.config import AgentConfig
     from explore_slam.cli.progress import ProgressBar
+    from explore_slam.cli.settings_options import named_settings
     from explore_slam.evaluation.replay_run import replay_bag
     from explore_slam.evaluation.run_folder import RunFolder
     from explore_slam.settings import load_settings
@@ -68,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
         data = replay_bag(
             arguments.bag,
             config=config,
-            options=_options(arguments),
+            options=named_settings(arguments, ('maps', 'engine', 'particles')),
             seed=arguments.seed,
             vehicles=arguments.vehicles,
             starts=dict(_start(text) for text in arguments.start),
@@ -92,27 +93,6 @@ def _limit_threads(count: int | None) -> None:
         raise ConfigError(f'--threads is {count}, expected at least 1')
     for name in THREAD_VARIABLES:
         os.environ[name] = str(count)
-
-
-def _options(arguments: argparse.Namespace) -> dict[str, Any]:
-    import yaml
-
-    from explore_slam.errors import ConfigError
-
-    options = {
-        name: getattr(arguments, name)
-        for name in ('maps', 'engine', 'particles')
-        if getattr(arguments, name) is not None
-    }
-    for text in arguments.set:
-        name, equals, value = text.partition('=')
-        if not equals:
-            raise ConfigError(f'--set is {text!r}, expected NAME=VALUE')
-        try:
-            options[name] = yaml.safe_load(value)
-        except yaml.YAMLError as error:
-            raise ConfigError(f'--set {name}: {value!r} is not a value') from error
-    return options
 
 
 def _start(text: str) -> tuple[str, 'Pose2']:
@@ -148,7 +128,9 @@ def print_summary(data: 'RunData') -> None:
     for name, found in data.metrics.get('observations', {}).items():
         print(name, ', '.join(f'{key} {value:.4g}' for key, value in found.items()))
     if 'coverage' in data.metrics:
-        print(f'known area {data.metrics["coverage"]:.1f} {data.coverage_unit}')
+        share = data.coverage_unit == '%'
+        value = data.metrics['coverage'] * (100.0 if share else 1.0)
+        print(f'{"explored" if share else "known area"} {value:.1f} {data.coverage_unit}')
     if 'landmarks' in data.metrics:
         print(f'landmarks {data.metrics["landmarks"]}')
     timing = data.metrics.get('timing')

@@ -21,7 +21,7 @@ from rclpy.task import Future
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
-from explore_slam.agent import Agent, TeamPlanner
+from explore_slam.agent import Agent, TeamPlanner, warm_up
 from explore_slam.errors import ExploreSlamError
 from explore_slam.nodes.agent_inputs import SILENCE, VehicleInputs
 from explore_slam.nodes.agent_outputs import AgentOutputs
@@ -57,6 +57,7 @@ class AgentNode(Node):
         logging.getLogger('explore_slam').addHandler(self._log_handler)
         logging.getLogger('explore_slam').setLevel(logging.INFO)
         self.config = declare_settings(self, AgentNodeConfig())
+        warm_up()
         self.agent = Agent(self.config.agent, self.config.poses(), self.config.seed)
         self.planner = TeamPlanner(self.agent)
         self.planner.pause(not self.config.explore)
@@ -245,7 +246,9 @@ class AgentNode(Node):
             result = self.planner.plan(now)
         self.outputs.plans(now, result.plans)
         self.outputs.frontiers(now, result.frontiers)
-        self.outputs.status(result.status.value)
+        if self.outputs.status(result.status.value):
+            self.outputs.grid(now, self.agent.grid)
+            self.publish_results(now)
 
     def publish_results(self, now: float) -> None:
         """Publish landmarks and trajectories."""

@@ -164,9 +164,11 @@ class AgentOutputs:
         marker.points = [Point(x=float(x), y=float(y)) for x, y in points]
         return marker
 
-    def status(self, status: str) -> None:
-        """Publish the state of the exploration when it changes."""
-        if status != self._last_status:
-            self._last_status = status
-            self._status.publish(String(data=status))
-            self._node.get_logger().info(status.replace('_', ' '))
+    def status(self, status: str) -> bool:
+        """Publish the state of the exploration when it changes; tell whether it did."""
+        if status == self._last_status:
+            return False
+        self._last_status = status
+        self._status.publish(String(data=status))
+        self._node.get_logger().info(status.replace('_', ' '))
+        return True

@@ -1,5 +1,7 @@
 """Follows a live run over its topics and collects what the run folder and the terminal show."""
 
+import math
+from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -27,6 +29,7 @@ from explore_slam.nodes.conversions import (
 from explore_slam.nodes.vehicle_support import LATCHED
 
 Values = dict[str, str]
+TRUTHS = 200  # newest true poses kept, for the error of the newest pose
 
 
 @dataclass
@@ -49,9 +52,17 @@ class RunState:
     grid: Any = None
     landmarks: LandmarkCloud | None = None
     trajectories: dict[str, tuple[Array, Array]] = field(default_factory=dict)
-    truth: dict[str, Pose2] = field(default_factory=dict)
+    truth: dict[str, deque[tuple[float, Pose2]]] = field(default_factory=dict)
     poses: dict[str, tuple[float, Pose2]] = field(default_factory=dict)
     messages: dict[str, int] = field(default_factory=dict)
+
+    def position_error(self, vehicle: str) -> float:
+        """Return how far (m) the newest pose is from the truth of the same time; NaN if unknown."""
+        if vehicle not in self.poses or not self.truth.get(vehicle):
+            return math.nan
+        stamp, pose = self.poses[vehicle]
+        _, true = min(self.truth[vehicle], key=lambda known: abs(known[0] - stamp))
+        return math.hypot(true.x - pose.x, true.y - pose.y)
 
 
 class RunMonitor(Node):
@@ -82,7 +93,8 @@ class RunMonitor(Node):
 
         def on_truth(message: Odometry) -> None:
             reading = odometry_record(message)
-            self.state.truth[vehicle] = reading.pose
+            newest = self.state.truth.setdefault(vehicle, deque(maxlen=TRUTHS))
+            newest.append((reading.stamp, reading.pose))
             self.recorder.add_truth(vehicle, reading.stamp, reading.pose)
 
         def on_odometry(message: Odometry) -> None:

@@ -1,0 +1,163 @@
+"""`explore_slam demo`: a live exploration by simulated vehicles, over real topics."""
+
+import argparse
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from explore_slam.evaluation.run_data import RunData
+    from explore_slam.nodes.live_run import LiveRun
+    from explore_slam.nodes.run_monitor import RunState
+
+HELP = 'explore a simulated building with several vehicles, live over ROS topics'
+PERIOD = {True: 0.5, False: 5.0}  # s between progress on a terminal, and elsewhere
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument('--vehicles', type=int, default=2, help='how many (default 2)')
+    parser.add_argument(
+        '--world', default='office', help='world file, map_server YAML, or name (default office)'
+    )
+    parser.add_argument('--seed', type=int, default=0, help='of all randomness (default 0)')
+    parser.add_argument('--engine', choices=('fastslam2', 'paper'), help='which FastSLAM')
+    parser.add_argument('--maps', choices=('common', 'dedicated'), help='one map, or one each')
+    parser.add_argument('--particles', type=int, help='number of particles')
+    parser.add_argument(
+        '--set',
+        action='append',
+        default=[],
+        metavar='NAME=VALUE',
+        help='any parameter of the agent; may be repeated',
+    )
+    parser.add_argument(
+        '--vision',
+        choices=('agent', 'vehicle'),
+        default='agent',
+        help='where features are extracted (default agent)',
+    )
+    parser.add_argument(
+        '--hardware', action='store_true', help='drive through the real serial drivers over ptys'
+    )
+    parser.add_argument('--record', action='store_true', help='record a bag into the run folder')
+    parser.add_argument(
+        '--real-time-factor',
+        type=float,
+        default=0.0,
+        help='simulated seconds per second (default: as fast as the machine keeps up)',
+    )
+    parser.add_argument(
+        '--time-limit', type=float, default=900.0, help='end after this many seconds (900)'
+    )
+    parser.add_argument('--out', type=Path, default=Path('runs'), help='where run folders go')
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run to the end or to Ctrl-C; the folder is written either way."""
+    from explore_slam.cli.settings_options import named_settings
+    from explore_slam.nodes.live_run import LiveRun, LiveRunOptions
+
+    settings = named_settings(arguments, ('engine', 'maps', 'particles'))
+    options = LiveRunOptions(
+        world=arguments.world,
+        vehicles=arguments.vehicles,
+        seed=arguments.seed,
+        settings=settings,
+        vision=arguments.vision,
+        hardware=arguments.hardware,
+        record=arguments.record,
+        real_time_factor=arguments.real_time_factor,
+        time_limit=arguments.time_limit,
+    )
+    live = LiveRun(options, arguments.out)
+    print(
+        f'{options.vehicles} vehicles explore {live.world.name!r} '
+        f'({live.area.area:.0f} m² within reach); Ctrl-C ends it. Results: {live.folder.path}'
+    )
+    interrupted = False
+    began = time.monotonic()
+    try:
+        _show(live)
+    except KeyboardInterrupt:
+        interrupted = True
+        print('\ninterrupted: ending all nodes', flush=True)
+    data = live.finish()
+    _summarize(live, data, time.monotonic() - began)
+    if interrupted:
+        return 130
+    return 0 if live.complete else 1
+
+
+def _show(live: 'LiveRun') -> None:
+    terminal = sys.stdout.isatty()
+    lines, shown = 0, -1e9
+    for state in live.run():
+        if time.monotonic() < shown + PERIOD[terminal]:
+            continue
+        shown = time.monotonic()
+        text = progress_text(live, state)
+        if terminal and lines:
+            print(f'\x1b[{lines}A\x1b[J', end='')
+        print('\n'.join(text), flush=True)
+        lines = len(text)
+
+
+def progress_text(live: 'LiveRun', state: 'RunState') -> list[str]:
+    """Return what a person wants to see now: a line for the team, one for each vehicle."""
+    assert live.monitor is not None
+    if not state.poses:
+        return ['starting: waiting for the first poses ...']
+    _, clock = live.monitor.values('simulator: time')
+    _, agent = live.monitor.values('agent: agent')
+    factor = float(clock.get('real_time_factor', 'nan'))
+    lines = [
+        f'{state.stamp:6.1f} s (x{factor:.1f})  explored {100 * state.coverage:5.1f} %  '
+        f'frontiers {agent.get("frontiers", "-"):>3}  '
+        f'effective particles {_effective(live)}  {state.status.replace("_", " ")}'
+    ]
+    for name in live.starts:
+        text, values = live.monitor.values(f'agent: vehicle {name}')
+        lines.append('  ' + _vehicle_text(name, text, values, state))
+    return lines
+
+
+def _effective(live: 'LiveRun') -> str:
+    assert live.monitor is not None
+    counts = [
+        float(live.monitor.values(f'agent: vehicle {name}')[1].get('effective_particles', 'nan'))
+        for name in live.starts
+    ]
+    return f'{min(counts):.0f}'
+
+
+def _vehicle_text(name: str, text: str, values: dict[str, str], state: 'RunState') -> str:
+    if not values:
+        return f'{name}: no word from the agent yet'
+    goal = values.get('goal', '')
+    doing = text + (f' to ({goal.replace(" ", ", ")})' if goal else '')
+    deviation = float(values.get('position_deviation_m', 'nan'))
+    error = state.position_error(name)
+    rate = float(values.get('keyframes_per_second', 'nan'))
+    return f'{name}  {doing:40.40s} pose ±{deviation:.3f} m, error {error:.3f} m  {rate:.1f} keyframes/s'
+
+
+def _summarize(live: 'LiveRun', data: 'RunData', elapsed: float) -> None:
+    from explore_slam.cli.replay import print_summary
+
+    metrics: dict[str, Any] = data.metrics
+    print()
+    print_summary(data)
+    collisions = sum(metrics['collisions'].values())
+    print(
+        f'{metrics["status"].replace("_", " ")} after {metrics["duration"]:.0f} s of simulated '
+        f'time ({elapsed:.0f} s), {collisions} collisions'
+    )
+    agent = metrics['agent']
+    if 'wall_latency_median_s' in agent:
+        print(
+            f'image to pose: median {1e3 * agent["wall_latency_median_s"]:.0f} ms, '
+            f'p95 {1e3 * agent["wall_latency_p95_s"]:.0f} ms'
+        )
+    print(f'report: {live.folder.path / "report.html"}')
