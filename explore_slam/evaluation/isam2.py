@@ -64,6 +64,7 @@ class Isam2:
         """Append a motion (vehicle frame), covariance (3, 3), to what is not yet in the graph."""
         from explore_slam.slam.motion import compound
 
+        self._check(vehicle)
         self._pending[vehicle] = compound(*self._pending[vehicle], increment, covariance)
 
     def update(
@@ -75,7 +76,7 @@ class Isam2:
                 f'iSAM2: {len(identities)} identities for {len(observations)} observations'
             )
         pose = self._add_pose(vehicle, observations.stamp)
-        key = self._pose_key(vehicle, self._counts[vehicle])
+        key = self._newest_key(vehicle)
         placed = to_world(pose, observations.positions)
         for row, identity in enumerate(int(number) for number in identities):
             landmark = self._landmark_key(identity)
@@ -95,7 +96,7 @@ class Isam2:
 
     def estimate(self, vehicle: str) -> tuple[Pose2, Array]:
         """Return the newest pose, pending motion included; covariance (3, 3) of the last one."""
-        key = self._pose_key(vehicle, self._counts[vehicle])
+        key = self._newest_key(vehicle)
         pose = _pose_of(self._estimate.atPose2(key)).compose(self._pending[vehicle][0])
         # GTSAM's covariance is in the vehicle frame, ours in the map
         c, s = math.cos(pose.theta), math.sin(pose.theta)
@@ -104,6 +105,7 @@ class Isam2:
 
     def trajectory(self, vehicle: str) -> tuple[Array, Array]:
         """Return stamps (T,) and smoothed poses (T, 3), the start included."""
+        self._check(vehicle)
         poses = [
             _pose_of(self._estimate.atPose2(self._pose_key(vehicle, number)))
             for number in range(self._counts[vehicle] + 1)
@@ -117,12 +119,12 @@ class Isam2:
         return identities, np.array(places).reshape(-1, 3)
 
     def _add_pose(self, vehicle: str, stamp: float) -> Pose2:
-        before = self._pose_key(vehicle, self._counts[vehicle])
+        before = self._newest_key(vehicle)
         increment, covariance = self._pending[vehicle]
         pose = _pose_of(self._estimate.atPose2(before)).compose(increment)
         self._counts[vehicle] += 1
         self._stamps[vehicle].append(stamp)
-        key = self._pose_key(vehicle, self._counts[vehicle])
+        key = self._newest_key(vehicle)
         # to the frame where the motion ends; a motion that is certain would be singular
         c, s = math.cos(increment.theta), math.sin(increment.theta)
         turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -144,9 +146,15 @@ class Isam2:
         self._graph = self._gtsam.NonlinearFactorGraph()
         self._values = self._gtsam.Values()
 
-    def _pose_key(self, vehicle: str, number: int) -> int:
+    def _check(self, vehicle: str) -> None:
         if vehicle not in self._counts:
             raise EvaluationError(f'iSAM2: there is no vehicle {vehicle!r}, only {self._names}')
+
+    def _newest_key(self, vehicle: str) -> int:
+        self._check(vehicle)
+        return self._pose_key(vehicle, self._counts[vehicle])
+
+    def _pose_key(self, vehicle: str, number: int) -> int:
         index = self._names.index(vehicle) * 10_000_000 + number
         return int(self._gtsam.symbol(_POSE, index))
 

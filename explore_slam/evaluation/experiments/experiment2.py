@@ -62,11 +62,11 @@ def run(options: Options) -> ExperimentReport:
     """Sweep P0 and E0 on the walk, study matches on the real frames."""
     report = ExperimentReport('Experiment 2: association of SIFT features')
     if options.data is not None:
-        _study_frames(read_tum(options.data, _vision()), report)
+        study_frames(read_tum(options.data, _vision()), report)
     else:
         report.remarks.append('no --data: tables IV and V are left out')
     walks = record(options.walks, {'robot1': CORRIDOR})
-    _sweep(walks, options.walks, report)
+    sweep(walks, options.walks, report)
     return report
 
 
@@ -74,7 +74,8 @@ def _vision() -> VisionConfig:
     return with_values(VisionConfig(), {'feature_budget': 400})
 
 
-def _study_frames(frames: Sequence[TumFrame], report: ExperimentReport) -> None:
+def study_frames(frames: Sequence[TumFrame], report: ExperimentReport) -> None:
+    """Add tables IV and V."""
     descriptors = np.concatenate([frame.descriptors for frame in frames])
     report.tables.append(_distance_table(descriptors))
     counts = {
@@ -171,7 +172,8 @@ def _association_figure(counts: dict[int, MatchCount], interval: float) -> Any:
     return figure
 
 
-def _sweep(walks: Sequence[Walk], options: WalkOptions, report: ExperimentReport) -> None:
+def sweep(walks: Sequence[Walk], options: WalkOptions, report: ExperimentReport) -> None:
+    """Add figure 8: updates as P0 and E0 vary."""
     by_quality = {engine: _updates(walks, options, engine, QUALITIES, True) for engine in ENGINES}
     by_distance = {
         engine: _updates(walks, options, engine, THRESHOLDS, False) for engine in ENGINES

@@ -47,8 +47,12 @@ class Results:
 def run(options: WalkOptions | None = None) -> ExperimentReport:
     """Drive the rounds once, then filter with each E0, engine and seed."""
     options = options or WalkOptions()
+    return evaluate(record(options, {'robot1': ROUNDS}), options)
+
+
+def evaluate(walks: Sequence[Walk], options: WalkOptions) -> ExperimentReport:
+    """Filter the walk of robot1 with each E0, engine and seed."""
     warm_up()  # compiling is part of start-up, not of a step
-    walks = record(options, {'robot1': ROUNDS})
     results = Results()
     for seed in options.seeds:
         scenario = scenario_of(walks, seed)

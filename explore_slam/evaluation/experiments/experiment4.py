@@ -40,7 +40,11 @@ Key = tuple[str, str, str]  # engine, maps, insertion policy
 def run(options: WalkOptions | None = None) -> ExperimentReport:
     """Drive both paths once, then filter both together with each case, engine and seed."""
     options = options or WalkOptions()
-    walks = record(options, TEAM)
+    return evaluate(record(options, TEAM), options)
+
+
+def evaluate(walks: Sequence[Walk], options: WalkOptions) -> ExperimentReport:
+    """Filter the walks of robot1 and robot2 together with each case, engine and seed."""
     trials: dict[Key, list[Trial]] = {}
     last: dict[Key, FilterEstimator] = {}
     for seed in options.seeds:

@@ -29,13 +29,15 @@ class Noise:
         """Return the covariance (3, 3) of a step that begins by turning and then goes straight."""
         way = math.hypot(increment.x, increment.y)
         along = self.distance * way * self.sigma
-        # the paper has no noise across the motion; a hundredth of it keeps the matrix regular
+        # the paper has no noise across the motion; a hundredth of that along it (and a micron
+        # where nothing moves) keeps the matrix regular
         across = 0.01 * along
+        floor = 1e-6**2
         c, s = (increment.x / way, increment.y / way) if way > 0.0 else (1.0, 0.0)
         turn = np.array([[c, -s], [s, c]])
         covariance = np.zeros((3, 3))
-        covariance[:2, :2] = turn @ np.diag([along**2, across**2]) @ turn.T
-        covariance[2, 2] = (self.heading * self.sigma) ** 2
+        covariance[:2, :2] = turn @ np.diag([along**2 + floor, across**2 + floor]) @ turn.T
+        covariance[2, 2] = (self.heading * self.sigma) ** 2 + floor
         return covariance
 
 

@@ -70,7 +70,9 @@ class TruePath:
         return turn, np.array(place)
 
 
-def read_tum(folder: Path, config: VisionConfig, every: int = 1) -> list[TumFrame]:
+def read_tum(
+    folder: Path, config: VisionConfig, every: int = 1, limit: int | None = None
+) -> list[TumFrame]:
     """Return the frames of a TUM RGB-D folder (rgb, depth, associations.txt, groundtruth.txt)."""
     if not (folder / 'associations.txt').is_file():
         raise EvaluationError(
@@ -81,7 +83,8 @@ def read_tum(folder: Path, config: VisionConfig, every: int = 1) -> list[TumFram
     extractor = FeatureExtractor(config, CameraMount())
     frames = []
     lines = (folder / 'associations.txt').read_text(encoding='utf-8').splitlines()
-    for line in [text for text in lines if text.strip() and not text.startswith('#')][::every]:
+    named = [text for text in lines if text.strip() and not text.startswith('#')]
+    for line in named[::every][:limit]:
         words = line.split()
         if len(words) != 4:
             raise EvaluationError(f'{folder}/associations.txt: {line!r}, expected 4 columns')
