@@ -39,6 +39,7 @@ MIRROR_PERIOD = 0.01332  # s
 RANGE_MIN = 0.01  # m
 _WRITE_MODES = {13: 0, 14: 4, 15: 6}  # measuring mode to write for so many bits
 _REPLY_TIMEOUT = 0.3  # s; ACK within 60 ms, the reply after it
+_LONGEST_SCAN = 0.9  # s at 9600 Bd
 _SLOW_TIMEOUT = 3.5  # s for changes of mode and configuration
 _ATTEMPTS = 3
 _FATAL = 3  # severity from which measurements are not to be trusted
@@ -104,17 +105,15 @@ class Lms200:
             port.discard()
             self._decoder.clear()
             silent = True
-            for _ in range(_ATTEMPTS):
+            for attempt in range(_ATTEMPTS):
                 port.write(encode_telegram(Request.MODE, bytes([Mode.ON_REQUEST])))
-                came, found = self._listen(
-                    Reply.MODE, _REPLY_TIMEOUT + port.transmission_time(900)
-                )
+                came, found = self._listen(Reply.MODE, _REPLY_TIMEOUT)
                 heard = (heard + came)[-4096:]
                 if found is not None:
                     self._last_baud = rate
                     return
                 silent = silent and not came
-                if silent:
+                if silent and attempt > 0:
                     break
             if port.is_network:
                 break
@@ -124,17 +123,16 @@ class Lms200:
         """Return the bytes that came until this reply, and the reply, None without one."""
         assert self._port is not None
         end = time.monotonic() + timeout
+        latest = end + _LONGEST_SCAN
         came = b''
         while (left := end - time.monotonic()) > 0.0:
             data = self._port.read(left)
             came += data
+            if data:  # something is on the way: let it finish
+                end = min(max(end, time.monotonic() + 0.5 * _REPLY_TIMEOUT), latest)
             for telegram in self._decoder.feed(data):
                 if telegram.command == reply:
                     return came, telegram
-                if telegram.command == Reply.SCAN:  # still streaming: it lives, give it time
-                    end = max(end, time.monotonic() + _REPLY_TIMEOUT)
-                    if len(came) > 4 * 812:
-                        return came, None
         return came, None
 
     def _ask(

@@ -1,0 +1,145 @@
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from explore_slam.vehicle import LaserConfig, Lms200
+from explore_slam.vehicle.lms200_scan import (
+    MILLIMETRES,
+    RawScan,
+    ScannerConfiguration,
+    maximum_range,
+    parse_configuration,
+    parse_scan,
+    parse_status_byte,
+    scan_ranges,
+)
+from explore_slam.vehicle.lms200_telegrams import (
+    PASSWORD,
+    Mode,
+    Reply,
+    Request,
+    TelegramDecoder,
+    crc,
+    encode_telegram,
+)
+
+RECORDINGS = ['232204', '232500', '232528', '232544', '232553']
+
+
+def slow_crc(data):
+    """The manual's routine."""
+    value, last = 0, 0
+    for byte in data:
+        value = ((value & 0x7FFF) << 1) ^ 0x8005 if value & 0x8000 else value << 1
+        value ^= byte | last << 8
+        last = byte
+    return value
+
+
+@given(st.binary(max_size=200))
+def test_crc_is_that_of_the_manual(data):
+    assert crc(data) == slow_crc(data)
+
+
+def test_requests_are_those_a_real_host_sent():
+    assert encode_telegram(Request.MODE, bytes([Mode.BAUD_38400])).hex() == '0200020020405008'
+    assert encode_telegram(Request.TYPE).hex() == '020001003a1e12'
+    installation = encode_telegram(Request.MODE, bytes([Mode.INSTALLATION]) + PASSWORD)
+    assert installation.hex() == '02000a0020005349434b5f4c4d53bec5'
+
+
+@given(st.lists(st.binary(min_size=1, max_size=900), max_size=4), st.integers(1, 400))
+def test_telegrams_are_found_however_the_bytes_are_cut(contents, cut):
+    stream = b''.join(encode_telegram(0xB0, data, 0x80) for data in contents)
+    decoder = TelegramDecoder()
+    found = [t for at in range(0, len(stream), cut) for t in decoder.feed(stream[at : at + cut])]
+    assert [t.data + bytes([t.status]) for t in found] == contents
+    assert (decoder.rejected, decoder.pending) == (0, 0)
+
+
+@settings(max_examples=300)
+@given(st.binary(max_size=1500) | st.lists(st.sampled_from([2, 0x80, 0xD6, 0, 3])).map(bytes))
+def test_after_garbage_the_next_telegrams_are_found(garbage):
+    decoder = TelegramDecoder()
+    decoder.feed(garbage)
+    assert decoder.pending <= 1030
+    valid = [encode_telegram(0xB0, bytes([k]) * 300, 0x80) for k in range(8)]
+    found = decoder.feed(b''.join(valid))
+    assert [t.data[0] for t in found][-4:] == [4, 5, 6, 7]
+
+
+def test_hosts_and_scanners_telegrams_are_told_apart():
+    request = encode_telegram(Request.TYPE)
+    assert TelegramDecoder().feed(request) == []
+    [telegram] = TelegramDecoder(replies=False).feed(request)
+    assert (telegram.command, telegram.data, telegram.status) == (Request.TYPE, b'', None)
+
+
+@given(st.binary(max_size=900))
+def test_any_data_may_be_parsed_as_a_scan(data):
+    scan = parse_scan(data)
+    if scan is not None:
+        assert scan_ranges(scan, 13).shape == scan.values.shape
+    parse_configuration(data)
+
+
+@pytest.mark.parametrize('bits', [13, 14, 15])
+def test_invalid_codes_become_what_rep_117_wants(bits):
+    top = (1 << bits) - 1
+    values = np.array([0, 1, 1500, top - 9, top - 8, top - 5, top - 4, top - 2, top - 1, top])
+    flagged = (values | (0xFFFF ^ top)).astype(np.uint16)  # flags of the fields must not matter
+    ranges = scan_ranges(RawScan(flagged, MILLIMETRES, False), bits)
+    longest = maximum_range(bits, MILLIMETRES)
+    assert longest == pytest.approx((top - 9) / 1000)
+    expected = [-np.inf, 0.001, 1.5, longest, np.inf, np.nan, np.nan, np.nan, np.nan, np.inf]
+    np.testing.assert_allclose(ranges, expected, rtol=1e-6)
+
+
+def test_centimetres_and_status_byte():
+    raw = RawScan(np.array([250], np.uint16), 0, False)
+    assert scan_ranges(raw, 13)[0] == pytest.approx(2.5)
+    assert parse_status_byte(0x10) == (0, False, False)
+    assert parse_status_byte(0xC3) == (3, True, True)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize('name', RECORDINGS)
+def test_recordings_of_a_real_scanner_decode_whole(recordings, name):
+    base = recordings('lms200') / f'2017_Aug_04_{name}'
+    rows = json.loads(base.with_suffix('.json').read_text())
+    received = [bytes.fromhex(row[2]) for row in rows if row[0] == 'rx']
+    stream = base.with_suffix('.bin').read_bytes()
+    decoder = TelegramDecoder()
+    found = [t for at in range(0, len(stream), 61) for t in decoder.feed(stream[at : at + 61])]
+    assert len(found) == len(received)
+    assert (decoder.rejected, decoder.pending) == (0, 0)
+    assert {t.status for t in found} == {0x10}
+    [settings_read] = [t for t in found if t.command == Reply.CONFIGURATION]
+    configuration = parse_configuration(settings_read.data)
+    assert (configuration.mode, configuration.unit) == (4, MILLIMETRES)
+    scans = [parse_scan(t.data) for t in found if t.command == Reply.SCAN]
+    assert len(scans) == sum(len(data) == 732 for data in received)
+    for scan in scans:
+        assert (len(scan.values), scan.unit, scan.partial) == (361, MILLIMETRES, False)
+        ranges = scan_ranges(scan, configuration.value_bits)
+        known = ranges[np.isfinite(ranges)]
+        assert known.size >= 350
+        assert known.min() > 0.1
+        assert known.max() < 12.0  # a room
+
+
+@pytest.mark.data
+def test_scans_of_a_scanner_at_rest_repeat_to_centimetres(recordings):
+    stream = (recordings('lms200') / '2017_Aug_04_232500.bin').read_bytes()
+    laser = Lms200(LaserConfig())
+    laser.configuration = ScannerConfiguration(bytes([0, 0, 0x70, 0, 0, 4, 1]) + bytes(27))
+    telegrams = TelegramDecoder().feed(stream)
+    records = [laser.record(parse_scan(t.data), 1.0) for t in telegrams if t.command == Reply.SCAN]
+    ranges = np.array([record.ranges for record in records])
+    known = np.isfinite(ranges).all(axis=0)
+    assert np.median(ranges[:, known].std(axis=0)) < 0.01
+    assert records[0].angle_min == pytest.approx(-np.pi / 2)
+    assert records[0].range_max == pytest.approx(16.374)

@@ -1,0 +1,217 @@
+"""The base's driver against the emulated robot, over a pty and over TCP."""
+
+import math
+import time
+
+import pytest
+
+from explore_slam.errors import VehicleError
+from explore_slam.simulation.arcos_robot import ArcosRobot
+from explore_slam.simulation.kinematic_body import KinematicBody
+from explore_slam.simulation.lms200_scanner import Lms200Scanner
+from explore_slam.simulation.serial_line import SerialLine
+from explore_slam.vehicle import BaseConfig, PioneerRobot
+from explore_slam.vehicle.arcos_packets import Command
+
+
+@pytest.fixture
+def rig(tmp_path):
+    """Return a function: options of ArcosRobot -> (robot side, its line, driver)."""
+    lines, drivers = [], []
+
+    def make(tcp=False, config=None, **options):
+        device = ArcosRobot(KinematicBody(), **options)
+        line = SerialLine(device, tmp_path / 'base', tcp_port=0 if tcp else None).start()
+        robot = PioneerRobot(BaseConfig(**{'base_port': line.path, **(config or {})}))
+        lines.append(line)
+        drivers.append(robot)
+        return device, line, robot
+
+    yield make
+    for robot in drivers:
+        robot.close()
+    for line in lines:
+        line.stop()
+
+
+def run(robot, seconds, velocity=None, until=lambda _: False):
+    states = []
+    end = time.monotonic() + seconds
+    while time.monotonic() < end and not (states and until(states[-1])):
+        if velocity is not None:
+            robot.set_velocity(*velocity)
+        states += robot.poll(0.02)
+    return states
+
+
+@pytest.mark.parametrize('tcp', [False, True])
+def test_drives_and_reports(rig, tcp):
+    device, _, robot = rig(tcp, counters=(32760, 32767), name='Alice')
+    assert robot.connect() == ('Alice', 'Pioneer', 'p3dx-sh')
+    run(robot, 0.3, (0.4, 0.0))
+    assert device.body.velocity() == (0.0, 0.0)  # nobody has enabled the motors
+    robot.enable_motors(True)
+    states = run(robot, 2.0, (0.4, 0.5))
+    assert 15 <= len(states) <= 22
+    last, truth = states[-1], device.odometry()
+    assert last.linear == pytest.approx(0.4, abs=0.005)
+    assert last.angular == pytest.approx(0.5, abs=0.02)
+    assert last.status.motors_on
+    assert last.odometry.pose.x == pytest.approx(truth.x, abs=0.08)  # a packet old
+    run(robot, 1.0, (0.0, 0.0))
+    last = run(robot, 0.3)[-1]
+    assert last.odometry.pose == pytest.approx(device.odometry(), abs=0.0011)
+    covariance = last.odometry.covariance
+    assert covariance[0, 0] > 0.0
+    assert covariance[2, 2] > 0.0
+    assert robot.configuration.watchdog_ms == 2000
+    assert robot.rejected == 0
+
+
+@pytest.mark.parametrize('baud', [9600, 38400, 115200, 57600])
+def test_finds_the_rate(rig, baud):
+    _, _, robot = rig(baud=baud)
+    robot.connect()
+    assert robot.last_baud == baud
+    assert run(robot, 0.5)
+
+
+def test_changes_to_a_faster_rate_and_stays_where_that_fails(rig):
+    device, _, robot = rig(config={'host_baud': 38400})
+    robot.connect()
+    assert device.baud == 38400
+    assert run(robot, 0.5)
+    robot.close()
+    assert device.baud == 9600
+
+
+def test_a_session_that_a_crashed_client_left_open_is_closed(rig):
+    device, line, robot = rig()
+    robot.connect()
+    robot.enable_motors(True)
+    run(robot, 0.5, (0.3, 0.0))
+    robot._port.close()  # as after SIGKILL
+    robot._port = None
+    other = PioneerRobot(BaseConfig(base_port=line.path))
+    other.connect()
+    assert not device.motors_on
+    assert run(other, 0.4)
+    other.close()
+
+
+def test_closing_brings_the_vehicle_to_rest_and_switches_motors_off(rig):
+    device, _, robot = rig()
+    robot.connect()
+    robot.enable_motors(True)
+    run(robot, 1.0, (0.5, 0.0))
+    assert device.body.velocity()[0] > 0.3
+    robot.close()
+    assert device.body.velocity() == (0.0, 0.0)
+    time.sleep(0.1)
+    assert not device.motors_on
+    assert not device.session_open
+
+
+def test_the_robots_watchdog_is_fed_while_driving_and_while_idle(rig):
+    device, _, robot = rig()
+    robot.connect()
+    run(robot, 1.0)
+    times = [when for when, command, _ in device.commands if command == Command.PULSE]
+    assert len(times) >= 2
+    robot.set_velocity(0.2, 0.0)
+    run(robot, 1.0)
+    sent = [when for when, command, _ in device.commands if command == Command.VEL]
+    assert len(sent) >= 4
+
+
+@pytest.mark.parametrize('fault', ['drop_rate', 'duplicate_rate', 'corrupt_rate'])
+def test_a_bad_line_costs_packets_not_the_session(rig, fault):
+    device, line, robot = rig()
+    robot.connect()
+    robot.enable_motors(True)
+    run(robot, 0.3)  # the first status packet is where odometry begins
+    setattr(line.faults, fault, 0.005)
+    states = run(robot, 3.0, (0.3, 0.1))
+    assert len(states) >= 10
+    assert all(abs(state.linear) < 1.0 for state in states)
+    setattr(line.faults, fault, 0.0)
+    run(robot, 1.5, (0.0, 0.0))
+    last = run(robot, 0.3)[-1]
+    assert last.odometry.pose == pytest.approx(device.odometry(), abs=0.0011)
+
+
+def test_bumpers_stalls_sonar_battery_and_the_red_button(rig):
+    device, _, robot = rig()
+    device.sonar = {3: 1.234, 15: 0.5}
+    device.battery = 11.7
+    robot.connect()
+    robot.enable_motors(True)
+    state = run(robot, 0.5)[-1]
+    assert state.sonar == pytest.approx({3: 1.234, 15: 0.5})
+    assert state.status.battery == pytest.approx(11.7)
+    assert (state.bumped, state.stalled) == (False, False)
+    device.faults.front_bumpers, device.faults.left_stall = 0b100, True
+    state = run(robot, 0.5)[-1]
+    assert state.bumped
+    assert state.stalled
+    device.faults.emergency_stop = True
+    state = run(robot, 0.5)[-1]
+    assert state.status.emergency_stop
+    assert not state.status.motors_on
+
+
+def test_a_pulled_cable_and_a_silent_robot_are_told(rig):
+    device, line, robot = rig()
+    robot.connect()
+    pose = run(robot, 0.4)[-1].odometry.pose
+    line.unplug()
+    with pytest.raises(VehicleError, match='lost'):
+        run(robot, 2.0)
+    line.plug()
+    began = time.monotonic()
+    robot.connect()
+    assert time.monotonic() - began < 3.0
+    assert run(robot, 0.4)[-1].odometry.pose == pose
+    line.faults.silent = True
+    with pytest.raises(VehicleError, match=r'no status packet for .*switched on'):
+        run(robot, 3.0)
+    line.faults.silent = False
+    device.reset(time.monotonic())
+    time.sleep(1.1)
+    robot.connect()
+    assert run(robot, 0.4)[-1].odometry.pose == pose  # counters begin at 0 again
+
+
+def test_unknown_subclass_and_its_remedy(rig):
+    _, _, robot = rig(subclass='amigo')
+    with pytest.raises(VehicleError, match=r"unknown subclass 'amigo'.*distance_factor"):
+        robot.connect()
+    _, _, robot = rig(subclass='amigo', config={'distance_factor': 0.5083})
+    assert robot.connect().subclass == 'amigo'
+
+
+def test_each_wrong_port_has_its_message(rig, tmp_path):
+    def refusal(port, **settings):
+        with pytest.raises(VehicleError) as refused:
+            PioneerRobot(BaseConfig(base_port=str(port), **settings)).connect()
+        assert str(refused.value).startswith(str(port))
+        return str(refused.value)
+
+    assert 'no such port' in refusal(tmp_path / 'nowhere')
+    (tmp_path / 'file').write_text('')
+    assert 'cannot be opened as a serial line' in refusal(tmp_path / 'file')
+    assert 'cannot connect' in refusal('tcp://127.0.0.1:9')
+    _, line, robot = rig()
+    robot.connect()
+    assert 'busy' in refusal(line.path)
+    scanner = Lms200Scanner(lambda: None, streaming=True)
+    with SerialLine(scanner, tmp_path / 'laser') as laser:
+        assert 'a SICK laser is at this port' in refusal(laser.path, base_baud=9600)
+
+
+def test_velocities_are_kept_within_the_maximum(rig):
+    device, _, robot = rig(config={'maximum_speed': 0.3, 'maximum_turn_rate': 0.5})
+    robot.connect()
+    robot.enable_motors(True)
+    run(robot, 0.2, (2.0, -3.0))
+    assert device.commanded == pytest.approx((0.3, -math.radians(29)), abs=0.01)
