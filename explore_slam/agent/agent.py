@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from explore_slam.agent import checkpoint
 from explore_slam.agent.config import AgentConfig
 from explore_slam.agent.odometry import OdometryBuffer
 from explore_slam.agent.vehicle_track import Keyframe, Observation, VehicleTrack
@@ -165,6 +166,7 @@ class Agent:
         if track.keyframe is not None:
             moved = track.keyframe.odometry
             track.keyframe = Keyframe(track.keyframe.number, track.odometry.last, moved)
+        self.belief.restart_clock(track.name)
         self.now = track.odometry.last
 
     # -- observations into the belief ----------------------------------------------------------
@@ -351,6 +353,28 @@ class Agent:
             }
             for name, track in self.tracks.items()
         }
+
+    def save_state(self, path: Path) -> Path:
+        """Write belief and scans to a file that load_state reads; return its path."""
+        for track in self.tracks.values():
+            if track.keyframe is not None and track.odometry.last > track.keyframe.stamp:
+                self._predict(track, track.odometry.last)
+                self._add_keyframe(track, track.odometry.last)
+        checkpoint.save(path, self.belief, self.laser_map)
+        return path
+
+    def load_state(self, path: Path) -> None:
+        """Go on from a saved state of the same vehicles; a bad file changes nothing."""
+        belief, laser_map = checkpoint.load(path, self.config.mapping)
+        if set(belief.vehicles) != set(self.start_poses):
+            raise AgentError(
+                f'{path} is of vehicles {sorted(belief.vehicles)}, '
+                f'expected {sorted(self.start_poses)}'
+            )
+        self._begin()
+        self.belief, self.laser_map = belief, laser_map
+        for vehicle in self.tracks:
+            belief.restart_clock(vehicle)
 
     def save_map(self, base: Path) -> Path:
         """Write base.pgm and base.yaml (map_server); return the path of the YAML file."""

@@ -21,6 +21,7 @@ from explore_slam.slam.landmark_map import LandmarkMap, Landmarks, make_index
 from explore_slam.slam.landmark_update import insert_landmarks
 from explore_slam.slam.motion import PendingMotion, rotated
 from explore_slam.slam.path_store import PathStore
+from explore_slam.slam.recovery import Recovery
 from explore_slam.slam.resampling import effective_particles, normalized, systematic_ancestors
 from explore_slam.slam.row_store import RowStore
 from explore_slam.slam.sighting import sight
@@ -82,6 +83,7 @@ class FastSlam:
         self.map = LandmarkMap(self.genealogy, make_index(self.config.association))
         self.path = PathStore(self.genealogy)
         self._regions: dict[tuple[int, int], int] = {}
+        self._recovery = [Recovery(self.config.relocation) for _ in starts]
 
     # -- motion ---------------------------------------------------------------------------------
 
@@ -98,6 +100,7 @@ class FastSlam:
         else:
             noise = checks.check_motion_covariance('covariance', covariance)
         self._pending[number].append(step, noise, self.config.linearizable_heading)
+        self._recovery[number].move(step)
         self._moved[number] = True
 
     def set_pose(self, vehicle: str, pose: Pose2, covariance: Array) -> None:
@@ -107,7 +110,12 @@ class FastSlam:
         spread = checks.check_motion_covariance('covariance', covariance)
         self._poses[number] = np.asarray(place)
         self._pending[number] = PendingMotion.of(rotated(spread, place.theta))
+        self._recovery[number].forget()
         self._moved[number] = True
+
+    def restart_clock(self, vehicle: str) -> None:
+        """Take stamps before the last one from now on: the clock of the vehicle jumped back."""
+        self._stamps[self._number(vehicle)] = -np.inf
 
     # -- observation ----------------------------------------------------------------------------
 
@@ -123,7 +131,9 @@ class FastSlam:
         self._check_time(number, observations.stamp)
         if self.config.engine == 'paper' and number in self._contributed:
             self._resample_round()
-        sighted = engines.look_up(self.map, observations, self.config)
+        reach = self._recovery[number].reach
+        estimate = self.estimate(vehicle)
+        sighted = engines.look_up(self.map, observations, self.config, *estimate, reach)
         data = self.map.rows.present_data
         poses, P = self._settled(number)
         normals = self._random.standard_normal((self.config.particles, 3))
@@ -135,21 +145,23 @@ class FastSlam:
         self._weigh(log_weights)
         best = self.best_particle()
         associated = int(np.count_nonzero(sighted.choice[:, best] >= 0))
-        inserted = self._write_map(number, sighted, poses)
+        agreed = ((sighted.choice >= 0) @ np.exp(self._log_weights)) > 0.5
+        inserted = self._write_map(number, sighted, poses, agreed)
         effective = effective_particles(np.exp(self._log_weights))
         resampled = self._resample_if_due(number, effective)
+        lost, relocated = self._recover(number, sighted, agreed)
         return UpdateSummary(
             stamp=observations.stamp,
             vehicle=vehicle,
             observed=len(observations),
-            matched=int(np.count_nonzero((sighted.candidates >= 0).any(axis=1))),
+            matched=sum(map(bool, sighted.alike)),
             associated=associated,
             inserted=inserted,
             removed=0,
             effective_particles=effective,
             resampled=resampled,
-            lost=False,
-            relocated=False,
+            lost=lost,
+            relocated=relocated,
         )
 
     def update_sightings(self, vehicle: str, sightings: Sequence[VehicleSighting]) -> None:
@@ -216,10 +228,12 @@ class FastSlam:
         self._score -= self._score.max()
         self._log_weights, _ = normalized(self._log_weights + shifted)
 
-    def _write_map(self, number: int, sighted: Sighted, poses: Array) -> int:
+    def _write_map(
+        self, number: int, sighted: Sighted, poses: Array, agreed: NDArray[np.bool_]
+    ) -> int:
         """Commit what the update changed, insert what it found new; return the number inserted."""
         rows = self.map.rows
-        wanted = self._wanted(sighted, number)
+        wanted = self._wanted(sighted, number, agreed)
         engines.fill_absent(sighted, rows.present_data, poses, wanted)
         touched = np.zeros(len(sighted.items), bool)
         hit = np.zeros(len(sighted.items))
@@ -230,7 +244,6 @@ class FastSlam:
             places = sighted.candidates[some, j]
             touched[places] = True
             np.add.at(hit, places, chosen[some] @ weights)
-        touched |= (rows.present_data[sighted.slots, 3] > 0).any(axis=1) & ~touched & False
         best = self.best_particle()
         items, slots = sighted.items[touched], sighted.slots[touched]
         rows.revert(sighted.items[~touched], sighted.slots[~touched])
@@ -244,16 +257,25 @@ class FastSlam:
         self.map.evidence[seen] = np.minimum(gained, limit)
         return self._insert(number, sighted, poses, wanted)
 
-    def _wanted(self, sighted: Sighted, number: int) -> NDArray[np.bool_]:
-        """Return (K, M): where an observation becomes a new landmark."""
+    def _wanted(
+        self, sighted: Sighted, number: int, agreed: NDArray[np.bool_]
+    ) -> NDArray[np.bool_]:
+        """Return (K, M): where an observation becomes a new landmark.
+
+        In engine fastslam2 that is where most particles have no landmark for it; and if it is
+        like a landmark all the same, only where the other matches show that the pose is
+        right. Nothing is inserted where nearly all matches say that the pose is wrong.
+        """
         free: NDArray[np.bool_] = sighted.choice < 0
         if self.config.engine == 'fastslam2':
-            unmatched = (free @ np.exp(self._log_weights)) > 0.5
-            alike = (sighted.candidates >= 0).any(axis=1)
-            agreeing = np.count_nonzero(alike & ~unmatched)
-            if agreeing < max(3, 0.5 * np.count_nonzero(alike)):
-                unmatched &= ~alike
-            free &= unmatched[:, None]
+            alike = np.array([bool(ids) for ids in sighted.alike])
+            likes, agreeing = np.count_nonzero(alike), np.count_nonzero(agreed)
+            new = ~agreed
+            if agreeing < max(3, 0.5 * np.count_nonzero(sighted.known)):
+                new &= ~sighted.known
+            if likes >= 0.4 * len(alike) and agreeing < 0.25 * likes:
+                new[:] = False
+            free &= new[:, None]
         if self.config.insertion_policy == 'unmapped_region':
             free &= self._unmapped(number, sighted.z)[:, None]
         return free
@@ -286,6 +308,34 @@ class FastSlam:
         points = np.stack([x + c * z[:, 0] - s * z[:, 1], y + s * z[:, 0] + c * z[:, 1]], axis=1)
         owners = [self._regions.get(self._region(point), number) for point in points]
         return np.array(owners) == number
+
+    def _recover(
+        self, number: int, sighted: Sighted, agreed: NDArray[np.bool_]
+    ) -> tuple[bool, bool]:
+        """Note what was matched; relocate the vehicle if it is lost and can be found."""
+        recovery = self._recovery[number]
+        deviations = np.sqrt(0.5 * (sighted.R[:, 0] + sighted.R[:, 3]))
+        uids = [tuple(self.map.ids[list(items)].tolist()) for items in sighted.alike]
+        recovery.note(sighted.z, deviations, uids, agreed)
+        if not self.config.relocation.recovery or not recovery.lost:
+            return recovery.lost, False
+        wanted = recovery.matched_ids()
+        known = np.flatnonzero(np.isin(self.map.ids[: self.map.size], wanted))
+        best = self.best_particle()
+        rows = self.map.rows.read_particle(known, best)
+        rows[:, 2] = np.sqrt(0.5 * (rows[:, 3] + rows[:, 6]))
+        positions = {
+            int(uid): row[:3]
+            for uid, row in zip(self.map.ids[known], rows, strict=True)
+            if row[3] > 0.0
+        }
+        present = self.best_pose(self.vehicles[number])
+        found = recovery.search(positions, present, self._random)
+        if found is None:
+            return True, False
+        spread = np.array([found.position_deviation] * 2 + [found.heading_deviation])
+        self.set_pose(self.vehicles[number], found.pose, np.diag(spread**2))
+        return True, True
 
     # -- resampling -----------------------------------------------------------------------------
 

@@ -60,6 +60,10 @@ class TeamBelief:
         """See FastSlam.set_pose."""
         self.filter_of(vehicle).set_pose(vehicle, pose, covariance)
 
+    def restart_clock(self, vehicle: str) -> None:
+        """See FastSlam.restart_clock."""
+        self.filter_of(vehicle).restart_clock(vehicle)
+
     def estimate(self, vehicle: str) -> tuple[Pose2, Array]:
         """See FastSlam.estimate."""
         return self.filter_of(vehicle).estimate(vehicle)

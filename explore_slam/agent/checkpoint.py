@@ -1,0 +1,83 @@
+"""The agent's state as a file: belief, scans with their keyframes, where vehicles are.
+
+One npz, written whole or not at all; nothing in it is code. Odometry frames do not survive a
+restart of the bases, so after loading each vehicle goes on from the pose it had.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from explore_slam.data import LaserScan
+from explore_slam.errors import AgentError, ExploreSlamError
+from explore_slam.geometry import Pose2
+from explore_slam.mapping import Body, GridConfig, LaserMap
+from explore_slam.slam import TeamBelief, checkpoint
+
+State = dict[str, NDArray[Any]]
+VERSION = 1
+
+
+def save(path: Path, belief: TeamBelief, laser_map: LaserMap) -> None:
+    """Write the state; AgentError where it cannot be written."""
+    state = {'agent_version': np.array(VERSION)}
+    state |= checkpoint.under('belief', belief.state_dict())
+    state |= checkpoint.under('scans', _scans_state(laser_map, list(belief.vehicles)))
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        checkpoint.write(path, state)
+    except (ExploreSlamError, OSError) as error:
+        raise AgentError(f'state cannot be saved: {error}') from error
+
+
+def load(path: Path, config: GridConfig) -> tuple[TeamBelief, LaserMap]:
+    """Read belief and scans; AgentError where the file is missing, truncated or another's."""
+    try:
+        state = checkpoint.read(path)
+        version = int(state.get('agent_version', np.array(-1)))
+        if version != VERSION:
+            raise AgentError(f'{path} has agent state version {version}, expected {VERSION}')
+        belief = TeamBelief.from_state(checkpoint.part('belief', state))
+        scans = checkpoint.part('scans', state)
+        return belief, _laser_map(scans, list(belief.vehicles), config)
+    except AgentError:
+        raise
+    except (ExploreSlamError, KeyError, ValueError, IndexError) as error:
+        raise AgentError(f'state cannot be loaded: {error}') from error
+
+
+def _scans_state(laser_map: LaserMap, vehicles: list[str]) -> State:
+    scans, numbers, bodies = [], [], []
+    for row, item in enumerate(laser_map.scans):
+        scan = item.scan
+        numbers.append((item.keyframe, vehicles.index(item.vehicle), scan.ranges.size))
+        scans.append(
+            (scan.stamp, scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max)
+            + tuple(item.laser_in_keyframe)
+        )
+        bodies += [(row, body.keyframe, *body.offset, body.radius) for body in item.bodies]
+    ranges = [item.scan.ranges for item in laser_map.scans]
+    return {
+        'numbers': np.array(numbers, np.int64).reshape(-1, 3),
+        'scans': np.array(scans, np.float64).reshape(-1, 8),
+        'ranges': np.concatenate([np.empty(0, np.float32), *ranges]),
+        'bodies': np.array(bodies, np.float64).reshape(-1, 6),
+    }
+
+
+def _laser_map(state: State, vehicles: list[str], config: GridConfig) -> LaserMap:
+    laser_map = LaserMap(config)
+    bodies: dict[int, list[Body]] = {}
+    for row, keyframe, x, y, theta, radius in state['bodies'].tolist():
+        bodies.setdefault(int(row), []).append(Body(int(keyframe), Pose2(x, y, theta), radius))
+    first = 0
+    rows = zip(state['numbers'].tolist(), state['scans'].tolist(), strict=True)
+    for row, ((keyframe, vehicle, count), (*sweep, x, y, theta)) in enumerate(rows):
+        stamp, angle_min, increment, range_min, range_max = sweep
+        ranges = state['ranges'][first : first + count]
+        first += count
+        scan = LaserScan(stamp, angle_min, increment, ranges, range_min, range_max)
+        laser_map.add(keyframe, vehicles[vehicle], scan, Pose2(x, y, theta), bodies.get(row, []))
+    return laser_map
