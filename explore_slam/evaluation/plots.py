@@ -57,7 +57,7 @@ def map_figure(data: RunData) -> str | None:
         return None
     left, right, bottom, top = extent
     width = 10.0
-    height = float(np.clip(width * (top - bottom) / max(right - left, 1e-6) + 0.9, 3.0, 11.0))
+    height = float(np.clip(width * (top - bottom) / max(right - left, 1e-6) + 0.9, 3.0, 10.0))
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(width, height), layout='constrained')
         axes = figure.add_subplot()
@@ -80,7 +80,7 @@ def map_figure(data: RunData) -> str | None:
             _draw_vehicle(axes, run, color_of(index))
         axes.set(xlim=(left, right), ylim=(bottom, top), xlabel='x (m)', ylabel='y (m)')
         _legend(axes, min(6, 2 + 2 * len(data.vehicles)))
-        return _svg(figure, 'map')
+        return _svg(figure, 'map', bbox_inches='tight', pad_inches=0.05)
 
 
 def _draw_grid(axes: Axes, grid: Any) -> None:
@@ -277,15 +277,15 @@ def _legend(axes: Axes, columns: int) -> None:
             bbox_to_anchor=(0.0, 1.0),
             ncols=columns,
             borderaxespad=0.2,
-            markerscale=1.6,
+            markerscale=2.5,
         )
 
 
-def _svg(figure: Figure, name: str) -> str:
+def _svg(figure: Figure, name: str, **options: Any) -> str:
     buffer = io.StringIO()
     # the salt keeps ids of several figures on one page apart, and the same from run to run
     with mpl.rc_context({'svg.hashsalt': name}):
-        figure.savefig(buffer, format='svg', metadata={'Date': None})
+        figure.savefig(buffer, format='svg', metadata={'Date': None}, **options)
     text = buffer.getvalue()
     text = text[text.index('<svg') :]
     text = re.sub(r' id="[A-Za-z0-9.]+_[0-9]+"', '', text)

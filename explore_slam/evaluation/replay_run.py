@@ -130,7 +130,7 @@ def replay_bag(
         collector.tick(agent.now)
         wall = time.perf_counter() - begin
     recorded = collector.last - (collector.first or collector.last)
-    for warning in replay.warnings:
+    for warning in (*replay.warnings, *_blind(replay)):
         recorder.add_note(warning)
     return recorder.finish(
         {vehicle: agent.trajectory(vehicle) for vehicle in poses},
@@ -149,6 +149,16 @@ def replay_bag(
             },
         },
     )
+
+
+def _blind(replay: Replay) -> list[str]:
+    """Name the vehicles that see no landmarks."""
+    seeing = {TopicKind.COLOR, TopicKind.COLOR_COMPRESSED, TopicKind.LANDMARKS}
+    return [
+        f'{vehicle} has neither frames nor landmarks: its path and map follow odometry alone'
+        for vehicle in replay.vehicles
+        if not replay.kinds(vehicle) & seeing
+    ]
 
 
 def _has_odometry(replay: Replay) -> bool:

@@ -24,9 +24,10 @@ section { background: #fff; border: 1px solid #e4e7eb; border-radius: 10px; padd
 .tiles { display: grid; grid-template-columns: repeat(auto-fit, minmax(128px, 1fr)); gap: 12px;
   margin-top: 18px; }
 .tile { background: #fff; border: 1px solid #e4e7eb; border-radius: 10px; padding: 12px 16px; }
-.tile b { display: block; font-size: 23px; font-weight: 650; line-height: 1.25; }
+.tile b { display: block; white-space: nowrap; font-size: 23px; font-weight: 650;
+  line-height: 1.25; }
 .tile span { color: #616e7c; font-size: 13px; }
-svg { width: 100%; height: auto; display: block; }
+svg { width: 100%; height: auto; max-height: 880px; display: block; }
 svg text { font-family: system-ui, -apple-system, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif
   !important; }
 svg image { image-rendering: pixelated; }
@@ -95,7 +96,7 @@ def _tiles(data: RunData) -> str:
     if isinstance(metrics.get('coverage'), float):
         share = data.coverage_unit == '%'
         value = metrics['coverage'] * (100.0 if share else 1.0)
-        chosen.append((f'{value:.1f} {data.coverage_unit}', 'explored'))
+        chosen.append((f'{value:.{1 if share else 0}f}\u202f{data.coverage_unit}', 'explored'))
     for name, text in (('landmarks', 'landmarks'), ('collisions', 'collisions')):
         if isinstance(metrics.get(name), int):
             chosen.append((f'{metrics[name]:,}', text))

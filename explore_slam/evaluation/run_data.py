@@ -7,6 +7,7 @@ import numpy as np
 
 from explore_slam.data import OdometryReading
 from explore_slam.errors import EvaluationError
+from explore_slam.evaluation.between_keyframes import carried_on, filled
 from explore_slam.evaluation.run_folder import LandmarkMap
 from explore_slam.evaluation.trajectory import (
     Trajectory,
@@ -47,8 +48,9 @@ class KeyframeLike(Protocol):
 class VehicleRun:
     """One vehicle's trajectories in the map frame; absent ones are empty.
 
-    estimated: along the best particle at the end; online: as estimated at each time; odometry:
-    alone, from the start pose; truth: where something outside the vehicle measured it.
+    estimated: along the best particle at the end, between keyframes by odometry; online: as
+    estimated at each time; odometry: alone, from the start pose; truth: where something outside
+    the vehicle measured it.
     """
 
     name: str
@@ -69,7 +71,15 @@ class VehicleRun:
 
     def metrics(self) -> dict[str, Any]:
         """Return distance, duration and, against the truth, the errors of every trajectory."""
-        driven = self.truth if len(self.truth) else self.online
+        whole = self.truth.duration > 0.9 * max(self.online.duration, self.odometry.duration)
+        driven = next(
+            (
+                path
+                for path in (self.truth if whole else _empty(), self.online, self.odometry)
+                if len(path) > 1
+            ),
+            self.truth,
+        )
         found: dict[str, Any] = {'distance': driven.length, 'duration': driven.duration}
         if not len(self.truth):
             return found
@@ -132,6 +142,7 @@ class RunRecorder:
         self._starts = dict(starts)
         self._particles = particles
         self._online: dict[str, list[tuple[float, Pose2]]] = {}
+        self._keyframes: dict[str, list[tuple[float, Pose2]]] = {}
         self._truth: dict[str, list[tuple[float, Pose2]]] = {}
         self._odometry: dict[str, list[tuple[float, Pose2]]] = {}
         self._coverage: list[tuple[float, float]] = []
@@ -159,8 +170,11 @@ class RunRecorder:
         self._effective.append((stamp, count))
 
     def add_keyframe(self, event: KeyframeLike) -> None:
-        """Keep pose and effective particles of a keyframe event of the agent."""
-        self.add_pose(event.vehicle, event.stamp, event.pose)
+        """Keep pose and effective particles of a keyframe event of the agent.
+
+        Without poses from add_pose, these carried on by odometry are the online trajectory.
+        """
+        self._keyframes.setdefault(event.vehicle, []).append((event.stamp, event.pose))
         if event.update is not None:
             self.add_effective_particles(event.stamp, event.update.effective_particles)
 
@@ -171,7 +185,8 @@ class RunRecorder:
     @property
     def vehicles(self) -> list[str]:
         """Names of all vehicles that anything is known of, sorted."""
-        return sorted({*self._starts, *self._online, *self._truth, *self._odometry})
+        heard = (self._starts, self._online, self._keyframes, self._truth, self._odometry)
+        return sorted({name for names in heard for name in names})
 
     def finish(
         self,
@@ -213,10 +228,12 @@ class RunRecorder:
     def _vehicle_run(self, name: str, estimated: tuple[Array, Array] | None) -> VehicleRun:
         truth, odometry = _trajectory(self._truth.get(name)), _trajectory(self._odometry.get(name))
         online = _trajectory(self._online.get(name))
+        if not len(online):
+            online = carried_on(_trajectory(self._keyframes.get(name)), odometry)
         if name in self._starts:
             odometry = odometry.from_start(self._starts[name])
         path = Trajectory.of(*estimated) if estimated is not None else _empty()
-        return VehicleRun(name, path, online, truth, odometry)
+        return VehicleRun(name, filled(path, odometry), online, truth, odometry)
 
 
 def _trajectory(samples: list[tuple[float, Pose2]] | None) -> Trajectory:
