@@ -24,7 +24,7 @@ from std_srvs.srv import SetBool
 
 from explore_slam.data import LaserScan, RgbdFrame
 from explore_slam.errors import DataError
-from explore_slam.geometry import Pose2
+from explore_slam.geometry import Pose2, to_world
 from explore_slam.nodes.conversions import scan_record
 from explore_slam.nodes.driver_outputs import DriverOutputs, Frames, Latency
 from explore_slam.nodes.vehicle_support import (
@@ -49,6 +49,7 @@ from explore_slam.vehicle import (
     SafetyInputs,
     Supervisor,
 )
+from explore_slam.vehicle.dead_reckoning import DeadReckoning
 from explore_slam.vehicle.safety import SafeVelocity, sonar_points
 
 CONTROL_PERIOD = 0.02  # s
@@ -99,6 +100,8 @@ class PioneerDriverNode(Node):
         base = driver.base
         self._gate = SafetyGate(driver.safety, base.maximum_speed, base.maximum_turn_rate)
         self._inputs = SafetyInputs()
+        self._reckoning = DeadReckoning()
+        self._seen: tuple[float, Any] = (0.0, np.empty((0, 2)))  # stamp of a scan, its points
         self._safe = SafeVelocity(0.0, 0.0, 'base not connected')
         self._lock = threading.Lock()
         self._motors_wanted: bool | None = None  # None: nobody has said yet
@@ -208,6 +211,7 @@ class PioneerDriverNode(Node):
             inputs.stalled = state.stalled
             inputs.emergency_stop = state.status.emergency_stop
             inputs.sonar_points = sonar_points(state.sonar)
+            self._reckoning.add_odometry(state.odometry)
         self.outputs.publish_state(state, self.config.driver.base.use_sonar)
         self._latency['base'].add(now_seconds(self) - state.received)
         self._watch_motors(state.status.motors_on)
@@ -235,8 +239,17 @@ class PioneerDriverNode(Node):
                 inputs.laser_heard = self.laser.heard
             elif self.config.watch_scan_topic:
                 inputs.laser_heard = self._watched_scan
+            inputs.laser_points = self._points_now()
             self._safe = self._gate.update(inputs, now)
         self.robot.set_velocity(self._safe.linear, self._safe.angular)
+
+    def _points_now(self) -> Any:
+        """Return what the last scan hit in the vehicle's present frame: scans come 0.2 s late."""
+        stamp, points = self._seen
+        moved = self._reckoning.odometry_at(now_seconds(self)).between(
+            self._reckoning.odometry_at(stamp)
+        )
+        return to_world(moved, points)
 
     # -- in the other parts' threads -------------------------------------------------------------
 
@@ -249,7 +262,7 @@ class PioneerDriverNode(Node):
     def _keep_points(self, scan: LaserScan) -> None:
         points = SafetyGate.points_of(scan, self._laser_pose)
         with self._lock:
-            self._inputs.laser_points = points
+            self._seen = (scan.stamp, points)
 
     def _on_frame(self, frame: RgbdFrame) -> None:
         self.outputs.publish_frame(frame)
