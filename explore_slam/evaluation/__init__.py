@@ -1,6 +1,6 @@
 """Metrics of trajectories and runs, run folders and their reports, the experiments."""
 
-from explore_slam.evaluation.run_data import RunData, RunRecorder, Series, VehicleRun
+from explore_slam.evaluation.run_data import Panel, RunData, RunRecorder, Series, VehicleRun
 from explore_slam.evaluation.run_folder import RunFolder
 from explore_slam.evaluation.trajectory import (
     ErrorStatistics,
@@ -12,6 +12,7 @@ from explore_slam.evaluation.trajectory import (
 
 __all__ = [
     'ErrorStatistics',
+    'Panel',
     'RunData',
     'RunFolder',
     'RunRecorder',

@@ -5,6 +5,7 @@ poses of the vehicle are recorded, matches must agree in the map within their ow
 tests features, depth, mounting and noise model at once.
 """
 
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from explore_slam.agent.config import AgentConfig
 from explore_slam.data import LandmarkObservations, RgbdFrame
 from explore_slam.errors import RecordingError
-from explore_slam.evaluation.run_data import RunData, VehicleRun
+from explore_slam.evaluation.run_data import Panel, RunData, Series, VehicleRun
 from explore_slam.evaluation.trajectory import Trajectory
 from explore_slam.geometry import Array, wrap_angles
 from explore_slam.nodes.conversions import seconds
@@ -131,8 +132,52 @@ def observe_recording(replay: Replay, config: AgentConfig, until: float | None =
         f'Landmark observations in {replay.bag.path.name}',
         runs,
         {'vehicles': {run.name: run.metrics() for run in runs}, 'observations': metrics},
+        landmarks=placed(seen, truths),
         settings=config,
-        notes=tuple(replay.warnings),
+        notes=(*replay.warnings, *([PLACED] if runs else [])),
+        panels=tuple(_panel(vehicle, found) for vehicle, found in seen.items() if found),
+    )
+
+
+PLACED = 'landmarks are drawn where the true poses put them: there is no estimate in this run'
+
+
+@dataclass(frozen=True)
+class PlacedLandmarks:
+    """Observations in the map: means (N, 3), covariances (N, 3, 3), counts (N,), all one."""
+
+    means: Array
+    covariances: Array
+    counts: NDArray[np.int64]
+
+
+def placed(
+    seen: dict[str, list[LandmarkObservations]], truths: dict[str, TruePoses | None]
+) -> PlacedLandmarks | None:
+    """Return all observations moved to the map by the true poses; None without any."""
+    means, covariances = [], []
+    for vehicle, observations in seen.items():
+        truth = truths[vehicle]
+        for item in observations:
+            pose = truth.at(item.stamp) if truth is not None else None
+            if pose is not None:
+                turn, at = pose
+                means.append(item.positions @ turn.T + at)
+                covariances.append(turn @ item.covariances @ turn.T)
+    if not means:
+        return None
+    points = np.concatenate(means)
+    return PlacedLandmarks(
+        points, np.concatenate(covariances), np.ones(len(points), dtype=np.int64)
+    )
+
+
+def _panel(vehicle: str, observations: list[LandmarkObservations]) -> Panel:
+    return Panel(
+        f'Landmarks seen by {vehicle}',
+        'Landmark observations extracted from each frame.',
+        'observations',
+        Series.of([(item.stamp, float(len(item))) for item in observations]),
     )
 
 

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
-from explore_slam.evaluation.run_data import RunData, Series, VehicleRun, error_series
+from explore_slam.evaluation.run_data import Panel, RunData, Series, VehicleRun, error_series
 from explore_slam.evaluation.trajectory import Trajectory
 from explore_slam.geometry import Array
 
@@ -136,7 +136,9 @@ def _view(data: RunData) -> tuple[float, float, float, float] | None:
             corners = np.array([[columns.min(), rows.min()], [columns.max() + 1, rows.max() + 1]])
             parts.append(np.asarray(data.grid.origin)[:2] + corners * data.grid.resolution)
     elif data.landmarks is not None and len(data.landmarks.means):
-        parts.append(np.asarray(data.landmarks.means)[:, :2])
+        # a few landmarks far out must not shrink the rest
+        means = np.asarray(data.landmarks.means)[:, :2]
+        parts.append(np.quantile(means, [0.01, 0.99], axis=0))
     if not parts:
         return None
     points = np.concatenate(parts)
@@ -239,6 +241,20 @@ def particles_figure(data: RunData) -> str | None:
         return _svg(figure, 'particles')
 
 
+def panel_figure(panel: Panel, name: str) -> str | None:
+    """Draw one more series over its own time; None when it is empty."""
+    if not len(panel.series):
+        return None
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(10.0, 2.6), layout='constrained')
+        axes = figure.add_subplot()
+        times, values = _binned(panel.series, np.mean)
+        axes.plot(times - times[0], values, color=COLORS[0], lw=1.6, marker='o', ms=2.5)
+        top = float(values.max())
+        axes.set(ylim=(0.0, 1.15 * top + 1e-9), xlabel='time (s)', ylabel=panel.label)
+        return _svg(figure, name)
+
+
 def _begin(data: RunData) -> float:
     firsts = [
         float(path.stamps[0])
@@ -320,4 +336,8 @@ def figures(data: RunData) -> Sequence[tuple[str, str, str]]:
             particles_figure(data),
         ),
     )
-    return [(title, caption, svg) for title, caption, svg in drawn if svg is not None]
+    more = (
+        (panel.title, panel.caption, panel_figure(panel, f'panel{index}'))
+        for index, panel in enumerate(data.panels)
+    )
+    return [(title, text, svg) for title, text, svg in (*drawn, *more) if svg is not None]

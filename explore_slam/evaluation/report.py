@@ -100,6 +100,12 @@ def _tiles(data: RunData) -> str:
     for name, text in (('landmarks', 'landmarks'), ('collisions', 'collisions')):
         if isinstance(metrics.get(name), int):
             chosen.append((f'{metrics[name]:,}', text))
+    for found in metrics.get('observations', {}).values():
+        chosen.append((f'{found["frames"]}', 'frames'))
+        chosen.append((f'{found["observations_mean"]:.0f}', 'landmarks seen in a frame'))
+        if 'distance_median' in found:
+            chosen.append((f'{100.0 * found["matches_that_agree"]:.0f} %', 'of matches agree'))
+            chosen.append((f'{found["distance_median"]:.3f} m', 'median distance of matches'))
     driven = sum(run.metrics()['distance'] for run in data.vehicles)
     chosen.append((f'{driven:.0f} m', 'driven by all'))
     tiles = (

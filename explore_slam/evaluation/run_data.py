@@ -111,6 +111,16 @@ class Series:
 
 
 @dataclass(frozen=True)
+class Panel:
+    """One more line chart of a report: title, caption, what is on the y axis, its values."""
+
+    title: str
+    caption: str
+    label: str
+    series: Series
+
+
+@dataclass(frozen=True)
 class RunData:
     """Everything that the run folder and its report are made of."""
 
@@ -125,6 +135,7 @@ class RunData:
     particles: int = 0
     settings: Section | None = None
     notes: tuple[str, ...] = ()
+    panels: tuple[Panel, ...] = ()
 
 
 class RunRecorder:
