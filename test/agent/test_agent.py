@@ -1,0 +1,285 @@
+"""The agent without ROS: records in, poses and map out; what is malformed changes nothing."""
+
+import math
+
+import numpy as np
+import pytest
+from synthetic import ROOM, SyntheticVehicle, SyntheticWorld
+
+from explore_slam.agent import Agent, AgentConfig, TeamPlanner
+from explore_slam.data import (
+    LandmarkObservations,
+    OdometryReading,
+    VehicleSighting,
+    VehicleState,
+)
+from explore_slam.errors import AgentError
+from explore_slam.exploration import ExplorationStatus
+from explore_slam.geometry import IDENTITY, Pose2
+from explore_slam.settings import with_values
+
+STARTS = {'robot1': Pose2(-1.0, -1.5, 0.0), 'robot2': Pose2(1.0, 1.5, math.pi)}
+CONFIG = with_values(AgentConfig(), {'particles': 100})
+
+
+def make_team(config=CONFIG, seed=1):
+    world = SyntheticWorld()
+    agent = Agent(config, STARTS, seed)
+    team = {
+        name: SyntheticVehicle(world, pose, seed=number)
+        for number, (name, pose) in enumerate(STARTS.items())
+    }
+    return agent, team
+
+
+def drive(agent, team, ticks, scans=True):
+    for tick in range(ticks):
+        for name, vehicle in team.items():
+            agent.add_odometry(name, vehicle.advance())
+            if tick % 5 == 0:
+                agent.add_landmarks(name, vehicle.landmarks())
+            if scans and tick % 3 == 0:
+                agent.add_scan(name, vehicle.scan())
+
+
+@pytest.fixture(scope='module')
+def driven():
+    agent, team = make_team()
+    drive(agent, team, 200)
+    return agent, team
+
+
+def test_poses_are_far_better_than_odometry(driven):
+    agent, team = driven
+    for name, vehicle in team.items():
+        pose, covariance = agent.estimate(name)
+        alone = STARTS[name].compose(vehicle.odometry)
+        assert vehicle.error_of(pose) < 0.05
+        assert vehicle.error_of(pose) < 0.5 * vehicle.error_of(alone)
+        assert np.linalg.eigvalsh(covariance).min() > 0.0
+
+
+def test_the_grid_shows_the_walls_where_they_are(driven):
+    agent, _ = driven
+    grid = agent.grid
+    occupied = grid.to_point(np.argwhere(grid.known() & (grid.probability() > 0.65)))
+    assert len(occupied) > 300
+    off_the_wall = np.abs(np.abs(occupied).max(axis=1) - ROOM)
+    assert np.median(off_the_wall) < 0.06
+    assert np.quantile(off_the_wall, 0.95) < 0.15
+    inside = grid.to_cell(np.array([[0.0, 0.0], [1.0, 0.5]]))
+    assert (grid.probability()[inside[:, 0], inside[:, 1]] < 0.2).all()
+
+
+def test_vehicles_are_no_walls():
+    """Two vehicles that see each other all the time leave no trace in the map."""
+    agent, team = make_team()
+    first, second = team.values()
+    first.pose = first.start = Pose2(-1.0, 0.0, 0.0)
+    agent.start_poses.update(robot1=Pose2(-1.0, 0.0, 0.0), robot2=Pose2(1.0, 0.0, math.pi))
+    second.pose = Pose2(1.0, 0.0, math.pi)
+    agent.reset()
+    for tick in range(20):
+        for name, vehicle in team.items():
+            vehicle.step = IDENTITY
+            agent.add_odometry(name, vehicle.advance())
+            scan = vehicle.scan()
+            ahead = np.abs(scan.angles) < 0.1
+            scan.ranges[ahead] = 1.65  # the body of the other one
+            agent.add_scan(name, scan)
+        agent.advance(2.2 * tick)
+    cells = agent.grid.to_cell(np.array([[0.75, 0.0], [-0.75, 0.0]]))
+    assert (agent.grid.probability()[cells[:, 0], cells[:, 1]] < 0.5).all()
+
+
+def test_the_same_records_give_the_same_belief_and_map(driven):
+    agent, _team = driven
+    again, team2 = make_team()
+    drive(again, team2, 200)
+    assert again.estimate('robot1')[0] == agent.estimate('robot1')[0]
+    assert again.grid.same_as(agent.grid)
+    np.testing.assert_array_equal(again.landmarks().means, agent.landmarks().means)
+
+
+def test_records_wait_for_odometry_and_are_used_when_it_comes():
+    agent, team = make_team()
+    vehicle = team['robot1']
+    readings = [vehicle.advance() for _ in range(5)]
+    seen = vehicle.landmarks()
+    for reading in readings[:-1]:
+        agent.add_odometry('robot1', reading)
+    agent.add_landmarks('robot1', seen)
+    agent.take_events()
+    assert len(agent.landmarks().ids) == 0
+    agent.add_odometry('robot1', readings[-1])
+    (event,) = agent.take_events()
+    assert event.update.inserted == len(seen)
+    assert event.stamp == seen.stamp
+
+
+def test_late_records_are_counted_and_left_out():
+    agent, team = make_team()
+    drive(agent, team, 20)
+    before = agent.estimate('robot1')[0]
+    agent.add_odometry('robot1', OdometryReading(1.5, Pose2(9.0, 9.0, 0.0)))
+    agent.add_landmarks('robot1', LandmarkObservations.empty(0.1))
+    assert agent.estimate('robot1')[0] == before
+    counts = agent.summary()['robot1']
+    assert counts['late_odometry'] == 1
+    assert counts['late_observations'] == 1
+
+
+def test_unknown_vehicles_are_named():
+    agent, _ = make_team()
+    sighting = VehicleSighting(1.0, 'robot9', np.zeros(2), np.eye(2))
+    for call in (
+        lambda: agent.add_odometry('robot9', OdometryReading(1.0, IDENTITY)),
+        lambda: agent.add_sighting('robot1', sighting),
+        lambda: agent.estimate('robot9'),
+        lambda: agent.set_pose('robot9', IDENTITY, np.eye(3)),
+    ):
+        with pytest.raises(AgentError, match=r"unknown vehicle 'robot9'.*robot1.*robot2"):
+            call()
+    with pytest.raises(AgentError, match='start_poses is empty'):
+        Agent(CONFIG, {})
+
+
+def test_a_clock_that_jumps_back_loses_nothing(caplog):
+    agent, team = make_team()
+    drive(agent, team, 100)
+    held = len(agent.landmarks().ids)
+    for vehicle in team.values():
+        vehicle.stamp = 0.0
+    drive(agent, team, 100)
+    assert 'went back' in caplog.text
+    assert len(agent.landmarks().ids) >= held
+    for name, vehicle in team.items():
+        assert vehicle.error_of(agent.estimate(name)[0]) < 0.06
+
+
+def test_a_base_that_is_reset_under_way_does_not_move_the_vehicle(caplog):
+    agent, team = make_team()
+    drive(agent, team, 60)
+    for vehicle in team.values():
+        vehicle.odometry = IDENTITY
+    drive(agent, team, 60)
+    assert 'reset of the base' in caplog.text
+    for name, vehicle in team.items():
+        assert vehicle.error_of(agent.estimate(name)[0]) < 0.06
+
+
+def test_without_camera_scans_still_make_a_map():
+    agent, team = make_team()
+    for tick in range(120):
+        for name, vehicle in team.items():
+            agent.add_odometry(name, vehicle.advance())
+            if tick % 3 == 0:
+                agent.add_scan(name, vehicle.scan())
+    assert len(agent.trajectory('robot1')[0]) > 5
+    assert agent.grid.known().sum() > 5000
+
+
+def test_pause_ignores_measurements_but_follows_odometry():
+    agent, team = make_team()
+    drive(agent, team, 40)
+    held = len(agent.landmarks().ids)
+    agent.paused = True
+    drive(agent, team, 40)
+    assert len(agent.landmarks().ids) == held
+    assert agent.summary()['robot1']['ignored_while_paused'] > 0
+    agent.paused = False
+    drive(agent, team, 40)
+    for name, vehicle in team.items():
+        assert vehicle.error_of(agent.estimate(name)[0]) < 0.06
+
+
+def test_silent_vehicles_are_told():
+    agent, team = make_team()
+    drive(agent, team, 20)
+    for _ in range(50):
+        agent.add_odometry('robot1', team['robot1'].advance())
+    states = {status.vehicle: status.state for status in agent.statuses()}
+    assert states['robot2'] is VehicleState.SILENT
+    assert states['robot1'] is not VehicleState.SILENT
+
+
+def test_state_round_trips_through_a_file(tmp_path):
+    agent, team = make_team()
+    drive(agent, team, 80)
+    path = agent.save_state(tmp_path / 'state.npz')
+    pose, grid = agent.estimate('robot1')[0], agent.grid
+    other = Agent(CONFIG, STARTS, seed=5)
+    other.load_state(path)
+    np.testing.assert_array_equal(other.landmarks().means, agent.landmarks().means)
+    assert other.grid.same_as(grid)
+    assert tuple(other.estimate('robot1')[0]) == pytest.approx(tuple(pose))
+    for vehicle in team.values():
+        vehicle.odometry = IDENTITY  # the bases were switched off and on
+    drive(other, team, 60)
+    for name, vehicle in team.items():
+        assert vehicle.error_of(other.estimate(name)[0]) < 0.06
+
+
+def test_a_bad_state_file_changes_nothing(tmp_path, driven):
+    agent, _ = driven
+    before = agent.estimate('robot1')[0]
+    path = tmp_path / 'state.npz'
+    for content in (None, b'', b'garbage'):
+        if content is not None:
+            path.write_bytes(content)
+        with pytest.raises(AgentError, match=r'state cannot be loaded: .*state\.npz'):
+            agent.load_state(path)
+    assert agent.estimate('robot1')[0] == before
+    agent.save_state(path)
+    before = agent.estimate('robot1')[0]
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(AgentError, match='state cannot be loaded'):
+        agent.load_state(path)
+    path.write_bytes(whole)
+    with pytest.raises(AgentError, match=r"is of vehicles \['robot1', 'robot2'\]"):
+        Agent(CONFIG, {'other': IDENTITY}).load_state(path)
+    assert agent.estimate('robot1')[0] == before
+
+
+def test_reset_forgets_everything():
+    agent, team = make_team()
+    drive(agent, team, 30)
+    agent.reset()
+    assert len(agent.landmarks().ids) == 0
+    assert tuple(agent.estimate('robot1')[0]) == pytest.approx(tuple(STARTS['robot1']))
+    assert agent.grid.known().sum() == 0
+
+
+def test_a_person_may_relocate_a_vehicle():
+    agent, team = make_team()
+    drive(agent, team, 20)
+    place = Pose2(2.0, 2.0, 1.0)
+    agent.set_pose('robot1', place, np.diag([0.01, 0.01, 0.01]))
+    pose, _ = agent.belief.estimate('robot1')
+    assert tuple(pose) == pytest.approx(tuple(place), abs=1e-6)
+
+
+def test_the_team_plans_and_a_closed_room_is_complete(driven):
+    agent, _ = driven
+    planner = TeamPlanner(agent)
+    assert planner.result.status is ExplorationStatus.STARTED
+    results = [planner.plan(20.0 + 2.0 * cycle) for cycle in range(12)]
+    assert results[-1].status is ExplorationStatus.COMPLETE
+    planner.return_home()
+    result = planner.plan(60.0)
+    assert result.status is ExplorationStatus.RETURNING
+    for name, plan in result.plans.items():
+        np.testing.assert_allclose(plan.waypoints[-1], STARTS[name][:2], atol=0.15)
+    planner.pause(True)
+    assert planner.plan(62.0).status is ExplorationStatus.PAUSED
+
+
+def test_dedicated_maps_leave_sightings_out():
+    agent, team = make_team(with_values(CONFIG, {'maps': 'dedicated'}))
+    drive(agent, team, 30)
+    sighting = VehicleSighting(2.9, 'robot2', np.array([2.0, 0.0]), 0.01 * np.eye(2))
+    agent.add_sighting('robot1', sighting)
+    assert agent.summary()['robot1']['unused_sightings'] == 1
+    for name, vehicle in team.items():
+        assert vehicle.error_of(agent.estimate(name)[0]) < 0.05
