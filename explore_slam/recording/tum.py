@@ -26,11 +26,11 @@ logger = logging.getLogger(__name__)
 VEHICLE = 'robot1'
 UNITS_PER_MILLIMETRE = 5.0
 ASSOCIATIONS, TRUTH = 'associations.txt', 'groundtruth.txt'
-# fx, fy, cx, cy of the three Kinects, as the data set's page gives them
-CAMERAS = {
-    'freiburg1': (517.3, 516.5, 318.6, 255.3),
-    'freiburg2': (520.9, 521.0, 325.1, 249.7),
-    'freiburg3': (535.4, 539.2, 320.1, 247.6),
+# fx, fy, cx, cy and lens distortion of the three Kinects, as the data set's page gives them
+CAMERAS: dict[str, tuple[float, float, float, float, tuple[float, ...]]] = {
+    'freiburg1': (517.3, 516.5, 318.6, 255.3, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)),
+    'freiburg2': (520.9, 521.0, 325.1, 249.7, (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)),
+    'freiburg3': (535.4, 539.2, 320.1, 247.6, ()),
 }
 # the vehicle is the camera's body itself
 SETTINGS: dict[str, float | str] = {
@@ -79,7 +79,7 @@ def _read_associations(path: Path) -> list[tuple[float, str, str]]:
 
 
 def _frames(folder: Path, pairs: list[tuple[float, str, str]], camera: str) -> Iterator[Event]:
-    fx, fy, cx, cy = CAMERAS[camera]
+    fx, fy, cx, cy, distortion = CAMERAS[camera]
     for stamp, color_name, depth_name in pairs:
         color, depth = _image(folder / color_name), _image(folder / depth_name)
         if depth.dtype != np.uint16 or color.dtype != np.uint8:
@@ -88,7 +88,7 @@ def _frames(folder: Path, pairs: list[tuple[float, str, str]], camera: str) -> I
                 f'type {color.dtype}, expected uint16 and uint8'
             )
         height, width = depth.shape
-        intrinsics = Intrinsics(width, height, fx, fy, cx, cy)
+        intrinsics = Intrinsics(width, height, fx, fy, cx, cy, distortion)
         yield Event(
             stamp,
             VEHICLE,

@@ -218,6 +218,7 @@ def test_tum_becomes_frames_and_truth(small_tum, tmp_path):
     assert frame.rgb[5, 5].tolist() == [200, 100, 50]
     assert frame.depth[0].tolist()[:2] == [0, 1000]
     assert (frame.intrinsics.fx, frame.intrinsics.cy) == (517.3, 255.3)
+    assert frame.intrinsics.distortion == (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)
     truth = of_kind(found, TopicKind.GROUND_TRUTH)
     assert len(truth) == 3
     assert truth[0].record.pose == pytest.approx((1.0, 2.0, np.pi / 2), abs=1e-6)

@@ -11,6 +11,7 @@ from explore_slam.nodes.conversions.base import MessageFactory, header, seconds
 
 COLOR_CHANNELS = {'rgb8': 3, 'bgr8': 3, 'rgba8': 4, 'bgra8': 4, 'mono8': 1, '8UC1': 1, '8UC3': 3}
 DEPTH_TYPES: dict[str, type] = {'16UC1': np.uint16, 'mono16': np.uint16, '32FC1': np.float32}
+DISTORTION_MODELS = {'plumb_bob', 'rational_polynomial'}
 
 
 def _image_rows(message: Any, item: int, channels: int) -> NDArray[np.uint8]:
@@ -75,17 +76,23 @@ def image_message(
 
 
 def intrinsics_record(message: Any) -> Intrinsics:
-    """Return a sensor_msgs/CameraInfo as intrinsics (its matrix K)."""
-    k = message.k
-    return Intrinsics(
-        int(message.width), int(message.height), float(k[0]), float(k[4]), float(k[2]), float(k[5])
-    )
+    """Return a sensor_msgs/CameraInfo as intrinsics: its matrix K and distortion D."""
+    k, distortion = message.k, tuple(map(float, message.d))
+    if not any(distortion):
+        distortion = ()
+    elif message.distortion_model not in DISTORTION_MODELS:
+        raise DataError(
+            f'camera info: distortion model {message.distortion_model!r}, '
+            f'expected one of {sorted(DISTORTION_MODELS)}'
+        )
+    size = (int(message.width), int(message.height))
+    return Intrinsics(*size, float(k[0]), float(k[4]), float(k[2]), float(k[5]), distortion)
 
 
 def camera_info_message(
     factory: MessageFactory, stamp: float, frame: str, camera: Intrinsics
 ) -> Any:
-    """Return a sensor_msgs/CameraInfo without distortion."""
+    """Return a sensor_msgs/CameraInfo; without distortion D is five zeros."""
     k = [camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0]
     p = [*k[:3], 0.0, *k[3:6], 0.0, *k[6:], 0.0]
     return factory.make(
@@ -93,8 +100,8 @@ def camera_info_message(
         header=header(factory, stamp, frame),
         height=camera.height,
         width=camera.width,
-        distortion_model='plumb_bob',
-        d=factory.sequence(np.zeros(5)),
+        distortion_model='rational_polynomial' if len(camera.distortion) == 8 else 'plumb_bob',
+        d=factory.sequence(np.array(camera.distortion or [0.0] * 5)),
         k=np.array(k),
         r=np.eye(3).reshape(9),
         p=np.array(p),
