@@ -1,4 +1,4 @@
-"""Per-particle association: each particle takes the likeliest gated candidate of an observation.
+"""Association of engine paper: argmin of the descriptor distance among what is gated at P0.
 
 Rows of landmarks are (slots, 9, M): mean x y z, then covariance xx xy xz yy yz zz in the map
 frame; a variance xx <= 0 says that the landmark does not exist in that particle. Symmetric 3 × 3
@@ -34,38 +34,19 @@ def seen_covariance(
     )
 
 
-@njit(cache=True, nogil=True, inline='always')
-def inverse(
-    xx: float, xy: float, xz: float, yy: float, yz: float, zz: float
-) -> tuple[float, float, float, float, float, float, float]:  # pragma: no cover - compiled
-    """Return the inverse of a symmetric matrix, and its determinant last."""
-    a = yy * zz - yz * yz
-    b = xz * yz - xy * zz
-    d = xy * yz - xz * yy
-    determinant = xx * a + xy * b + xz * d
-    r = 1.0 / determinant
-    return (
-        r * a,
-        r * b,
-        r * d,
-        r * (xx * zz - xz * xz),
-        r * (xy * xz - xx * yz),
-        r * (xx * yy - xy * xy),
-        determinant,
-    )
-
-
-@njit(cache=True, nogil=True, inline='always')
-def quadratic(
-    w: tuple[float, float, float, float, float, float, float], x: float, y: float, z: float
+@njit(cache=True, nogil=True)
+def _squared_length(
+    x: float, y: float, z: float, xx: float, xy: float, xz: float, yy: float, yz: float, zz: float
 ) -> float:  # pragma: no cover - compiled
-    """Return vᵀ W v."""
-    return (
-        w[0] * x * x
-        + w[3] * y * y
-        + w[5] * z * z
-        + 2.0 * (w[1] * x * y + w[2] * x * z + w[4] * y * z)
+    """Return vᵀ S⁻¹ v."""
+    a, b, d = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    square = (
+        a * x * x
+        + (xx * zz - xz * xz) * y * y
+        + (xx * yy - xy * xy) * z * z
+        + 2.0 * (b * x * y + d * x * z + (xy * xz - xx * yz) * y * z)
     )
+    return square / (xx * a + xy * b + xz * d)
 
 
 @njit(cache=True, nogil=True)
@@ -77,19 +58,15 @@ def associate(
     z: Array,
     R: Array,
     poses: Array,
-    P: Array,
     gate: float,
-    descriptor_weight: float,
-    paper: bool,
     choice: Choice,
     quality: Array,
 ) -> None:  # pragma: no cover - compiled
     """Fill choice (K, M) with the number of the candidate taken, or -1; quality (K, M) with d².
 
-    candidates (K, J) are places in slots, or -1; distances (K, J) descriptor distances; z (K, 3)
-    and R (K, 6) in the vehicle frame; poses (M, 3) predicted; P (3, 3) their covariance in the
-    vehicle frame. Engine paper: the nearest descriptor among the gated (argmin E, section III),
-    else the least d² + ln|S| + descriptor_weight · E. A landmark serves one observation.
+    candidates (K, J) are places in slots, or -1; distances (K, J) descriptor distances E; z (K, 3)
+    and R (K, 6) in the vehicle frame; poses (M, 3) sampled. Each particle takes the candidate of
+    least E among those with d² <= gate, of equals the one of least d² (section III).
     """
     K, J = candidates.shape
     for m in range(len(poses)):
@@ -106,32 +83,19 @@ def associate(
                 row = slab[slots[local]]
                 if row[3, m] <= 0.0:
                     continue
-                taken = False
-                for other in range(k):
-                    taken_by = choice[other, m]
-                    if taken_by >= 0 and candidates[other, taken_by] == local:
-                        taken = True
-                        break
-                if taken:
-                    continue
                 dx, dy = row[0, m] - px, row[1, m] - py
-                zx, zy = c * dx + s * dy, c * dy - s * dx
                 sxx, sxy, sxz, syy, syz, szz = seen_covariance(
                     c, s, row[3, m], row[4, m], row[5, m], row[6, m], row[7, m], row[8, m]
                 )
-                # S = H P Hᵀ + Σ + R with H = [[-1, 0, zy], [0, -1, -zx], [0, 0, 0]]
-                sxx += P[0, 0] - 2.0 * zy * P[0, 2] + zy * zy * P[2, 2] + R[k, 0]
-                sxy += P[0, 1] + zx * P[0, 2] - zy * P[1, 2] - zx * zy * P[2, 2] + R[k, 1]
-                syy += P[1, 1] + 2.0 * zx * P[1, 2] + zx * zx * P[2, 2] + R[k, 3]
-                w = inverse(sxx, sxy, sxz + R[k, 2], syy, syz + R[k, 4], szz + R[k, 5])
-                square = quadratic(w, z[k, 0] - zx, z[k, 1] - zy, z[k, 2] - row[2, m])
-                if not square <= gate:
+                square = _squared_length(
+                    z[k, 0] - (c * dx + s * dy), z[k, 1] - (c * dy - s * dx), z[k, 2] - row[2, m],
+                    sxx + R[k, 0], sxy + R[k, 1], sxz + R[k, 2], syy + R[k, 3], syz + R[k, 4],
+                    szz + R[k, 5],
+                )  # fmt: skip
+                score = distances[k, j]
+                if not square <= gate or score > best:
                     continue
-                if paper:
-                    score = distances[k, j]
-                else:
-                    score = square + math.log(w[6]) + descriptor_weight * distances[k, j]
-                if score < best or (score == best and square < quality[k, m]):
+                if score < best or square < quality[k, m]:
                     best = score
                     choice[k, m] = j
                     quality[k, m] = square

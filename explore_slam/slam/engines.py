@@ -6,12 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.data import LandmarkObservations
-from explore_slam.geometry import Array
+from explore_slam.geometry import Array, Pose2, to_world
 from explore_slam.slam.association import Choice, associate
+from explore_slam.slam.gaussian import sample_gaussian
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.landmark_map import LandmarkMap
 from explore_slam.slam.landmark_update import insert_landmarks, update_landmarks
-from explore_slam.slam.proposal import propose, sample_gaussian
+from explore_slam.slam.proposal import propose
 from explore_slam.slam.row_store import Items
 
 UPPER = (np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2]))
@@ -21,7 +22,8 @@ UPPER = (np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2]))
 class Sighted:
     """One update in work: observations, the landmarks they may be, and who chose what.
 
-    z (K, 3), R (K, 6); items (L,) candidates' landmarks with their rows in slots (L,);
+    z (K, 3), R (K, 6); alike: landmarks within reach that each is like;
+    known (K,): like a landmark anywhere; items (L,) candidates' landmarks with their rows in slots (L,);
     candidates (K, J) places in items or -1, distances (K, J) of descriptors;
     choice (K, M) candidate taken or -1; quality (K, M) d²; influence (K, M) weight w.
     """
@@ -29,6 +31,8 @@ class Sighted:
     z: Array
     R: Array
     descriptors: NDArray[np.float32]
+    alike: list[tuple[int, ...]]
+    known: NDArray[np.bool_]
     items: Items
     slots: Items
     candidates: Items
@@ -46,24 +50,50 @@ class Sighted:
 
 
 def look_up(
-    landmarks: LandmarkMap, observations: LandmarkObservations, config: FastSlamConfig
+    landmarks: LandmarkMap,
+    observations: LandmarkObservations,
+    config: FastSlamConfig,
+    pose: Pose2,
+    covariance: Array,
+    reach: float,
 ) -> Sighted:
-    """Find the landmarks whose descriptors match, and stage their rows for change."""
+    """Find the landmarks whose descriptors match, near where they are seen from the mean pose.
+
+    covariance (3, 3) of that pose widens the search; reach (m) is how much farther a landmark
+    may be that the vehicle is like to see where it is lost. Stages the rows of the candidates.
+    """
     association = config.association
     descriptors = np.ascontiguousarray(observations.descriptors, np.float32)
+    z = np.ascontiguousarray(observations.positions, np.float64)
+    R = np.ascontiguousarray(observations.covariances[:, *UPPER], np.float64)
+    wanted = association.candidates_per_observation
     ids, distances = landmarks.index.query(
-        descriptors,
-        association.maximum_descriptor_distance,
-        association.candidates_per_observation,
+        descriptors, association.maximum_descriptor_distance, 2 * wanted
     )
+    found = ids >= 0
+    if found.any():
+        off = landmarks.reference[ids] - to_world(pose, z)[:, None, :]
+        length = np.sqrt(np.einsum('kji,kji->kj', off, off))
+        variance = covariance[0, 0] + covariance[1, 1] + (z[:, :2] ** 2).sum(1) * covariance[2, 2]
+        variance = variance + R[:, 0] + R[:, 3] + R[:, 5]
+        radius = 0.5 + association.association_gate * np.sqrt(variance)
+        within = found & (length <= (radius + reach)[:, None])
+        near = found & (length <= radius[:, None])
+        near &= np.cumsum(near, axis=1) <= wanted
+    else:
+        within = near = found
+    alike = [tuple(row[keep].tolist()) for row, keep in zip(ids, within, strict=True)]
+    ids = np.where(near, ids, -1)
     items, places = np.unique(ids, return_inverse=True)
     places = places.reshape(ids.shape)
     if len(items) and items[0] < 0:
         items, places = items[1:], places - 1
     sighted = Sighted(
-        z=np.ascontiguousarray(observations.positions, np.float64),
-        R=np.ascontiguousarray(observations.covariances[:, *UPPER], np.float64),
+        z=z,
+        R=R,
         descriptors=descriptors,
+        alike=alike,
+        known=found.any(axis=1),
         items=items,
         slots=landmarks.rows.stage(items),
         candidates=np.ascontiguousarray(places, np.int64),
@@ -83,13 +113,11 @@ def fastslam2(
     log_weights = np.zeros(len(poses))
     gate = config.association.association_gate**2
     likeness = 4.0 / max(config.association.maximum_descriptor_distance, 0.05)
-    associate(
-        data, sighted.slots, sighted.candidates, sighted.distances, sighted.z, sighted.R,
-        poses, P, gate, likeness, False, sighted.choice, sighted.quality,
-    )  # fmt: skip
+    shared = np.bincount(sighted.candidates[sighted.candidates >= 0], minlength=1) > 1
     propose(
-        data, sighted.slots, sighted.candidates, sighted.choice, sighted.z, sighted.R,
-        P, gate, config.outlier_threshold, normals, poses, log_weights, sighted.influence,
+        data, sighted.slots, sighted.candidates, sighted.distances, shared, sighted.z, sighted.R,
+        P, gate, likeness, config.outlier_threshold, normals, 0, len(poses),
+        poses, log_weights, sighted.choice, sighted.influence,
     )  # fmt: skip
     return log_weights
 
@@ -106,7 +134,7 @@ def paper(
     gate = -2.0 * np.log(least) if least > 0.0 else np.inf
     associate(
         data, sighted.slots, sighted.candidates, sighted.distances, sighted.z, sighted.R,
-        poses, np.zeros((3, 3)), gate, 0.0, True, sighted.choice, sighted.quality,
+        poses, gate, sighted.choice, sighted.quality,
     )  # fmt: skip
     squares = np.where(sighted.choice >= 0, sighted.quality, min(gate, 50.0))
     log_weights: Array = -0.5 * squares.sum(axis=0)
@@ -128,7 +156,7 @@ def update_matched(sighted: Sighted, data: Array, poses: Array) -> None:
     """Run the Kalman filters of all matched landmarks."""
     update_landmarks(
         data, sighted.slots, sighted.candidates, sighted.choice, sighted.z, sighted.R,
-        sighted.influence, poses,
+        sighted.influence, poses, 0, len(poses),
     )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from explore_slam.geometry import Array
-from explore_slam.slam.proposal import sample_gaussian
+from explore_slam.slam.gaussian import sample_gaussian
 
 
 @njit(cache=True, nogil=True)
