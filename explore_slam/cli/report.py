@@ -49,4 +49,6 @@ def _read(folder: Path) -> dict[str, Any]:
 
 
 def _cell(value: Any, digits: int) -> str:
+    if isinstance(value, dict):  # counts per vehicle
+        value = sum(value.values())
     return f'{"-":>15s}' if value is None else f'{float(value):15.{digits}f}'

@@ -29,10 +29,14 @@ COVERAGE_PERIOD = 5.0
 _KEPT = {TopicKind.ODOMETRY, TopicKind.GROUND_TRUTH}
 
 
-def bag_settings(path: Path, known: Iterable[str]) -> dict[str, Any]:
-    """Return the settings that lie in the bag, as far as they are known; {} without any."""
-    file = path / SETTINGS_FILE
-    if not path.is_dir() or not file.exists():
+def bag_settings(bag: Path) -> dict[str, Any]:
+    """Return the settings that belong to a bag, by name; {} without any.
+
+    They lie in the bag (imported ones) or in the run folder beside it (recorded live).
+    """
+    files = [bag / SETTINGS_FILE, bag.parent / SETTINGS_FILE] if bag.is_dir() else []
+    file = next((file for file in files if file.exists()), None)
+    if file is None:
         return {}
     try:
         content = yaml.safe_load(file.read_text(encoding='utf-8')) or {}
@@ -41,11 +45,19 @@ def bag_settings(path: Path, known: Iterable[str]) -> dict[str, Any]:
             found.update(node['ros__parameters'])
     except (OSError, yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError) as error:
         raise ConfigError(f'{file} is not a ROS parameter file: {error!r}') from error
-    names = set(known)
-    others = sorted(set(found) - names)
-    if others:
-        logger.info('%s: settings %s are not of the agent: unused', file, others)
-    return {name: value for name, value in found.items() if name in names}
+    return found
+
+
+def recorded_starts(bag: Path) -> dict[str, Pose2]:
+    """Return the start poses that the agent had when the bag was recorded live; {} elsewhere."""
+    settings = bag_settings(bag)
+    names, flat = settings.get('vehicles'), settings.get('start_poses')
+    if not isinstance(names, list) or not isinstance(flat, list) or len(flat) != 3 * len(names):
+        return {}
+    return {
+        str(name): Pose2.from_array(flat[3 * index : 3 * index + 3])
+        for index, name in enumerate(names)
+    }
 
 
 def configuration(
@@ -53,9 +65,13 @@ def configuration(
 ) -> AgentConfig:
     """Return what a replay runs with: options over the given configuration over the bag's own."""
     tree = config or AgentConfig()
-    known = values_of(tree)
     if config is None:
-        tree = with_values(tree, bag_settings(bag, known))
+        known = values_of(tree)
+        found = bag_settings(bag)
+        others = sorted(set(found) - set(known))
+        if others:
+            logger.info('%s: settings %s are not of the agent: unused', bag, others)
+        tree = with_values(tree, {name: found[name] for name in found if name in known})
     return with_values(tree, options or {})
 
 
@@ -113,7 +129,7 @@ def replay_bag(
     """
     effective = configuration(path, config, options)
     with BagReader(path) as bag:
-        replay = Replay(bag, vehicles, starts)
+        replay = Replay(bag, vehicles, starts, recorded_starts(path))
         if not _has_odometry(replay):
             return observe_recording(replay, effective, until)
         poses = replay.start_poses()

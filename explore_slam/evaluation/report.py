@@ -97,9 +97,10 @@ def _tiles(data: RunData) -> str:
         share = data.coverage_unit == '%'
         value = metrics['coverage'] * (100.0 if share else 1.0)
         chosen.append((f'{value:.{1 if share else 0}f}\u202f{data.coverage_unit}', 'explored'))
-    for name, text in (('landmarks', 'landmarks'), ('collisions', 'collisions')):
-        if isinstance(metrics.get(name), int):
-            chosen.append((f'{metrics[name]:,}', text))
+    for name in ('landmarks', 'collisions'):
+        count = total(metrics.get(name))
+        if count is not None:
+            chosen.append((f'{count:,}', name))
     for found in metrics.get('observations', {}).values():
         chosen.append((f'{found["frames"]}', 'frames'))
         chosen.append((f'{found["observations_mean"]:.0f}', 'landmarks seen in a frame'))
@@ -112,6 +113,14 @@ def _tiles(data: RunData) -> str:
         f'<div class="tile"><b>{escape(v)}</b><span>{escape(t)}</span></div>' for v, t in chosen
     )
     return f'<div class="tiles">{"".join(tiles)}</div>'
+
+
+def total(value: Any) -> int | None:
+    """Return a count, or the sum of counts per vehicle; None for anything else."""
+    if isinstance(value, dict):
+        counts = [total(item) for item in value.values()]
+        return sum(item for item in counts if item is not None) if counts else None
+    return value if isinstance(value, int) and not isinstance(value, bool) else None
 
 
 def _figure(title: str, caption: str, svg: str) -> str:

@@ -86,6 +86,7 @@ class Replay:
         bag: BagReader,
         vehicles: Iterable[str] = (),
         starts: Mapping[str, Pose2] | None = None,
+        recorded_starts: Mapping[str, Pose2] | None = None,
     ) -> None:
         self.bag = bag
         self._topics, warnings = vehicle_topics(bag.topics, vehicles)
@@ -97,19 +98,21 @@ class Replay:
         self.tally = Tally()
         self._order = StampOrder()
         self._pairers = {vehicle: FramePairing() for vehicle in self.vehicles}
-        self._given = dict(starts or {})
-        unknown = sorted(set(self._given) - set(self.vehicles))
+        given = dict(starts or {})
+        unknown = sorted(set(given) - set(self.vehicles))
         if unknown:
             raise RecordingError(
                 f'start poses for unknown vehicles {unknown}, expected some of {self.vehicles}'
             )
+        known = {**(recorded_starts or {}), **given}
+        self._given = {name: pose for name, pose in known.items() if name in self.vehicles}
 
     def kinds(self, vehicle: str) -> set[TopicKind]:
         """Tell what the recording holds of a vehicle."""
         return {topic.kind for topic in self._topics if topic.vehicle == vehicle}
 
     def start_poses(self) -> dict[str, Pose2]:
-        """Return where each vehicle starts: as given, from initialpose, or from the truth."""
+        """Return where each vehicle starts: as given or recorded, initialpose, or the truth."""
         found = dict(self._given)
         names = [topic.name for topic in self._topics if topic.kind in START_KINDS]
         truths: dict[str, Pose2] = {}

@@ -11,7 +11,7 @@ import pytest
 from explore_slam.agent.agent import Agent
 from explore_slam.data import LandmarkObservations, LaserScan
 from explore_slam.errors import ConfigError, RecordingError
-from explore_slam.evaluation.replay_run import configuration, replay_bag
+from explore_slam.evaluation.replay_run import configuration, recorded_starts, replay_bag
 from explore_slam.geometry import Pose2
 from explore_slam.nodes import conversions
 from explore_slam.recording import BagReader, BagWriter, Event, Replay, TopicKind
@@ -279,6 +279,20 @@ def test_the_settings_in_a_bag_count_unless_told_otherwise(team_bag, tmp_path):
     (bag / 'settings.yaml').write_text('just text')
     with pytest.raises(ConfigError, match=r'settings\.yaml is not a ROS parameter file'):
         configuration(bag)
+
+
+def test_a_bag_in_a_run_folder_takes_settings_and_starts_from_there(tmp_path):
+    kinds = (TopicKind.INITIAL_POSE, TopicKind.GROUND_TRUTH)
+    events = [event for event in team_events(1.0) if event.kind not in kinds]
+    bag = write(tmp_path / 'run' / 'bag', events)
+    poses = [float(value) for pose in STARTS.values() for value in pose]
+    write_settings(bag.parent, {'particles': 33, 'vehicles': list(STARTS), 'start_poses': poses})
+    assert configuration(bag).slam.particles == 33
+    starts = recorded_starts(bag)
+    assert starts['robot2'] == pytest.approx(STARTS['robot2'])
+    data = replay_bag(bag, vehicles=['robot1'])
+    assert data.vehicles[0].odometry.poses[0] == pytest.approx(STARTS['robot1'])
+    assert data.notes == ("unknown vehicles ['robot2'] in the recording: unused",)
 
 
 def test_it_can_stop_early_and_tells_how_far_it_is(team_bag):
