@@ -16,6 +16,8 @@ from explore_slam.exploration.scene import Scene
 from explore_slam.exploration.tours import Tours, plan_tours
 from explore_slam.geometry import Array
 
+MERGE_SHARE = 0.15  # of its distance: so near to each other far frontiers are one stop
+
 
 class Chooser:
     """Chooses targets; keeps its random generator and the distances between targets."""
@@ -58,7 +60,7 @@ class Chooser:
         """
         config = self.config.assignment
         gains = np.array([f.gain for f in frontiers])
-        members, groups = self._nodes(frontiers, costs, gains, kept)
+        members, groups = self._nodes(frontiers, costs, kept)
         cells = np.array([frontiers[i].target_cell for i in members])
         routes = scene.routes()
         between = self._cache.between(routes, routes.blocks(cells))
@@ -84,33 +86,34 @@ class Chooser:
         return open_tours if open_tours.cost < bound.cost - config.hysteresis else bound
 
     def _nodes(
-        self, frontiers: list[Frontier], costs: Array, gains: Array, kept: list[int]
+        self, frontiers: list[Frontier], costs: Array, kept: list[int]
     ) -> tuple[list[int], list[list[int]]]:
         """Merge frontiers that lie together into nodes: the one to go to, and all of its group.
 
-        The most worthwhile ones first; at most `most_nodes` of them.
+        Nearest first; what is far from every vehicle is merged more coarsely, since the way there
+        will be planned again.
         """
-        reachable = np.isfinite(costs).any(axis=0)
-        first = [k for k in dict.fromkeys(kept) if k >= 0 and reachable[k]]
-        order = first + [int(i) for i in np.argsort(-gains, kind='stable') if reachable[i]]
+        config = self.config.assignment
+        away = costs.min(axis=0)
+        order = [int(i) for i in np.argsort(away, kind='stable') if np.isfinite(away[i])]
+        order = [k for k in dict.fromkeys(kept) if k >= 0 and np.isfinite(away[k])] + order
         points = np.array([f.target for f in frontiers])
+        radius = np.maximum(config.merge_distance, MERGE_SHARE * away)
         members: list[int] = []
         groups: list[list[int]] = []
         seen: set[int] = set()
-        radius = self.config.assignment.merge_distance
         for index in order:
             if index in seen:
                 continue
             seen.add(index)
-            if members and index not in first:
-                gaps = np.linalg.norm(points[members] - points[index], axis=1)
+            if members and index not in kept:
+                gaps = np.hypot(*(points[members] - points[index]).T)
                 nearest = int(np.argmin(gaps))
-                if gaps[nearest] <= radius:
+                if gaps[nearest] <= radius[index] or len(members) >= config.most_nodes:
                     groups[nearest].append(index)
                     continue
-            if len(members) < self.config.assignment.most_nodes:
-                members.append(index)
-                groups.append([index])
+            members.append(index)
+            groups.append([index])
         return members, groups
 
     def _employ_idle(

@@ -129,7 +129,7 @@ class AssignmentConfig(Section):
         low=0.0,
         high=20.0,
     )
-    most_nodes: int = setting(40, 'so many stops are planned ahead at most', low=1, high=200)
+    most_nodes: int = setting(60, 'so many stops are planned ahead at most', low=1, high=200)
     overlap_weight: float = setting(
         20.0,
         'travel that avoiding two vehicles at one place is worth',

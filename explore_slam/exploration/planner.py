@@ -35,7 +35,7 @@ from explore_slam.geometry import Array, Pose2
 
 LOGGER = logging.getLogger(__name__)
 SAME_PLACE = 0.5  # m: targets this near to each other are the same
-FOLLOWS = 1.0  # m: a frontier whose target moved by no more is the same frontier, receding
+FOLLOWS = 2.0  # m: a frontier whose target moved by no more is the same frontier, receding
 WORTH = 0.3  # m: shorter paths up to a stop are not worth driving
 
 

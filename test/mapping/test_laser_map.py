@@ -1,0 +1,128 @@
+"""The grid along a path: incremental drawing equals drawing from scratch, bit for bit."""
+
+import math
+
+import numpy as np
+import pytest
+
+from explore_slam.data import LaserScan
+from explore_slam.errors import MappingError
+from explore_slam.geometry import IDENTITY, Pose2
+from explore_slam.mapping import Body, GridConfig, LaserMap
+
+
+@pytest.fixture
+def generator():
+    return np.random.default_rng(3)
+
+
+def random_scan(generator):
+    ranges = generator.uniform(0.5, 6.0, 61).astype(np.float32)
+    ranges[generator.random(61) < 0.1] = np.inf
+    return LaserScan(0.0, -1.5, 0.05, ranges, 0.1, 30.0)
+
+
+def add_scans(laser_map, generator, count, first=0):
+    for keyframe in range(first, first + count):
+        bodies = [Body(keyframe - 1, Pose2(0.4, 0.1, 0.0), 0.4)] if keyframe else []
+        laser_map.add(
+            keyframe, f'robot{keyframe % 3}', random_scan(generator), Pose2(0.1, 0.0, 0.1), bodies
+        )
+
+
+def from_scratch(laser_map, path):
+    other = LaserMap(laser_map.config)
+    for item in laser_map.scans:
+        other.add(*item)
+    other.redraw(path)
+    return other.grid
+
+
+def test_redrawing_where_lineages_part_equals_drawing_from_scratch(generator):
+    laser_map = LaserMap(GridConfig(resolution=0.1))
+    path = np.cumsum(generator.normal(0.0, 0.4, (200, 3)), axis=0)
+    add_scans(laser_map, generator, 200)
+    summary = laser_map.redraw(path)
+    assert (summary.kept, summary.drawn, summary.waiting) == (0, 200, 0)
+    for first in (199, 150, 47, 3, 180, 0):
+        path = path.copy()
+        path[first:] += generator.normal(0.0, 0.5, (200 - first, 3))
+        summary = laser_map.redraw(path)
+        assert summary.kept <= first
+        assert summary.kept + summary.drawn == 200
+        assert laser_map.grid.same_as(from_scratch(laser_map, path))
+
+
+def test_an_unchanged_path_draws_new_scans_only(generator):
+    laser_map = LaserMap()
+    path = np.cumsum(generator.normal(0.0, 0.4, (60, 3)), axis=0)
+    add_scans(laser_map, generator, 40)
+    laser_map.redraw(path[:40])
+    grid = laser_map.grid
+    add_scans(laser_map, generator, 20, first=40)
+    summary = laser_map.redraw(path)
+    assert (summary.kept, summary.drawn) == (40, 20)
+    assert laser_map.grid is grid
+    assert grid.same_as(from_scratch(laser_map, path))
+
+
+def test_a_late_change_starts_from_a_near_snapshot(generator):
+    laser_map = LaserMap(GridConfig(resolution=0.2))
+    path = np.cumsum(generator.normal(0.0, 0.2, (500, 3)), axis=0)
+    add_scans(laser_map, generator, 500)
+    laser_map.redraw(path)
+    path[490:, 0] += 0.5
+    assert laser_map.redraw(path).drawn <= 2 * 10 + 32
+
+
+def test_without_memory_for_snapshots_the_result_is_the_same(generator):
+    laser_map = LaserMap(GridConfig(snapshot_memory=0.0))
+    path = np.cumsum(generator.normal(0.0, 0.2, (50, 3)), axis=0)
+    add_scans(laser_map, generator, 50)
+    laser_map.redraw(path)
+    path[30:, 1] += 0.3
+    assert laser_map.redraw(path).drawn == 50
+    assert laser_map.grid.same_as(from_scratch(laser_map, path))
+
+
+def test_a_scan_waits_for_its_keyframe(generator):
+    laser_map = LaserMap()
+    add_scans(laser_map, generator, 3)
+    assert laser_map.redraw(np.zeros((2, 3))).waiting == 1
+    assert laser_map.redraw(np.zeros((3, 3))).drawn == 1
+
+
+def test_bodies_move_with_the_path():
+    laser_map = LaserMap()
+    scan = LaserScan(0.0, 0.0, 0.1, np.array([2.0], np.float32), 0.1, 30.0)
+    laser_map.add(0, 'a', LaserScan(0.0, 0.0, 0.1, np.array([np.nan], np.float32), 0.1, 30.0))
+    laser_map.add(1, 'b', scan, IDENTITY, [Body(0, Pose2(0.3, 0.0, 0.0), 0.4)])
+    away = np.array([[9.0, 9.0, 0.0], [0.0, 0.0, 0.0]])
+    laser_map.redraw(away)
+    assert (laser_map.grid.probability() > 0.5).any()
+    here = np.array([[1.8, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    laser_map.redraw(here)
+    assert not (laser_map.grid.probability() > 0.5).any()
+
+
+def test_bad_paths_and_keyframes_are_refused_and_the_grid_stays(generator):
+    laser_map = LaserMap()
+    add_scans(laser_map, generator, 5)
+    path = np.zeros((5, 3))
+    laser_map.redraw(path)
+    before = laser_map.grid.copy()
+    for bad in (np.zeros((5, 2)), np.full((5, 3), math.nan)):
+        with pytest.raises(MappingError, match='path'):
+            laser_map.redraw(bad)
+    with pytest.raises(MappingError, match='keyframe'):
+        laser_map.add(-1, 'a', random_scan(generator))
+    assert laser_map.grid.same_as(before)
+
+
+def test_a_scan_too_far_out_is_left_out_and_counted(generator):
+    laser_map = LaserMap(GridConfig(maximum_map_side=60.0))
+    add_scans(laser_map, generator, 3)
+    path = np.zeros((3, 3))
+    path[1, 0] = 5000.0
+    assert laser_map.redraw(path).refused == 1
+    assert max(laser_map.grid.shape) * laser_map.grid.resolution <= 60.0
