@@ -113,7 +113,7 @@ _MAP = ('ids', 'counts', 'owners', 'evidence', 'reference')
 
 def map_state(landmarks: LandmarkMap) -> State:
     """Return the landmark map, its descriptor index included."""
-    index = landmarks.index
+    index: object = landmarks.index
     assert isinstance(index, DescriptorTable)
     state: State = {name: getattr(landmarks, name) for name in _MAP}
     state['free'] = np.array(landmarks.free, np.int64)
@@ -132,7 +132,7 @@ def restore_map(landmarks: LandmarkMap, state: State) -> None:
         setattr(landmarks, name, state[name].copy())
     landmarks.free = state['free'].tolist()
     landmarks.size, landmarks.next_id = state['size'].tolist()
-    index = landmarks.index
+    index: object = landmarks.index
     assert isinstance(index, DescriptorTable)
     index.table, index.alive = state['table'].copy(), state['alive'].copy()
     if isinstance(index, KdForestIndex):

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from explore_slam.data import LandmarkObservations
 from explore_slam.geometry import Array, Pose2, to_world
 from explore_slam.slam.association import Choice, associate
-from explore_slam.slam.gaussian import sample_gaussian
 from explore_slam.slam.config import FastSlamConfig
+from explore_slam.slam.gaussian import sample_gaussian
 from explore_slam.slam.landmark_map import LandmarkMap
 from explore_slam.slam.landmark_update import insert_landmarks, update_landmarks
 from explore_slam.slam.proposal import propose
@@ -22,7 +22,7 @@ UPPER = (np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2]))
 class Sighted:
     """One update in work: observations, the landmarks they may be, and who chose what.
 
-    z (K, 3), R (K, 6); alike: landmarks within reach that each is like;
+    z (K, 3), R (K, 6); alike (K, A): ids of the landmarks within reach that each is like, or -1;
     known (K,): like a landmark anywhere; items (L,) candidates' landmarks with their rows in slots (L,);
     candidates (K, J) places in items or -1, distances (K, J) of descriptors;
     choice (K, M) candidate taken or -1; quality (K, M) d²; influence (K, M) weight w.
@@ -31,7 +31,7 @@ class Sighted:
     z: Array
     R: Array
     descriptors: NDArray[np.float32]
-    alike: list[tuple[int, ...]]
+    alike: Items
     known: NDArray[np.bool_]
     items: Items
     slots: Items
@@ -82,7 +82,7 @@ def look_up(
         near &= np.cumsum(near, axis=1) <= wanted
     else:
         within = near = found
-    alike = [tuple(row[keep].tolist()) for row, keep in zip(ids, within, strict=True)]
+    alike = np.where(within, landmarks.ids[ids], -1) if found.any() else ids
     ids = np.where(near, ids, -1)
     items, places = np.unique(ids, return_inverse=True)
     places = places.reshape(ids.shape)
@@ -160,14 +160,18 @@ def update_matched(sighted: Sighted, data: Array, poses: Array) -> None:
     )  # fmt: skip
 
 
-def fill_absent(sighted: Sighted, data: Array, poses: Array, wanted: NDArray[np.bool_]) -> None:
+def fill_absent(
+    sighted: Sighted, data: Array, poses: Array, wanted: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
     """Give an observation without landmark the place of a like landmark that the particle lacks.
 
     wanted (K, M) tells where a new landmark is to be made; what is filled is taken out of it,
     so that one feature does not become a landmark number for every set of particles.
+    Returns (L,): which landmarks were filled somewhere.
     """
     used = np.zeros((len(sighted.items), data.shape[2]), bool)
-    for k, j in np.argwhere(sighted.candidates >= 0).tolist():
+    open_to = wanted.any(axis=1)[:, None] & (sighted.candidates >= 0)
+    for k, j in np.argwhere(open_to).tolist():
         place = sighted.candidates[k, j]
         slot = sighted.slots[place : place + 1]
         here = wanted[k] & (data[slot[0], 3] <= 0.0) & ~used[place]
@@ -177,3 +181,5 @@ def fill_absent(sighted: Sighted, data: Array, poses: Array, wanted: NDArray[np.
             )
             used[place] |= here
             wanted[k] &= ~here
+    filled: NDArray[np.bool_] = used.any(axis=1)
+    return filled

@@ -4,7 +4,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +11,12 @@ from numpy.typing import NDArray
 from explore_slam.data import LandmarkObservations, VehicleSighting
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Array, Pose2, compose, wrap_angles
-from explore_slam.settings import values_of, with_values
-from explore_slam.slam import checkpoint, checks, engines
+from explore_slam.slam import belief_state, checkpoint, checks, engines
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.engines import Sighted
 from explore_slam.slam.genealogy import Genealogy, Index
 from explore_slam.slam.landmark_map import LandmarkMap, Landmarks, make_index
-from explore_slam.slam.landmark_update import insert_landmarks
+from explore_slam.slam.map_keeper import MapKeeper, support
 from explore_slam.slam.motion import PendingMotion, rotated
 from explore_slam.slam.path_store import PathStore
 from explore_slam.slam.recovery import Recovery
@@ -82,7 +80,7 @@ class FastSlam:
         self.genealogy = Genealogy(particles)
         self.map = LandmarkMap(self.genealogy, make_index(self.config.association))
         self.path = PathStore(self.genealogy)
-        self._regions: dict[tuple[int, int], int] = {}
+        self._keeper = MapKeeper(self.map, self.config)
         self._recovery = [Recovery(self.config.relocation) for _ in starts]
 
     # -- motion ---------------------------------------------------------------------------------
@@ -144,9 +142,11 @@ class FastSlam:
         engines.update_matched(sighted, data, poses)
         self._weigh(log_weights)
         best = self.best_particle()
-        associated = int(np.count_nonzero(sighted.choice[:, best] >= 0))
-        agreed = ((sighted.choice >= 0) @ np.exp(self._log_weights)) > 0.5
-        inserted = self._write_map(number, sighted, poses, agreed)
+        support_of = support(
+            sighted.choice, np.exp(self._log_weights), sighted.candidates.shape[1]
+        )
+        agreed = support_of.sum(axis=1) > 0.5
+        inserted, removed = self._keeper.write(number, sighted, poses, support_of, best)
         effective = effective_particles(np.exp(self._log_weights))
         resampled = self._resample_if_due(number, effective)
         lost, relocated = self._recover(number, sighted, agreed)
@@ -154,10 +154,10 @@ class FastSlam:
             stamp=observations.stamp,
             vehicle=vehicle,
             observed=len(observations),
-            matched=sum(map(bool, sighted.alike)),
-            associated=associated,
+            matched=int(np.count_nonzero((sighted.alike >= 0).any(axis=1))),
+            associated=int(np.count_nonzero(sighted.choice[:, best] >= 0)),
             inserted=inserted,
-            removed=0,
+            removed=removed,
             effective_particles=effective,
             resampled=resampled,
             lost=lost,
@@ -228,95 +228,13 @@ class FastSlam:
         self._score -= self._score.max()
         self._log_weights, _ = normalized(self._log_weights + shifted)
 
-    def _write_map(
-        self, number: int, sighted: Sighted, poses: Array, agreed: NDArray[np.bool_]
-    ) -> int:
-        """Commit what the update changed, insert what it found new; return the number inserted."""
-        rows = self.map.rows
-        wanted = self._wanted(sighted, number, agreed)
-        engines.fill_absent(sighted, rows.present_data, poses, wanted)
-        touched = np.zeros(len(sighted.items), bool)
-        hit = np.zeros(len(sighted.items))
-        weights = np.exp(self._log_weights)
-        for j in range(sighted.candidates.shape[1]):
-            chosen = sighted.choice == j
-            some = chosen.any(axis=1)
-            places = sighted.candidates[some, j]
-            touched[places] = True
-            np.add.at(hit, places, chosen[some] @ weights)
-        best = self.best_particle()
-        items, slots = sighted.items[touched], sighted.slots[touched]
-        rows.revert(sighted.items[~touched], sighted.slots[~touched])
-        rows.commit(items, slots)
-        there = rows.present_data[slots, 3, best] > 0.0
-        self.map.reference[items[there]] = rows.present_data[slots[there], :3, best]
-        seen = sighted.items[hit > 0.5]
-        self.map.counts[seen] += 1
-        limit = self.config.existence.existence_limit
-        gained = self.map.evidence[seen] + self.config.existence.existence_hit
-        self.map.evidence[seen] = np.minimum(gained, limit)
-        return self._insert(number, sighted, poses, wanted)
-
-    def _wanted(
-        self, sighted: Sighted, number: int, agreed: NDArray[np.bool_]
-    ) -> NDArray[np.bool_]:
-        """Return (K, M): where an observation becomes a new landmark.
-
-        In engine fastslam2 that is where most particles have no landmark for it; and if it is
-        like a landmark all the same, only where the other matches show that the pose is
-        right. Nothing is inserted where nearly all matches say that the pose is wrong.
-        """
-        free: NDArray[np.bool_] = sighted.choice < 0
-        if self.config.engine == 'fastslam2':
-            alike = np.array([bool(ids) for ids in sighted.alike])
-            likes, agreeing = np.count_nonzero(alike), np.count_nonzero(agreed)
-            new = ~agreed
-            if agreeing < max(3, 0.5 * np.count_nonzero(sighted.known)):
-                new &= ~sighted.known
-            if likes >= 0.4 * len(alike) and agreeing < 0.25 * likes:
-                new[:] = False
-            free &= new[:, None]
-        if self.config.insertion_policy == 'unmapped_region':
-            free &= self._unmapped(number, sighted.z)[:, None]
-        return free
-
-    def _insert(
-        self, number: int, sighted: Sighted, poses: Array, wanted: NDArray[np.bool_]
-    ) -> int:
-        new = np.flatnonzero(wanted.any(axis=1))
-        if not len(new):
-            return 0
-        slots = self.map.rows.new_slots(len(new))
-        data = self.map.rows.present_data
-        data[slots] = 0.0
-        insert_landmarks(data, slots, sighted.z[new], sighted.R[new], wanted[new], poses)
-        typical = np.argmax(wanted[new], axis=1)
-        reference = data[slots, :3, typical]
-        self.map.add(slots, sighted.descriptors[new], number, reference)
-        for point in reference:
-            self._regions.setdefault(self._region(point), number)
-        return len(new)
-
-    def _region(self, point: Array) -> tuple[int, int]:
-        size = self.config.region_size
-        return math.floor(point[0] / size), math.floor(point[1] / size)
-
-    def _unmapped(self, number: int, z: Array) -> NDArray[np.bool_]:
-        """Tell for observations z (K, 3) whether no other vehicle has mapped their place first."""
-        x, y, theta = self._poses[number, self.best_particle()]
-        c, s = math.cos(theta), math.sin(theta)
-        points = np.stack([x + c * z[:, 0] - s * z[:, 1], y + s * z[:, 0] + c * z[:, 1]], axis=1)
-        owners = [self._regions.get(self._region(point), number) for point in points]
-        return np.array(owners) == number
-
     def _recover(
         self, number: int, sighted: Sighted, agreed: NDArray[np.bool_]
     ) -> tuple[bool, bool]:
         """Note what was matched; relocate the vehicle if it is lost and can be found."""
         recovery = self._recovery[number]
         deviations = np.sqrt(0.5 * (sighted.R[:, 0] + sighted.R[:, 3]))
-        uids = [tuple(self.map.ids[list(items)].tolist()) for items in sighted.alike]
-        recovery.note(sighted.z, deviations, uids, agreed)
+        recovery.note(sighted.z, deviations, sighted.alike, agreed)
         if not self.config.relocation.recovery or not recovery.lost:
             return recovery.lost, False
         wanted = recovery.matched_ids()
@@ -449,64 +367,12 @@ class FastSlam:
 
     def state_dict(self) -> checkpoint.State:
         """Return the whole state as named arrays; see `from_state`."""
-        pending = [
-            [vehicle, *mean, *covariance.ravel()]
-            for vehicle, motion in enumerate(self._pending)
-            for mean, covariance in motion.segments
-        ]
-        about = {
-            'settings': values_of(self.config),
-            'vehicles': list(self.vehicles),
-            'random': self._random.bit_generator.state,
-            'contributed': sorted(self._contributed),
-            'regions': [[x, y, owner] for (x, y), owner in self._regions.items()],
-        }
-        stores = [self.map.rows, self.path.rows]
-        return {
-            'about': checkpoint.text_array(about),
-            'poses': self._poses,
-            'pending': np.array(pending, np.float64).reshape(-1, 13),
-            'moved': np.array(self._moved),
-            'stamps': np.array(self._stamps),
-            'log_weights': self._log_weights,
-            'score': self._score,
-            'path_stamps': np.array(self.path.stamps, np.float64),
-            'path_vehicles': np.array(self.path.vehicles, np.int64),
-            **checkpoint.under('map', checkpoint.map_state(self.map)),
-            **checkpoint.under('path', checkpoint.store_state(self.path.rows)),
-            **checkpoint.under('tree', checkpoint.genealogy_state(self.genealogy, stores)),
-        }
+        return belief_state.state_of(self)
 
     @classmethod
     def from_state(cls, state: checkpoint.State) -> 'FastSlam':
         """Make a filter that goes on, bit by bit, where `state_dict` was called."""
-        try:
-            about = checkpoint.text_value(state['about'])
-            starts = dict.fromkeys(about['vehicles'], Pose2(0.0, 0.0, 0.0))
-            slam = cls(starts, with_values(FastSlamConfig(), about['settings']))
-            slam._restore(about, state)
-        except (KeyError, ValueError, IndexError, TypeError) as error:
-            raise SlamError(f'the state of the belief is not whole: {error!r}') from error
-        return slam
-
-    def _restore(self, about: dict[str, Any], state: checkpoint.State) -> None:
-        self._random.bit_generator.state = about['random']
-        self._contributed = set(about['contributed'])
-        self._regions = {(x, y): owner for x, y, owner in about['regions']}
-        self._poses = state['poses'].copy()
-        for row in state['pending']:
-            segment = (Pose2(*row[1:4].tolist()), row[4:].reshape(3, 3).copy())
-            self._pending[int(row[0])].segments.append(segment)
-        self._moved = state['moved'].tolist()
-        self._stamps = state['stamps'].tolist()
-        self._log_weights = state['log_weights'].copy()
-        self._score = state['score'].copy()
-        self.path.stamps = state['path_stamps'].tolist()
-        self.path.vehicles = state['path_vehicles'].tolist()
-        checkpoint.restore_map(self.map, checkpoint.part('map', state))
-        checkpoint.restore_store(self.path.rows, checkpoint.part('path', state))
-        stores = [self.map.rows, self.path.rows]
-        checkpoint.restore_genealogy(self.genealogy, stores, checkpoint.part('tree', state))
+        return belief_state.restored(cls, state)
 
     def save(self, path: str | Path) -> None:
         """Write the state to a file, atomically; SlamError where it cannot be written."""

@@ -22,7 +22,9 @@ Values = NDArray[np.float32]
 
 
 @njit(cache=True, nogil=True, fastmath={'reassoc', 'nsz', 'contract'})
-def _distance(a: Values, b: Values, bound: float) -> float:  # pragma: no cover - compiled
+def _distance(
+    a: Values, b: Values, bound: np.float32
+) -> np.float32:  # pragma: no cover - compiled
     """Squared distance, left off at the first quarter that exceeds the bound."""
     total = np.float32(0.0)
     for begin in (0, 32, 64, 96):
@@ -48,7 +50,7 @@ def _find_leaf(
 
 
 @njit(cache=True, nogil=True)
-def _next_random(state: NDArray[np.uint64]) -> int:  # pragma: no cover - compiled
+def _next_random(state: NDArray[np.uint64]) -> np.int64:  # pragma: no cover - compiled
     """64-bit linear congruential generator (Knuth's MMIX); its upper bits."""
     state[0] = state[0] * np.uint64(6364136223846793005) + np.uint64(1442695040888963407)
     return np.int64(state[0] >> np.uint64(40))

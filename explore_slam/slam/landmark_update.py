@@ -9,7 +9,22 @@ from numpy.typing import NDArray
 from explore_slam.geometry import Array
 from explore_slam.slam.association import Choice, Locals, seen_covariance
 from explore_slam.slam.proposal import (
-    BLOCK, COS, LM, MASK, PX, PY, SCRATCH, SIN, VX, VY, VZ, S, W, _expect, _invert, _load,
+    BLOCK,
+    COS,
+    LM,
+    MASK,
+    PX,
+    PY,
+    SCRATCH,
+    SIN,
+    VX,
+    VY,
+    VZ,
+    S,
+    W,
+    _expect,
+    _invert,
+    _load,
 )  # fmt: skip
 
 
@@ -49,7 +64,7 @@ def _correct(w, R, k):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def update_landmarks(
+def update_landmarks(  # noqa: PLR0912, C901 - a kernel
     slab: Array,
     slots: Locals,
     candidates: Locals,
@@ -107,7 +122,7 @@ def insert_landmarks(
     where: NDArray[np.bool_],
     poses: Array,
 ) -> None:  # pragma: no cover - compiled
-    """Write new landmarks (n slots) at observations z (n, 3), R (n, 6) in particles where (n, M)."""
+    """Write landmarks (n slots) seen at z (n, 3), R (n, 6) in the particles where (n, M)."""
     for k in range(len(slots)):
         row = slab[slots[k]]
         for m in range(len(poses)):

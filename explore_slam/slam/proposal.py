@@ -126,7 +126,7 @@ def _invert(w):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _associate(
+def _associate(  # noqa: PLR0912, C901 - a kernel
     w: Array,
     slab: Array,
     slots: Locals,

@@ -25,13 +25,18 @@ _REACH_PER_METRE = 0.3
 
 
 @dataclass(frozen=True)
-class Match:
-    """One observation: point (2,) in the odometry frame, deviation (m), landmark ids it is like."""
+class Matches:
+    """Matched observations of one update.
 
-    point: Array
-    deviation: float
-    alike: tuple[int, ...]
-    agreed: bool
+    points (n, 2) in the odometry frame; deviations (n,) m; alike (n, A) ids of the landmarks
+    that each is like, or -1; agreed (n,); way: driven until then (m).
+    """
+
+    points: Array
+    deviations: Array
+    alike: NDArray[np.int64]
+    agreed: NDArray[np.bool_]
+    way: float
 
 
 @dataclass(frozen=True)
@@ -51,7 +56,7 @@ class Recovery:
         self.config = config
         self.odometry = IDENTITY
         self.way = 0.0
-        self.updates: deque[tuple[float, list[Match]]] = deque(maxlen=config.recovery_window)
+        self.updates: deque[Matches] = deque(maxlen=config.recovery_window)
         self.way_driven = 0.0
 
     def move(self, increment: Pose2) -> None:
@@ -72,32 +77,33 @@ class Recovery:
         self.way = 0.0
 
     def note(
-        self, z: Array, deviations: Array, alike: list[tuple[int, ...]], agreed: NDArray[np.bool_]
+        self, z: Array, deviations: Array, alike: NDArray[np.int64], agreed: NDArray[np.bool_]
     ) -> None:
         """Take in the observations z (K, 3) of one update that are like landmarks nearby."""
+        matched = (alike >= 0).any(axis=1)
+        if not matched.any():
+            return
         c, s = math.cos(self.odometry.theta), math.sin(self.odometry.theta)
-        matches = []
-        for k in range(len(z)):
-            if alike[k]:
-                x = self.odometry.x + c * z[k, 0] - s * z[k, 1]
-                y = self.odometry.y + s * z[k, 0] + c * z[k, 1]
-                point = np.array([x, y])
-                matches.append(Match(point, float(deviations[k]), alike[k], bool(agreed[k])))
-        if matches:
-            self.updates.append((self.way_driven, matches))
-            if sum(match.agreed for match in matches) >= 0.5 * len(matches):
-                self.way = 0.0
+        x = self.odometry.x + c * z[matched, 0] - s * z[matched, 1]
+        y = self.odometry.y + s * z[matched, 0] + c * z[matched, 1]
+        points = np.stack([x, y], axis=1)
+        self.updates.append(
+            Matches(points, deviations[matched], alike[matched], agreed[matched], self.way_driven)
+        )
+        if np.count_nonzero(agreed[matched]) >= 0.5 * len(points):
+            self.way = 0.0
 
     @property
     def lost(self) -> bool:
         """Tell whether most of the matches disagree."""
-        matches = [match for _, update in self.updates for match in update]
-        agreed = sum(match.agreed for match in matches)
-        return len(matches) >= self.config.recovery_matches and agreed < 0.35 * len(matches)
+        count = sum(len(update.points) for update in self.updates)
+        agreed = sum(int(np.count_nonzero(update.agreed)) for update in self.updates)
+        return count >= self.config.recovery_matches and agreed < 0.35 * count
 
-    def matched_ids(self) -> list[int]:
+    def matched_ids(self) -> NDArray[np.int64]:
         """Return the landmark ids that matches are like."""
-        return sorted({i for _, update in self.updates for m in update for i in m.alike})
+        ids = np.unique(np.concatenate([update.alike.ravel() for update in self.updates]))
+        return ids[ids >= 0]
 
     def search(
         self, positions: dict[int, Array], present: Pose2, random: np.random.Generator
@@ -133,14 +139,14 @@ class Recovery:
     ) -> tuple[Array, Array, Array, NDArray[np.int64], NDArray[np.int64]]:
         points, marks, spreads, owners, ids = [], [], [], [], []
         owner = 0
-        for way, update in reversed(self.updates):
-            drift = _DRIFT_PER_METRE * (self.way_driven - way)
-            for match in update:
-                known = [i for i in match.alike if i in positions]
+        for update in reversed(self.updates):
+            drift = _DRIFT_PER_METRE * (self.way_driven - update.way)
+            for n, alike in enumerate(update.alike.tolist()):
+                known = [i for i in alike if i in positions]
                 for i in known:
-                    points.append(match.point)
+                    points.append(update.points[n])
                     marks.append(positions[i][:2])
-                    spreads.append(math.hypot(match.deviation, positions[i][2], drift, 0.03))
+                    spreads.append(math.hypot(update.deviations[n], positions[i][2], drift, 0.03))
                     owners.append(owner)
                     ids.append(i)
                 owner += bool(known)

@@ -58,7 +58,7 @@ class Slab:
         fresh = count - len(reused)
         if self.used + fresh > len(self.data):
             capacity = max(self.used + fresh, int(1.3 * len(self.data)) + 8)
-            grown = np.empty((capacity, *self.data.shape[1:]))
+            grown = np.zeros((capacity, *self.data.shape[1:]))
             grown[: self.used] = self.data[: self.used]
             self.data = grown
         slots = np.array(reused + list(range(self.used, self.used + fresh)), np.int64)
@@ -200,12 +200,14 @@ class RowStore:
 
     def _live_items(self, layout: Layout) -> Items:
         items = np.unique(np.concatenate(layout.items))
-        return items[self.layout_of[items] == layout.number]
+        mine: Items = items[self.layout_of[items] == layout.number]
+        return mine
 
     def _is_present(self, items: Items) -> NDArray[np.bool_]:
         for layout in self.genealogy.present.layouts:
             if layout.owner is self:
-                return self.layout_of[items] == layout.number
+                here: NDArray[np.bool_] = self.layout_of[items] == layout.number
+                return here
         return np.zeros(len(items), bool)
 
     def _present_layout(self) -> Layout:

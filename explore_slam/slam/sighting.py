@@ -32,9 +32,7 @@ def _conditioned(
 
 
 @njit(cache=True, nogil=True)
-def _innovation_covariance(
-    H: Array, P: Array, S: Array
-) -> None:  # pragma: no cover - compiled
+def _innovation_covariance(H: Array, P: Array, S: Array) -> None:  # pragma: no cover - compiled
     """Add H P Hᵀ to S (2, 2)."""
     for a in range(2):
         for b in range(2):
@@ -46,7 +44,7 @@ def _innovation_covariance(
 @njit(cache=True, nogil=True)
 def _inverted(S: Array, W: Array) -> float:  # pragma: no cover - compiled
     """Set W = S⁻¹ (2, 2) and return |S|."""
-    determinant = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
+    determinant: float = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
     W[0, 0], W[1, 1] = S[1, 1] / determinant, S[0, 0] / determinant
     W[0, 1], W[1, 0] = -S[0, 1] / determinant, -S[1, 0] / determinant
     return determinant
@@ -101,9 +99,7 @@ def sight(
         _innovation_covariance(Hi, seer_P, S)
         _innovation_covariance(Hj, seen_P, S)
         determinant = _inverted(S, W)
-        square = (
-            W[0, 0] * nu[0] * nu[0] + 2.0 * W[0, 1] * nu[0] * nu[1] + W[1, 1] * nu[1] * nu[1]
-        )
+        square = W[0, 0] * nu[0] * nu[0] + 2.0 * W[0, 1] * nu[0] * nu[1] + W[1, 1] * nu[1] * nu[1]
         scale = max(square / t2, 1.0)
         bounded = min(square, t2 * (1.0 + math.log(scale)), t2 * (1.0 + math.log(gate / t2)))
         log_weights[m] -= 0.5 * (bounded + math.log(determinant))

@@ -15,7 +15,7 @@ from explore_slam.slam.landmark_map import Landmarks
 
 
 class TeamBelief:
-    """The interface of FastSlam; `maps: dedicated` runs one filter, with its own map, per vehicle."""
+    """The interface of FastSlam; with `maps: dedicated` a filter and a map per vehicle."""
 
     def __init__(
         self, start_poses: Mapping[str, Pose2], config: FastSlamConfig | None = None, seed: int = 0
@@ -139,7 +139,9 @@ class TeamBelief:
     def from_state(cls, state: checkpoint.State) -> 'TeamBelief':
         """Make a belief that goes on, bit by bit, where `state_dict` was called."""
         if 'filters' not in state or 'keyframes' not in state:
-            raise SlamError('the state of the belief is not whole: filters or keyframes are absent')
+            raise SlamError(
+                'the state of the belief is not whole: filters or keyframes are absent'
+            )
         filters = [
             FastSlam.from_state(checkpoint.part(f'filter{number}', state))
             for number in range(int(state['filters']))

@@ -1,0 +1,121 @@
+"""State of a filter as named arrays, and back; a friend of FastSlam that knows its insides."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from explore_slam.errors import SlamError
+from explore_slam.geometry import Pose2
+from explore_slam.settings import values_of, with_values
+from explore_slam.slam import checkpoint
+from explore_slam.slam.checkpoint import State, part, under
+from explore_slam.slam.config import FastSlamConfig
+from explore_slam.slam.recovery import Matches, Recovery
+
+if TYPE_CHECKING:
+    from explore_slam.slam.fast_slam import FastSlam
+
+
+def state_of(slam: 'FastSlam') -> State:
+    """Return the whole state of a filter."""
+    pending = [
+        [vehicle, *mean, *covariance.ravel()]
+        for vehicle, motion in enumerate(slam._pending)
+        for mean, covariance in motion.segments
+    ]
+    about = {
+        'settings': values_of(slam.config),
+        'vehicles': list(slam.vehicles),
+        'random': slam._random.bit_generator.state,
+        'contributed': sorted(slam._contributed),
+        'regions': [[x, y, owner] for (x, y), owner in slam._keeper.regions.items()],
+    }
+    state = {
+        'about': checkpoint.text_array(about),
+        'poses': slam._poses,
+        'pending': np.array(pending, np.float64).reshape(-1, 13),
+        'moved': np.array(slam._moved),
+        'stamps': np.array(slam._stamps),
+        'log_weights': slam._log_weights,
+        'score': slam._score,
+        'path_stamps': np.array(slam.path.stamps, np.float64),
+        'path_vehicles': np.array(slam.path.vehicles, np.int64),
+        **under('map', checkpoint.map_state(slam.map)),
+        **under('path', checkpoint.store_state(slam.path.rows)),
+        **under(
+            'tree',
+            checkpoint.genealogy_state(slam.genealogy, [slam.map.rows, slam.path.rows]),
+        ),
+    }
+    for number, recovery in enumerate(slam._recovery):
+        state |= under(f'recovery{number}', _recovery_state(recovery))
+    return {name: np.array(value) for name, value in state.items()}
+
+
+def restored(cls: 'type[FastSlam]', state: State) -> 'FastSlam':
+    """Make a filter of a state; SlamError where something is absent or of the wrong shape."""
+    try:
+        about = checkpoint.text_value(state['about'])
+        starts = dict.fromkeys(about['vehicles'], Pose2(0.0, 0.0, 0.0))
+        slam = cls(starts, with_values(FastSlamConfig(), about['settings']))
+        slam._random.bit_generator.state = about['random']
+        slam._contributed = set(about['contributed'])
+        slam._keeper.regions.update({(x, y): owner for x, y, owner in about['regions']})
+        _restore_arrays(slam, state)
+    except (KeyError, ValueError, IndexError, TypeError) as error:
+        raise SlamError(f'the state of the belief is not whole: {error!r}') from error
+    return slam
+
+
+def _restore_arrays(slam: 'FastSlam', state: State) -> None:
+    slam._poses = state['poses'].copy()
+    for row in state['pending']:
+        segment = (Pose2(*row[1:4].tolist()), row[4:].reshape(3, 3).copy())
+        slam._pending[int(row[0])].segments.append(segment)
+    slam._moved = state['moved'].tolist()
+    slam._stamps = state['stamps'].tolist()
+    slam._log_weights = state['log_weights'].copy()
+    slam._score = state['score'].copy()
+    slam.path.stamps = state['path_stamps'].tolist()
+    slam.path.vehicles = state['path_vehicles'].tolist()
+    checkpoint.restore_map(slam.map, part('map', state))
+    checkpoint.restore_store(slam.path.rows, part('path', state))
+    stores = [slam.map.rows, slam.path.rows]
+    checkpoint.restore_genealogy(slam.genealogy, stores, part('tree', state))
+    for number, recovery in enumerate(slam._recovery):
+        _restore_recovery(recovery, part(f'recovery{number}', state))
+
+
+def _recovery_state(recovery: Recovery) -> State:
+    state: State = {
+        'motion': np.array([*recovery.odometry, recovery.way, recovery.way_driven]),
+        'updates': np.array(len(recovery.updates)),
+    }
+    for number, update in enumerate(recovery.updates):
+        state |= under(
+            str(number),
+            {
+                'points': update.points,
+                'deviations': update.deviations,
+                'alike': update.alike,
+                'agreed': update.agreed,
+                'way': np.array(update.way),
+            },
+        )
+    return state
+
+
+def _restore_recovery(recovery: Recovery, state: State) -> None:
+    x, y, theta, recovery.way, recovery.way_driven = state['motion'].tolist()
+    recovery.odometry = Pose2(x, y, theta)
+    for number in range(int(state['updates'])):
+        update = part(str(number), state)
+        recovery.updates.append(
+            Matches(
+                update['points'],
+                update['deviations'],
+                update['alike'],
+                update['agreed'],
+                float(update['way']),
+            )
+        )
