@@ -9,7 +9,7 @@ from explore_slam.data import LaserScan
 from explore_slam.geometry import Pose2
 from explore_slam.simulation.config import SimulatedLaserConfig
 from explore_slam.simulation.mujoco_import import mujoco
-from explore_slam.simulation.scene import BODY, PAINTED
+from explore_slam.simulation.scene import BODY, PAINTED, Scene
 
 RANGE_MIN = 0.05  # m
 
@@ -30,7 +30,7 @@ class LaserScanner:
         self._groups = np.zeros(6, np.uint8)
         self._groups[[BODY, PAINTED]] = 1
 
-    def measure(self, stamp: float, pose: Pose2, model: Any, data: Any) -> LaserScan:
+    def measure(self, stamp: float, pose: Pose2, scene: Scene, data: Any) -> LaserScan:
         """Return the scan of a vehicle at its true pose; +inf where nothing is in range."""
         config = self._config
         mount = pose.compose(Pose2(config.simulated_laser_x, 0.0, 0.0))
@@ -38,8 +38,9 @@ class LaserScanner:
         directions[:, 0] = np.cos(self._angles + mount.theta)
         directions[:, 1] = np.sin(self._angles + mount.theta)
         limit = config.simulated_scan_range
+        scene.show_near(mount.x, mount.y, limit)
         mujoco.mj_multiRay(
-            model,
+            scene.model,
             data,
             np.array([mount.x, mount.y, config.simulated_laser_z]),
             directions.ravel(),

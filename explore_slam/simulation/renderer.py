@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from explore_slam.errors import SimulationError
 from explore_slam.simulation.mujoco_import import mujoco, rendering_error
-from explore_slam.simulation.scene import HIDDEN, PAINTED, TILE, Z_FAR, Z_NEAR, Scene
+from explore_slam.simulation.scene import FLOOR, HIDDEN, Z_FAR, Z_NEAR, Scene
 
 VIEW = 12.0  # m; what is farther away is left out of pictures
 
@@ -18,7 +18,7 @@ class Renderer:
 
     def __init__(self, scene: Scene) -> None:
         self._model = model = scene.model
-        self._tiles = scene
+        self._walls = scene
         self.width = int(model.vis.global_.offwidth)
         self.height = int(model.vis.global_.offheight)
         self._context: Any = None
@@ -36,7 +36,7 @@ class Renderer:
         for name in ('SHADOW', 'REFLECTION', 'SKYBOX', 'HAZE', 'FOG'):
             self._scene.flags[getattr(mujoco.mjtRndFlag, f'mjRND_{name}')] = 0
         self._options = mujoco.MjvOption()
-        self._options.geomgroup[HIDDEN] = 0
+        self._options.geomgroup[FLOOR], self._options.geomgroup[HIDDEN] = 1, 0
         self._camera = mujoco.MjvCamera()
         self._viewport = mujoco.MjrRect(0, 0, self.width, self.height)
 
@@ -47,14 +47,9 @@ class Renderer:
         """
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
         self._camera.fixedcamid = camera
-        place = data.cam_xpos[camera]
-        gaps = np.hypot(*(self._tiles.centers - place[:2]).T)
-        near = gaps < VIEW + 1.21 * TILE  # from its middle to the far end of a face of a tile
-        groups = self._model.geom_group
-        groups[self._tiles.geoms] = np.where(near, PAINTED, HIDDEN)
-        drawn = self._draw(data)
-        groups[self._tiles.geoms] = PAINTED  # lasers see all of them
-        return drawn
+        x, y, _ = data.cam_xpos[camera]
+        self._walls.show_near(float(x), float(y), VIEW)
+        return self._draw(data)
 
     def render_from_above(
         self, data: Any, center: tuple[float, float], width: float
@@ -65,7 +60,12 @@ class Renderer:
         self._camera.azimuth, self._camera.elevation = 90.0, -89.9
         half_angle = math.radians(float(self._model.vis.global_.fovy)) / 2
         self._camera.distance = 0.5 * width * self.height / self.width / math.tan(half_angle)
-        return self._draw(data)[0][::-1]
+        self._walls.show_near(*center, math.inf)
+        depth_range = self._model.vis.map
+        depth_range.zfar = max(Z_FAR, 2.0 * self._camera.distance)
+        picture = self._draw(data)[0][::-1]
+        depth_range.zfar = Z_FAR
+        return picture
 
     def _draw(self, data: Any) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
         if self._gl is None:

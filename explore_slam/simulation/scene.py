@@ -32,11 +32,16 @@ COLORS = (
 
 
 class Scene(NamedTuple):
-    """The MjModel, the ids (G,) of its walls, and the middles (G, 2) m of their tiles."""
+    """The MjModel and its tiles of walls: ids (G,) of geoms, circles (G, 3) x, y, radius (m)."""
 
     model: Any
-    geoms: NDArray[np.intp]
-    centers: Array
+    tiles: NDArray[np.intp]
+    circles: Array
+
+    def show_near(self, x: float, y: float, reach: float) -> None:
+        """Let pictures and rays see only the tiles that come within reach (m) of a point."""
+        gaps = np.hypot(self.circles[:, 0] - x, self.circles[:, 1] - y) - self.circles[:, 2]
+        self.model.geom_group[self.tiles] = np.where(gaps <= reach, PAINTED, HIDDEN)
 
 
 @dataclass
@@ -82,8 +87,8 @@ def build_scene(world: World, vehicles: Sequence[str], config: SimulationConfig)
             f'world {world.name!r}: MuJoCo cannot build it: {" ".join(str(error).split())}'
         ) from error
     geoms = [int(model.geom(name).id) for name in tiles]
-    centers = np.array(list(tiles.values()), dtype=np.float64).reshape(-1, 2)
-    return Scene(model, np.array(geoms, dtype=np.intp), centers)
+    circles = np.array(list(tiles.values()), dtype=np.float64).reshape(-1, 3)
+    return Scene(model, np.array(geoms, dtype=np.intp), circles)
 
 
 def _material(spec: Any, name: str, image: Image) -> None:
@@ -126,8 +131,8 @@ def _pieces(face: Face, longest: float) -> list[Face]:
     return [Face(x[i], y[i], x[i + 1], y[i + 1], face.height, face.style) for i in range(count)]
 
 
-def _add_walls(spec: Any, world: World, painted: bool) -> dict[str, tuple[float, float]]:
-    """Add faces and tops, one geom per tile and texture page; return its name -> tile's middle."""
+def _add_walls(spec: Any, world: World, painted: bool) -> dict[str, tuple[float, float, float]]:
+    """Add faces and tops, one geom per tile and texture page; return its name -> circle (m)."""
     longest = min(TILE, 0.5 * PAGE_SIZE * world.texture_resolution)
     faces = [piece for face in world.faces for piece in _pieces(face, longest)]
     surfaces = [Surface(face.style, face.length, face.height) for face in faces]
@@ -156,7 +161,10 @@ def _add_walls(spec: Any, world: World, painted: bool) -> dict[str, tuple[float,
     for (page, row, column), mesh in meshes.items():
         name = f'walls_{page}_{row}_{column}'
         _add_mesh(spec, name, mesh, f'page{page}' if painted else '', PAINTED)
-        tiles[name] = ((column + 0.5) * TILE, (row + 0.5) * TILE)
+        corners = np.asarray(mesh.vertices)[:, :2]
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        middle = 0.5 * (low + high)
+        tiles[name] = (float(middle[0]), float(middle[1]), 0.5 * math.dist(low, high))
     return tiles
 
 

@@ -85,15 +85,15 @@ class Simulator:
             )
         self._obstacles = Obstacles(self.world)
         self._check_starts(starts)
-        scene = build_scene(self.world, list(starts), self.config)
-        self._model = scene.model
+        self._scene = build_scene(self.world, list(starts), self.config)
+        self._model = self._scene.model
         self._data = mujoco.MjData(self._model)
         self._vehicles = self._make_vehicles(starts, seed)
         self._log = _Log(counts=dict.fromkeys(starts, 0))
         self._ticks = 0
         self._renderer: Renderer | None = None
         if self.config.kinect.simulated_camera_rate > 0.0:
-            self._renderer = Renderer(scene)
+            self._renderer = Renderer(self._scene)
 
     # -- what callers need ----------------------------------------------------------------------
 
@@ -312,7 +312,7 @@ class Simulator:
             records.append(OdometryReading(now, odometry.pose, odometry.covariance))
             records.append(TruePose(now, vehicle.pose, drive.linear, drive.angular))
         if 'laser' in due:
-            records.append(vehicle.laser.measure(now, vehicle.pose, self._model, self._data))
+            records.append(vehicle.laser.measure(now, vehicle.pose, self._scene, self._data))
         if 'kinect' in due and self._renderer is not None and vehicle.kinect is not None:
             camera = list(self._vehicles).index(vehicle.name)
             records.append(vehicle.kinect.measure(now, *self._renderer.render(self._data, camera)))

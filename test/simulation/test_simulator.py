@@ -305,6 +305,7 @@ def test_a_picture_from_above_shows_floor_and_vehicles(world):
     with Simulator(world, None, config(**SMALL)) as simulator:
         picture = simulator.picture_from_above()
     assert picture.shape == (120, 160, 3)
+    assert 50 < np.median(picture) < 150  # the grey floor
     red = (picture[:, :, 0] > 120) & (picture[:, :, 1] < 60) & (picture[:, :, 2] < 60)
     assert red.any()
     simulator.close()  # a second time does nothing
