@@ -41,7 +41,7 @@ class StudyConfig(Section):
     scan_period: float = setting(0.5, 'between scans of a vehicle', unit='s', low=0.05, high=10.0)
     planning_period: float = setting(2.0, 'between plannings', unit='s', low=0.1, high=60.0)
     stall_time: float = setting(
-        6.0, 'without motion until a goal counts as blocked', unit='s', low=1.0, high=120.0
+        8.0, 'without getting on until a goal counts as blocked', unit='s', low=1.0, high=120.0
     )
     stuck_time: float = setting(
         60.0, 'without any plan until the run ends', unit='s', low=1.0, high=600.0

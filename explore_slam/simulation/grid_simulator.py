@@ -19,6 +19,7 @@ from explore_slam.simulation import grid_world_kernels as kernels
 from explore_slam.simulation.grid_world import GridWorld
 
 MAX_VEHICLES = 31
+BACKING_SPEED = 0.15
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class GridSimulatorConfig(Section):
     tick: float = setting(0.1, 'time step', unit='s', low=0.01, high=0.5)
     pursuit_distance: float = setting(0.35, 'lookahead on the path', unit='m', low=0.05, high=2.0)
     arrival_distance: float = setting(0.2, 'a goal is reached', unit='m', low=0.01, high=2.0)
-    wall_margin: float = setting(0.005, 'kept from obstacles', unit='m', low=0.0, high=1.0)
+    wall_margin: float = setting(0.003, 'kept from obstacles', unit='m', low=0.0, high=1.0)
     vehicle_margin: float = setting(0.15, 'kept from vehicles', unit='m', low=0.0, high=2.0)
     beams: int = setting(361, 'beams of the laser', low=1, high=5000)
     field_of_view: float = setting(
@@ -48,6 +49,10 @@ class GridSimulatorConfig(Section):
     heading_noise: float = setting(
         0.0, 'deviation of the error of the known heading', unit='rad', low=0.0, high=0.5
     )
+    patience: float = setting(
+        4.0, 'without motion until a vehicle backs off', unit='s', low=0.5, high=60.0
+    )
+    back_off: float = setting(0.3, 'it backs off so far', unit='m', low=0.0, high=2.0)
     noise_time: float = setting(20.0, 'that error wanders within', unit='s', low=0.1, high=1000.0)
 
 
@@ -69,11 +74,14 @@ class _Drive:
     arrived: bool = True
     speed: float = 0.0
     turn: float = 0.0
+    backing: float = 0.0
     travelled: float = 0.0
     error: Array = field(default_factory=lambda: np.zeros(3))
     touching: str | None = None
     last_moved: float = 0.0
+    last_tried: float = 0.0
     last_place: tuple[float, float] = (0.0, 0.0)
+    tried_place: tuple[float, float] = (0.0, 0.0)
 
 
 class GridSimulator:
@@ -151,7 +159,7 @@ class GridSimulator:
         return drive.plan is None or drive.arrived
 
     def stalled_for(self, vehicle: str) -> float:
-        """Return for how long (s) a vehicle with a plan has not moved by a tenth of a metre."""
+        """Return for how long (s) a vehicle with a plan has not got on (backing off apart)."""
         drive = self._drives[self._index[vehicle]]
         return 0.0 if self.is_idle(vehicle) else self.time - drive.last_moved
 
@@ -174,7 +182,7 @@ class GridSimulator:
         """Give a vehicle a plan to follow from now on, or None to stop."""
         drive = self._drives[self._index[vehicle]]
         if drive.plan is None or drive.arrived:
-            drive.last_moved = self.time
+            drive.last_moved = drive.last_tried = self.time
         drive.plan = plan if plan is not None and len(plan.waypoints) else None
         drive.segment = 0
         drive.arrived = False
@@ -236,6 +244,11 @@ class GridSimulator:
     def _steer(self, index: int) -> None:
         config, drive = self.config, self._drives[index]
         wanted_speed, wanted_turn = 0.0, 0.0
+        if not drive.arrived and self.time - drive.last_tried >= config.patience:
+            drive.last_tried, drive.backing = self.time, config.back_off
+        if drive.backing > 0.0:
+            self._back_off(index)
+            return
         if drive.plan is not None and not drive.arrived:
             wanted_speed, wanted_turn, drive.segment, drive.arrived = kernels.pursue(
                 np.ascontiguousarray(drive.plan.waypoints, dtype=np.float64),
@@ -252,6 +265,21 @@ class GridSimulator:
         wanted_speed = min(wanted_speed, self._safe_speed(index)) if wanted_speed > 0.0 else 0.0
         rise, fall = config.acceleration * config.tick, config.braking * config.tick
         drive.speed = min(max(wanted_speed, drive.speed - fall), drive.speed + rise)
+
+    def _back_off(self, index: int) -> None:
+        """Drive straight back, slowly, until far enough or something lies behind."""
+        config, drive = self.config, self._drives[index]
+        behind = self._poses.copy()
+        behind[index, 2] += math.pi
+        needed = config.body_radius + config.wall_margin
+        field_at = (self.world.clearance, self.world.resolution, self._origin)
+        room = min(
+            kernels.free_distance(*field_at, behind[index], needed, 0.2),
+            kernels.room_before_others(behind, index, 2.0 * config.body_radius + 0.1),
+        )
+        drive.turn = 0.0
+        drive.speed = -BACKING_SPEED if room > 2.0 * BACKING_SPEED * config.tick else 0.0
+        drive.backing += drive.speed * config.tick if drive.speed else -drive.backing
 
     def _safe_speed(self, index: int) -> float:
         """Return the speed from which the vehicle can stop in time for what lies ahead.
@@ -288,19 +316,21 @@ class GridSimulator:
         nx = x + moved * math.cos(theta + 0.5 * turned)
         ny = y + moved * math.sin(theta + 0.5 * turned)
         self._poses[index, 2] = wrap_angle(theta + turned)
-        touching = self._contact(index, (x, y), (nx, ny)) if moved > 0.0 else drive.touching
-        if touching is not None and moved > 0.0:
+        touching = self._contact(index, (x, y), (nx, ny)) if moved else drive.touching
+        if touching is not None and moved:
             drive.speed = 0.0
             if touching != drive.touching:
                 other = touching or None
                 self.collisions.append(Collision(self.time, self.vehicles[index], other))
-        elif moved > 0.0:
+        elif moved:
             self._poses[index, 0], self._poses[index, 1] = nx, ny
-            drive.travelled += moved
+            drive.travelled += abs(moved)
         drive.touching = touching
-        if math.dist((self._poses[index, 0], self._poses[index, 1]), drive.last_place) > 0.1:
-            drive.last_moved = self.time
-            drive.last_place = (float(self._poses[index, 0]), float(self._poses[index, 1]))
+        place = (float(self._poses[index, 0]), float(self._poses[index, 1]))
+        if math.dist(place, drive.tried_place) > 0.1:
+            drive.last_tried, drive.tried_place = self.time, place
+        if math.dist(place, drive.last_place) > 2.0 * config.back_off:
+            drive.last_moved, drive.last_place = self.time, place
 
     def _contact(
         self, index: int, old: tuple[float, float], new: tuple[float, float]

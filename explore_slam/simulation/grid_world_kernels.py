@@ -132,11 +132,12 @@ def free_distance(
 ) -> float:
     """Return how far a disc may go straight on, keeping `needed` from obstacles; at most reach.
 
-    Leaving a place that is already too tight is free as long as the clearance grows.
+    From a place that is already too tight it may go where the clearance grows or is no less.
     """
     dx, dy = math.cos(pose[2]), math.sin(pose[2])
     step = 0.5 * resolution
     last = sample_field(field, resolution, origin, pose[0], pose[1])
+    needed = min(needed, last)
     travelled = 0.0
     while travelled < reach:
         ahead = travelled + step
