@@ -24,7 +24,7 @@ from explore_slam.simulation.world import Face, World
 PAINTED, BODY, DECORATION, FLOOR, HIDDEN = 0, 1, 2, 3, 4  # groups of MuJoCo geoms
 TILE = 8.0  # m
 Z_NEAR, Z_FAR = 0.1, 40.0  # m
-FLOOR_PIXELS = 2048
+FLOOR_PIXELS = 4096
 COLORS = (
     (0.75, 0.10, 0.10), (0.10, 0.25, 0.75), (0.10, 0.55, 0.15),
     (0.80, 0.60, 0.05), (0.50, 0.10, 0.60), (0.05, 0.55, 0.60),

@@ -13,10 +13,10 @@ from explore_slam.errors import SimulationError
 from explore_slam.geometry import Pose2
 from explore_slam.simulation.base import DifferentialDrive, WheelOdometry
 from explore_slam.simulation.config import SimulationConfig
+from explore_slam.simulation.contacts import Contacts
 from explore_slam.simulation.kinect import KinectSensor, camera_intrinsics
 from explore_slam.simulation.laser import LaserScanner
 from explore_slam.simulation.mujoco_import import mujoco
-from explore_slam.simulation.obstacles import Obstacles
 from explore_slam.simulation.records import Collision, Record, SimEvent, TruePose
 from explore_slam.simulation.renderer import Renderer
 from explore_slam.simulation.scene import build_scene
@@ -83,8 +83,8 @@ class Simulator:
             raise SimulationError(
                 f'world {self.world.name!r} suggests no start poses and none were given'
             )
-        self._obstacles = Obstacles(self.world)
-        self._check_starts(starts)
+        self._contacts = Contacts(self.world, self.config.base.simulated_radius)
+        self._contacts.check_starts(starts)
         self._scene = build_scene(self.world, list(starts), self.config)
         self._model = self._scene.model
         self._data = mujoco.MjData(self._model)
@@ -191,28 +191,6 @@ class Simulator:
                 f'there is no vehicle {vehicle!r}, only {list(self._vehicles)}'
             ) from None
 
-    def _check_starts(self, starts: dict[str, Pose2]) -> None:
-        radius = self.config.base.simulated_radius
-        x0, y0, x1, y1 = self.world.bounds
-        for index, (name, pose) in enumerate(starts.items()):
-            where = f'start pose of {name!r} ({pose.x:g}, {pose.y:g}, {pose.theta:g})'
-            if not pose.is_finite() or not (x0 <= pose.x <= x1 and y0 <= pose.y <= y1):
-                raise SimulationError(
-                    f'{where} lies outside of world {self.world.name!r}, '
-                    f'expected x in {x0:g}..{x1:g} and y in {y0:g}..{y1:g} m'
-                )
-            room = self._obstacles.clearance(pose.x, pose.y)
-            if room < radius:
-                place = 'inside a wall' if room <= 0.0 else f'{room:.2f} m from a wall'
-                raise SimulationError(f'{where} lies {place}, expected at least {radius:g} m')
-            for other, there in list(starts.items())[:index]:
-                gap = math.hypot(pose.x - there.x, pose.y - there.y)
-                if gap < 2.0 * radius:
-                    raise SimulationError(
-                        f'{where} lies {gap:.2f} m from that of {other!r}, '
-                        f'expected at least {2.0 * radius:g} m'
-                    )
-
     def _make_vehicles(self, starts: dict[str, Pose2], seed: int) -> dict[str, _Vehicle]:
         config, made = self.config, {}
         seeds = np.random.SeedSequence(seed).spawn(3 * len(starts))
@@ -239,63 +217,28 @@ class Simulator:
     # -- one step -------------------------------------------------------------------------------
 
     def _drive(self, vehicle: _Vehicle, seconds: float) -> None:
-        """Move a vehicle unless something is in the way; turning on the spot always works."""
+        """Move a vehicle as far as nothing is in the way; turning on the spot always works."""
         increment = vehicle.drive.advance(seconds)
-        if increment.x == 0.0 and increment.y == 0.0:
-            vehicle.pose = vehicle.pose.compose(increment)
-            vehicle.odometry.move(increment)
-            return
-        wanted = vehicle.pose.compose(increment)
-        obstacle = self._in_the_way(vehicle, wanted)
-        if obstacle:
-            if vehicle.touching != obstacle:
-                self._log.counts[vehicle.name] += 1
-                self._log.collisions.append(Collision(self.time, vehicle.name, obstacle))
-            vehicle.touching = obstacle
-            vehicle.drive.stall()
-            increment = self._up_to_contact(vehicle, increment)
-            wanted = vehicle.pose.compose(increment)
-        elif vehicle.touching and self._room(vehicle, wanted) > CONTACT_RELEASE:
-            vehicle.touching = ''
-        vehicle.pose = wanted
+        if increment.x != 0.0 or increment.y != 0.0:
+            increment = self._free_part(vehicle, increment)
+        vehicle.pose = vehicle.pose.compose(increment)
         vehicle.odometry.move(increment)
 
-    def _up_to_contact(self, vehicle: _Vehicle, increment: Pose2) -> Pose2:
-        """Return the increment with as much of its way as is free, by bisection."""
-        free, blocked = 0.0, 1.0
-        for _ in range(6):
-            part = 0.5 * (free + blocked)
-            tried = Pose2(part * increment.x, part * increment.y, increment.theta)
-            if self._in_the_way(vehicle, vehicle.pose.compose(tried)):
-                blocked = part
-            else:
-                free = part
-        return Pose2(free * increment.x, free * increment.y, increment.theta)
-
-    def _in_the_way(self, vehicle: _Vehicle, wanted: Pose2) -> str:
-        """Return what a vehicle would run into, or an empty text."""
-        radius = self.config.base.simulated_radius
-        room = self._obstacles.clearance(wanted.x, wanted.y)
-        if room < radius and room < self._obstacles.clearance(vehicle.pose.x, vehicle.pose.y):
-            return 'wall'
-        for other in self._vehicles.values():
-            if other is vehicle:
-                continue
-            gap = math.hypot(wanted.x - other.pose.x, wanted.y - other.pose.y)
-            now = math.hypot(vehicle.pose.x - other.pose.x, vehicle.pose.y - other.pose.y)
-            if gap < 2.0 * radius and gap < now:
-                return other.name
-        return ''
-
-    def _room(self, vehicle: _Vehicle, pose: Pose2) -> float:
-        """Return the free distance (m) between the body and the nearest thing."""
-        radius = self.config.base.simulated_radius
-        gaps = [
-            math.hypot(pose.x - other.pose.x, pose.y - other.pose.y) - radius
-            for other in self._vehicles.values()
-            if other is not vehicle
-        ]
-        return min([self._obstacles.clearance(pose.x, pose.y), *gaps]) - radius
+    def _free_part(self, vehicle: _Vehicle, increment: Pose2) -> Pose2:
+        """Return how much of an increment can be driven; note what ends it."""
+        others = {v.name: v.pose for v in self._vehicles.values() if v is not vehicle}
+        wanted = vehicle.pose.compose(increment)
+        obstacle = self._contacts.in_the_way(vehicle.pose, wanted, others)
+        if not obstacle:
+            if vehicle.touching and self._contacts.room(wanted, others) > CONTACT_RELEASE:
+                vehicle.touching = ''
+            return increment
+        if vehicle.touching != obstacle:
+            self._log.counts[vehicle.name] += 1
+            self._log.collisions.append(Collision(self.time, vehicle.name, obstacle))
+        vehicle.touching = obstacle
+        vehicle.drive.stall()
+        return self._contacts.up_to_contact(vehicle.pose, increment, others)
 
     def _place_bodies(self) -> None:
         for index, vehicle in enumerate(self._vehicles.values()):
