@@ -129,7 +129,8 @@ def replay_bag(
     """
     effective = configuration(path, config, options)
     with BagReader(path) as bag:
-        replay = Replay(bag, vehicles, starts, recorded_starts(path))
+        vision = bag_settings(path).get('vision')
+        replay = Replay(bag, vehicles, starts, recorded_starts(path), vision)
         if not _has_odometry(replay):
             return observe_recording(replay, effective, until)
         poses = replay.start_poses()

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 
+from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -33,10 +34,11 @@ class Player(Node):
         vehicles: Collection[str] = (),
         clock: bool = True,
         until: float | None = None,
+        context: Context | None = None,
     ) -> None:
         if not rate > 0.0:
             raise RecordingError(f'rate is {rate}, expected more than 0')
-        super().__init__('player')
+        super().__init__('player', context=context)
         self._bag = bag
         self._rate = rate
         self._until = None if until is None else round(until * 1e9)

@@ -23,7 +23,12 @@ from explore_slam.recording.bag import BagReader
 from explore_slam.recording.events import Event
 from explore_slam.recording.ordering import StampOrder
 from explore_slam.recording.salvage import RawMessage
-from explore_slam.recording.topics import TopicKind, VehicleTopic, vehicle_topics
+from explore_slam.recording.topics import (
+    TopicKind,
+    VehicleTopic,
+    one_kind_of_vision,
+    vehicle_topics,
+)
 
 logger = logging.getLogger(__name__)
 
@@ -87,9 +92,11 @@ class Replay:
         vehicles: Iterable[str] = (),
         starts: Mapping[str, Pose2] | None = None,
         recorded_starts: Mapping[str, Pose2] | None = None,
+        vision: str | None = None,
     ) -> None:
         self.bag = bag
-        self._topics, warnings = vehicle_topics(bag.topics, vehicles)
+        found, warnings = vehicle_topics(bag.topics, vehicles)
+        self._topics = one_kind_of_vision(found, vision, warnings)
         self.warnings = list(bag.warnings) + warnings
         for warning in warnings:
             logger.warning('%s', warning)

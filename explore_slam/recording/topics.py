@@ -48,6 +48,16 @@ _SENSORS = {
 }
 
 
+_FRAMES = {
+    TopicKind.COLOR,
+    TopicKind.COLOR_COMPRESSED,
+    TopicKind.DEPTH,
+    TopicKind.DEPTH_COMPRESSED,
+    TopicKind.DEPTH_COMPRESSED_DEPTH,
+    TopicKind.CAMERA_INFO,
+}
+
+
 @dataclass(frozen=True)
 class VehicleTopic:
     """One topic of one vehicle."""
@@ -113,3 +123,24 @@ def _check_needed(found: list[VehicleTopic], wanted: list[str], topics: Mapping[
             f'<vehicle>/{TopicKind.COLOR.value} or <vehicle>/landmarks; '
             f'the recording holds {sorted(topics) or "no topics"}'
         )
+
+
+def one_kind_of_vision(
+    topics: list[VehicleTopic], vision: str | None, warnings: list[str]
+) -> list[VehicleTopic]:
+    """Leave out a vehicle's frames or its landmarks where both are there: they are the same sight.
+
+    vision: 'agent' takes frames, 'vehicle' landmarks; None takes landmarks and says so.
+    """
+    kinds: dict[str, set[TopicKind]] = {}
+    for topic in topics:
+        kinds.setdefault(topic.vehicle, set()).add(topic.kind)
+    both = {
+        vehicle
+        for vehicle, found in kinds.items()
+        if TopicKind.LANDMARKS in found and found & _FRAMES
+    }
+    if both and vision is None:
+        warnings.append(f'{sorted(both)}: both frames and landmarks recorded: landmarks are used')
+    unused = {TopicKind.LANDMARKS} if vision == 'agent' else _FRAMES
+    return [topic for topic in topics if topic.vehicle not in both or topic.kind not in unused]

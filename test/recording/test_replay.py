@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from explore_slam.agent.agent import Agent
-from explore_slam.data import LandmarkObservations, LaserScan
+from explore_slam.data import Intrinsics, LandmarkObservations, LaserScan, RgbdFrame
 from explore_slam.errors import ConfigError, RecordingError
 from explore_slam.evaluation.replay_run import configuration, recorded_starts, replay_bag
 from explore_slam.geometry import Pose2
@@ -293,6 +293,25 @@ def test_a_bag_in_a_run_folder_takes_settings_and_starts_from_there(tmp_path):
     data = replay_bag(bag, vehicles=['robot1'])
     assert data.vehicles[0].odometry.poses[0] == pytest.approx(STARTS['robot1'])
     assert data.notes == ("unknown vehicles ['robot2'] in the recording: unused",)
+
+
+@pytest.mark.parametrize(
+    ('vision', 'used'),
+    [('agent', 'camera/rgb/image_raw'), ('vehicle', 'landmarks'), (None, 'landmarks')],
+)
+def test_what_was_seen_counts_once(tmp_path, vision, used):
+    camera = Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0)
+    image, depth = np.zeros((48, 64, 3), np.uint8), np.full((48, 64), 1000, np.uint16)
+    events = [event for event in team_events(1.0) if event.vehicle == 'robot1']
+    events += [
+        Event(stamp, 'robot1', TopicKind.COLOR, RgbdFrame(stamp, image, depth, camera))
+        for stamp in (5.2, 5.4)
+    ]
+    bag = write(tmp_path / 'bag', events)
+    replay = Replay(BagReader(bag), vision=vision)
+    seen = {e.kind.value for e in replay.events()} & {'landmarks', 'camera/rgb/image_raw'}
+    assert seen == {used}
+    assert any('landmarks are used' in text for text in replay.warnings) == (vision is None)
 
 
 def test_it_can_stop_early_and_tells_how_far_it_is(team_bag):
