@@ -27,6 +27,7 @@ from explore_slam.nodes.agent_inputs import SILENCE, VehicleInputs
 from explore_slam.nodes.agent_outputs import AgentOutputs
 from explore_slam.nodes.agent_parameters import AgentNodeConfig
 from explore_slam.nodes.agent_statistics import AgentStatistics
+from explore_slam.nodes.heartbeat import Heartbeat
 from explore_slam.nodes.inbox import Inbox, Item
 from explore_slam.nodes.vehicle_support import (
     LATCHED,
@@ -68,6 +69,7 @@ class AgentNode(Node):
         self._inputs = self._listen()
         self._offer_services()
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self._heartbeat = Heartbeat(self, self.config.vehicles)
         self._due = dict.fromkeys(('plan', 'map', 'landmarks', 'pose'), -np.inf)
         self._reported = time.monotonic()
         self._silence_timer = self.create_timer(
@@ -279,6 +281,7 @@ class AgentNode(Node):
 
     def stop(self) -> None:
         """End the worker and tell the vehicles to stand."""
+        self._heartbeat.stop()
         self.inbox.close()
         self._worker.join(timeout=5.0)
         self.outputs.plans(now_seconds(self), {})

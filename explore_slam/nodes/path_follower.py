@@ -5,6 +5,7 @@ Reports on `follower_status` (std_msgs/String: 'driving', 'arrived', 'waiting: w
 """
 
 import sys
+import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -15,9 +16,10 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import LaserScan
-from std_msgs.msg import String
+from std_msgs.msg import Empty, String
 
 from explore_slam.errors import DataError
+from explore_slam.nodes import heartbeat
 from explore_slam.nodes.conversions import (
     odometry_record,
     plan_record,
@@ -56,6 +58,8 @@ class PathFollowerNode(Node):
         self._driven = -1.0
         self._malformed = 0
         self._counts = dict.fromkeys(('plan', 'pose', 'odom', 'scan'), 0)
+        self._heartbeat: float | None = None  # monotonic s
+        self.create_subscription(Empty, heartbeat.TOPIC, self._on_heartbeat, heartbeat.QOS)
         self.create_subscription(Path, 'plan', self._on_plan, LATCHED)
         self.create_subscription(PoseWithCovarianceStamped, 'pose', self._on_pose, 10)
         self.create_subscription(Odometry, 'odom', self._on_odometry, qos_profile_sensor_data)
@@ -86,6 +90,9 @@ class PathFollowerNode(Node):
             'pose', lambda now: self.follower.set_pose(stamp, planar_pose(message.pose.pose), now)
         )
 
+    def _on_heartbeat(self, _: Empty) -> None:
+        self._heartbeat = time.monotonic()
+
     def _on_odometry(self, message: Odometry) -> None:
         self._take('odom', lambda now: self.follower.set_odometry(odometry_record(message), now))
 
@@ -105,7 +112,8 @@ class PathFollowerNode(Node):
         now = now_seconds(self)
         if now == 0.0:  # simulated time has not begun
             return
-        command = self.follower.command(now)
+        age = 0.0 if self._heartbeat is None else time.monotonic() - self._heartbeat
+        command = self.follower.command(now, age)
         changed = self._command is None or command.state is not self._command.state
         self._command = command
         if command.state is FollowerState.DRIVING or now < self._driven:

@@ -148,10 +148,15 @@ class PathFollower:
         """Return the dead-reckoned pose in the map, None as long as there is none."""
         return self._reckoning.map_pose(now)
 
-    def command(self, now: float) -> VelocityCommand:
-        """Return what the base shall do now (s); to be called at control_frequency."""
+    def command(self, now: float, heartbeat_age: float = 0.0) -> VelocityCommand:
+        """Return what the base shall do now (s); to be called at control_frequency.
+
+        heartbeat_age is the time (wall s) since the agent's heartbeat; 0 where there is none.
+        """
         step = self._time_step(now)
         silence = self._silence(now)
+        if heartbeat_age > self.config.heartbeat_timeout:
+            silence = f"agent's heartbeat silent for {heartbeat_age:.1f} s"
         pose = self._reckoning.map_pose(now)
         if silence or pose is None:
             return self._stop(FollowerState.WAITING, silence or 'no map pose yet')
