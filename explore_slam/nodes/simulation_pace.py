@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 from explore_slam.settings import Section, setting
 
+CREEP = 0.25  # s that time goes on in real time beyond pose_lead: an agent that publishes by
+# simulated time and has caught up would else wait for the clock as the clock waits for it
 MAX_LAG = 0.25  # wall s; what is further behind a fixed rate is not caught up
 
 
@@ -103,8 +105,9 @@ class Pace:
                 return self._until(sim, wall, self.config.real_time_factor)
             held = self._held_by_command(sim, wall) or self._held_by_pose(sim, wall)
             if held is not None:
-                self._anchor = (sim, wall)
                 self.holder, delay = held
+                if delay <= 0.0:
+                    self._anchor = (sim, wall)
                 return delay
             if self._listening(wall):
                 self._anchor = (sim, wall)
@@ -137,6 +140,10 @@ class Pace:
         if not alive:
             return None
         slowest = min(alive, key=lambda name: alive[name].stamp)
-        if sim - alive[slowest].stamp < self.config.pose_lead - 1e-9:
+        ahead = sim - alive[slowest].stamp - self.config.pose_lead
+        if ahead < -1e-9:
             return None
-        return f'{slowest}/pose', self.config.pose_patience - (wall - alive[slowest].wall)
+        patience = self.config.pose_patience - (wall - alive[slowest].wall)
+        if ahead < CREEP:
+            patience = min(patience, self._until(sim, wall, 1.0))
+        return f'{slowest}/pose', patience
