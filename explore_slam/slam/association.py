@@ -18,7 +18,7 @@ Locals = NDArray[np.int64]
 Six = tuple[float, float, float, float, float, float]
 
 
-@njit(cache=True, nogil=True, inline='always')
+@njit(cache=True, nogil=True, error_model='numpy', inline='always')
 def seen_covariance(
     c: float, s: float, xx: float, xy: float, xz: float, yy: float, yz: float, zz: float
 ) -> Six:  # pragma: no cover - compiled
@@ -34,7 +34,7 @@ def seen_covariance(
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def _squared_length(
     x: float, y: float, z: float, xx: float, xy: float, xz: float, yy: float, yz: float, zz: float
 ) -> float:  # pragma: no cover - compiled
@@ -49,7 +49,7 @@ def _squared_length(
     return square / (xx * a + xy * b + xz * d)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def associate(
     slab: Array,
     slots: Locals,

@@ -56,7 +56,7 @@ def check_observations(observations: LandmarkObservations, maximum: int) -> None
             f'observations: covariance {bad[0]} is {R[bad[0]].tolist()}, not symmetric'
         )
     least = np.linalg.eigvalsh(R)[:, 0]
-    bad = np.flatnonzero(least <= 1e-12 * np.maximum(scale, 1e-300))
+    bad = np.flatnonzero(least <= 1e-10 * np.maximum(scale, 1e-300))
     if len(bad):
         raise SlamError(
             f'observations: covariance {bad[0]} is {R[bad[0]].tolist()} with the least eigenvalue '
@@ -73,8 +73,8 @@ def check_observations(observations: LandmarkObservations, maximum: int) -> None
 def check_sighting(sighting: VehicleSighting) -> None:
     """Refuse a sighting whose covariance cannot be used."""
     covariance = sighting.covariance
-    least = float(np.linalg.eigvalsh(0.5 * (covariance + covariance.T))[0])
-    if least <= 0.0:
+    least, most = np.linalg.eigvalsh(0.5 * (covariance + covariance.T))
+    if least <= 1e-10 * max(most, 1e-300):
         raise SlamError(
             f'sighting of {sighting.vehicle!r}: covariance {covariance.tolist()} has the least '
             f'eigenvalue {least:.3g}, expected a positive definite matrix'

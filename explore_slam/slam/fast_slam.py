@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -133,10 +134,14 @@ class FastSlam:
         estimate = self.estimate(vehicle)
         sighted = engines.look_up(self.map, observations, self.config, *estimate, reach)
         data = self.map.rows.present_data
+        random = self._random.bit_generator.state
         poses, P = self._settled(number)
         normals = self._random.standard_normal((self.config.particles, 3))
         engine = engines.paper if self.config.engine == 'paper' else engines.fastslam2
         log_weights = engine(sighted, data, poses, P, normals, self.config)
+        if not (np.isfinite(poses).all() and np.isfinite(log_weights).all()):
+            self.map.rows.revert(sighted.items, sighted.slots)
+            self._refuse(random, f'update({vehicle!r}) at stamp {observations.stamp}')
         self._place(number, poses)
         self._stamps[number] = observations.stamp
         engines.update_matched(sighted, data, poses)
@@ -181,6 +186,7 @@ class FastSlam:
             self._sight(number, other, sighting)
 
     def _sight(self, number: int, other: int, sighting: VehicleSighting) -> None:
+        random = self._random.bit_generator.state
         seer, seer_P = self._settled(number)
         motion = self._pending[other]
         seen = compose(self._poses[other], np.asarray(motion.mean))
@@ -191,6 +197,8 @@ class FastSlam:
             self.config.association.association_gate**2, self.config.outlier_threshold,
             normals, np.exp(self._log_weights), log_weights, left,
         )  # fmt: skip
+        if not all(np.isfinite(part).all() for part in (seer, seen, left, log_weights)):
+            self._refuse(random, f'sighting of {sighting.vehicle!r} at stamp {sighting.stamp}')
         self._weigh(log_weights)
         self._place(number, seer)
         self._place(other, seen)
@@ -198,10 +206,15 @@ class FastSlam:
         if self.config.engine == 'fastslam2':
             self._resample_if_due(number, self.effective_particles())
 
+    def _refuse(self, random: Any, what: str) -> NoReturn:
+        """Take random numbers back and refuse a call whose numbers run out of range."""
+        self._random.bit_generator.state = random
+        raise SlamError(f'{what}: covariances of motion and observations are out of proportion')
+
     def _settled(self, number: int) -> tuple[Array, Array]:
         """Return predicted poses (M, 3) and their covariance (3, 3) in the vehicle frame."""
         return self._pending[number].move(
-            self._poses[number], self.config.linearizable_heading, self._random
+            self._poses[number].copy(), self.config.linearizable_heading, self._random
         )
 
     def _place(self, number: int, poses: Array) -> None:

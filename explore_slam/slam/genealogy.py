@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 Index = NDArray[np.int32]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def _compose(
     index: Index, ancestors: Index, counts: Index, survivors: Index
 ) -> None:  # pragma: no cover - compiled

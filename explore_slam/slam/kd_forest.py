@@ -21,7 +21,7 @@ Nodes = NDArray[np.int32]
 Values = NDArray[np.float32]
 
 
-@njit(cache=True, nogil=True, fastmath={'reassoc', 'nsz', 'contract'})
+@njit(cache=True, nogil=True, error_model='numpy', fastmath={'reassoc', 'nsz', 'contract'})
 def _distance(
     a: Values, b: Values, bound: np.float32
 ) -> np.float32:  # pragma: no cover - compiled
@@ -38,7 +38,7 @@ def _distance(
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def _find_leaf(
     nodes: Nodes, values: Values, tree: int, point: Values
 ) -> int:  # pragma: no cover - compiled
@@ -49,14 +49,14 @@ def _find_leaf(
     return node
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def _next_random(state: NDArray[np.uint64]) -> np.int64:  # pragma: no cover - compiled
     """64-bit linear congruential generator (Knuth's MMIX); its upper bits."""
     state[0] = state[0] * np.uint64(6364136223846793005) + np.uint64(1442695040888963407)
     return np.int64(state[0] >> np.uint64(40))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def _split_dimension(
     table: Values, members: Nodes, state: NDArray[np.uint64]
 ) -> tuple[int, float]:  # pragma: no cover - compiled
@@ -84,7 +84,7 @@ def _split_dimension(
     return chosen, mean[chosen]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def _insert(
     table: Values,
     ids: Ids,
@@ -138,7 +138,7 @@ def _insert(
             buckets[bucket, 0] += 1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def _remove(
     table: Values, ids: Ids, nodes: Nodes, values: Values, buckets: Nodes
 ) -> None:  # pragma: no cover - compiled
@@ -155,7 +155,7 @@ def _remove(
                 bucket = buckets[bucket, 1]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def _push(
     keys: Values, places: Nodes, size: int, key: float, tree: int, node: int
 ) -> int:  # pragma: no cover - compiled
@@ -176,7 +176,7 @@ def _push(
     return size + 1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def _pop(keys: Values, places: Nodes, size: int) -> int:  # pragma: no cover - compiled
     """Remove the first of the heap (read it before)."""
     size -= 1
@@ -200,7 +200,7 @@ def _pop(keys: Values, places: Nodes, size: int) -> int:  # pragma: no cover - c
     return size
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def _search(
     table: Values,
     queries: Values,

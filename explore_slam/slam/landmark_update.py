@@ -28,7 +28,7 @@ from explore_slam.slam.proposal import (
 )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, inline='always')
+@njit(cache=True, nogil=True, error_model='numpy', inline='always')
 def _correct(w, R, k):  # type: ignore[no-untyped-def]
     """Replace the landmark of each column by its posterior: K = A W, Σ⁺ = A − K A."""
     r0, r1, r2, r3, r4, r5 = R[k, 0], R[k, 1], R[k, 2], R[k, 3], R[k, 4], R[k, 5]
@@ -63,7 +63,7 @@ def _correct(w, R, k):  # type: ignore[no-untyped-def]
         w[LM + 8, i] = azz - (kzx * axz + kzy * ayz + kzz * azz)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def update_landmarks(  # noqa: PLR0912, C901 - a kernel
     slab: Array,
     slots: Locals,
@@ -107,13 +107,14 @@ def update_landmarks(  # noqa: PLR0912, C901 - a kernel
             _correct(w, R, k)
             for i in range(n):
                 j = choice[k, m0 + i]
-                if j >= 0:
+                least = min(w[LM + 3, i], w[LM + 6, i], w[LM + 8, i])
+                if j >= 0 and least > 0.0 and least < np.inf:
                     slot = slots[candidates[k, j]]
                     for v in range(9):
                         slab[slot, v, m0 + i] = w[LM + v, i]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def insert_landmarks(
     slab: Array,
     slots: Locals,

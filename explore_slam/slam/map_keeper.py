@@ -17,7 +17,7 @@ _FEWEST_FOR_MISSES = 8
 _BIN = 0.1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def support(choice: Choice, weights: Array, candidates: int) -> Array:  # pragma: no cover
     """Return (K, J): weight of the particles that chose each candidate."""
     total = np.zeros((len(choice), candidates))
@@ -29,7 +29,7 @@ def support(choice: Choice, weights: Array, candidates: int) -> Array:  # pragma
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def _expected(
     reference: Array, ids: NDArray[np.int64], x: float, y: float, theta: float, z: Array
 ) -> NDArray[np.int64]:  # pragma: no cover - compiled

@@ -45,7 +45,7 @@ BEST, PICK = 57, 58  # least score so far and its candidate
 SCRATCH = 59
 
 
-@njit(cache=True, nogil=True, inline='always')
+@njit(cache=True, nogil=True, error_model='numpy', inline='always')
 def _load(w, slab, slots, candidates, choice, k, m0, n):  # type: ignore[no-untyped-def]
     """Load the landmark that each particle has chosen for observation k, and the mask."""
     first = -1
@@ -70,7 +70,7 @@ def _load(w, slab, slots, candidates, choice, k, m0, n):  # type: ignore[no-unty
     return first >= 0
 
 
-@njit(cache=True, nogil=True, inline='always')
+@njit(cache=True, nogil=True, error_model='numpy', inline='always')
 def _expect(w, z, R, k):  # type: ignore[no-untyped-def]
     """Set expected observation, residual and S = Σ + R in the vehicle frame."""
     z0, z1, z2 = z[k, 0], z[k, 1], z[k, 2]
@@ -92,7 +92,7 @@ def _expect(w, z, R, k):  # type: ignore[no-untyped-def]
         w[S + 5, i] = w[LM + 8, i] + r5
 
 
-@njit(cache=True, nogil=True, inline='always')
+@njit(cache=True, nogil=True, error_model='numpy', inline='always')
 def _measure(w, hxx, hxy, hyy, i):  # type: ignore[no-untyped-def]
     """Return νᵀ (S + h)⁻¹ ν and |S + h| of column i, h added to the x, y part of S."""
     xx, xy, xz = w[S, i] + hxx, w[S + 1, i] + hxy, w[S + 2, i]
@@ -109,7 +109,7 @@ def _measure(w, hxx, hxy, hyy, i):  # type: ignore[no-untyped-def]
     return square / determinant, determinant
 
 
-@njit(cache=True, nogil=True, inline='always')
+@njit(cache=True, nogil=True, error_model='numpy', inline='always')
 def _invert(w):  # type: ignore[no-untyped-def]
     """Set W = S⁻¹ and |S|."""
     for i in range(BLOCK):
@@ -125,7 +125,7 @@ def _invert(w):  # type: ignore[no-untyped-def]
         w[W + 5, i] = r * (xx * yy - xy * xy)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def _associate(  # noqa: PLR0912, C901 - a kernel
     w: Array,
     slab: Array,
@@ -188,7 +188,7 @@ def _associate(  # noqa: PLR0912, C901 - a kernel
                 used[candidates[k, j], i] = True
 
 
-@njit(cache=True, nogil=True, inline='always')
+@njit(cache=True, nogil=True, error_model='numpy', inline='always')
 def _judge(w, t2):  # type: ignore[no-untyped-def]
     """Set w by the studentized residual, of covariance S − H Q Hᵀ, at the present solution."""
     for i in range(BLOCK):
@@ -210,7 +210,7 @@ def _judge(w, t2):  # type: ignore[no-untyped-def]
         w[WEIGHT, i] = t2 / square if square > t2 else 1.0
 
 
-@njit(cache=True, nogil=True, inline='always')
+@njit(cache=True, nogil=True, error_model='numpy', inline='always')
 def _gather(w, scale, unmatched):  # type: ignore[no-untyped-def]
     """Add one observation to η, Λ and the cost; scale is 1 / |2R|."""
     for i in range(BLOCK):
@@ -244,7 +244,7 @@ def _gather(w, scale, unmatched):  # type: ignore[no-untyped-def]
         w[LAMBDA + 5, i] += zy * a2 - zx * b2
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def _fold(
     w: Array,
     slab: Array,
@@ -290,7 +290,7 @@ def _fold(
     return w
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def _solve_block(
     w: Array, poses: Array, P: Array, m0: int, n: int, L: Array, Qm: Array
 ) -> None:  # pragma: no cover - compiled
@@ -309,7 +309,7 @@ def _solve_block(
         _linearize(w, poses, delta, m0, i)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def _linearize(
     w: Array, poses: Array, delta: Array, m0: int, i: int
 ) -> None:  # pragma: no cover - compiled
@@ -324,7 +324,7 @@ def _linearize(
     w[D0, i], w[D1, i], w[D2, i] = delta[0], delta[1], delta[2]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def _sample_block(
     w: Array, poses: Array, normals: Array, log_weights: Array, m0: int, n: int, Qm: Array
 ) -> None:  # pragma: no cover - compiled
@@ -342,7 +342,7 @@ def _sample_block(
         log_weights[m0 + i] -= 0.5 * w[COST, i]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def propose(
     slab: Array,
     slots: Locals,

@@ -17,7 +17,7 @@ Items = NDArray[np.int64]
 _SHRINK = 4
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def _gather(
     slab: Array, slots: Items, rows: Index, which: Items, target: Array, at: Items
 ) -> None:  # pragma: no cover - compiled
@@ -33,7 +33,7 @@ def _gather(
                 goal[v, m] = source[v, row[m]]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def _shrink(
     source: Array, old: Items, keep: Index, target: Array, new: Items
 ) -> None:  # pragma: no cover - compiled

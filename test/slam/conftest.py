@@ -50,9 +50,7 @@ class World:
         seen = np.flatnonzero((np.hypot(local[:, 0], local[:, 1]) < reach) & (local[:, 0] > 0))
         noise = self.deviation * self.random.standard_normal((len(seen), 3))
         covariance = np.tile(self.deviation**2 * np.eye(3), (len(seen), 1, 1))
-        return LandmarkObservations(
-            stamp, local[seen] + noise, covariance, self.descriptors[seen]
-        )
+        return LandmarkObservations(stamp, local[seen] + noise, covariance, self.descriptors[seen])
 
     def error(self, vehicle: str, pose: Pose2) -> Array:
         true = self.true[vehicle]
