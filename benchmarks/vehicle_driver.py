@@ -1,0 +1,151 @@
+"""The driver on ptys: latency from the last serial byte to the topic, losses, CPU share.
+
+    python benchmarks/vehicle_driver.py --seconds 600
+
+An emulated Pioneer at 9600 Bd (status at 10 Hz) and an emulated LMS-200 streaming at 38400 Bd run
+in a process of their own, the driver in another; this one subscribes. Times are those of
+CLOCK_MONOTONIC, which all processes share.
+"""
+
+import argparse
+import multiprocessing
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from geometry_msgs.msg import Twist
+from nav_msgs.msg import Odometry
+from rclpy.executors import SingleThreadedExecutor
+from sensor_msgs.msg import LaserScan
+
+from explore_slam.nodes.conversions import twist_message
+from explore_slam.nodes.messages import MESSAGES
+from explore_slam.simulation.kinematic_body import KinematicBody
+from explore_slam.simulation.vehicle_emulator import VehicleEmulator
+from explore_slam.vehicle.arcos_packets import PacketDecoder
+from explore_slam.vehicle.arcos_status import parse_status
+from explore_slam.vehicle.lms200_telegrams import Reply, TelegramDecoder
+
+SETTLE = 3.0  # s before and after what is counted
+
+
+def emulate(folder: str, pipe: Connection) -> None:
+    """Run both devices; send the times of all status packets and scans at the end."""
+    body = KinematicBody()
+    body.obstacles = [(20.0, 0.0, 15.0)]
+    sent: dict[str, list[float]] = {'odom': [], 'scan': []}
+    packets, telegrams = PacketDecoder(), TelegramDecoder()
+
+    def on_base(when: float, data: bytes) -> None:
+        count = sum(parse_status(payload) is not None for payload in packets.feed(data))
+        sent['odom'] += [when] * count
+
+    def on_laser(when: float, data: bytes) -> None:
+        count = sum(item.command == Reply.SCAN for item in telegrams.feed(data))
+        sent['scan'] += [when] * count
+
+    emulator = VehicleEmulator(Path(folder), 'robot1', body, body.scan)
+    emulator.base_line.on_sent, emulator.laser_line.on_sent = on_base, on_laser
+    with emulator:
+        pipe.send('ready')
+        pipe.recv()
+    pipe.send(sent)
+
+
+def cpu_seconds(process: int) -> float:
+    """Return the CPU time (s) that a process has used."""
+    fields = Path(f'/proc/{process}/stat').read_text().rpartition(')')[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
+
+
+def latencies(sent: list[float], received: list[float]) -> np.ndarray:
+    """Return for each message the time since the last byte sent before it."""
+    index = np.searchsorted(sent, received) - 1
+    return np.asarray(received) - np.asarray(sent)[index]
+
+
+def measure(
+    folder: str, seconds: float
+) -> tuple[dict[str, list[float]], float, tuple[float, float]]:
+    """Return times of messages by topic, the driver's CPU share, and the window counted."""
+    arguments = {
+        'base_port': f'{folder}/robot1_base', 'laser_port': f'{folder}/robot1_laser',
+        'use_camera': 'false', 'motors_at_start': 'true',
+    }  # fmt: skip
+    options = [word for name, value in arguments.items() for word in ('-p', f'{name}:={value}')]
+    driver = subprocess.Popen(
+        [sys.executable, '-m', 'explore_slam.nodes.pioneer_driver', '--ros-args', *options,
+         '-r', '__ns:=/robot1', '--log-level', 'warn'],
+    )  # fmt: skip
+    rclpy.init()
+    node = rclpy.create_node('observer', namespace='/robot1')
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    got: dict[str, list[float]] = {'odom': [], 'scan': []}
+    for name, kind in (('odom', Odometry), ('scan', LaserScan)):
+        take = got[name].append
+        node.create_subscription(kind, name, lambda _, take=take: take(time.monotonic()), 50)
+    velocity = node.create_publisher(Twist, 'cmd_vel', 1)
+    node.create_timer(0.05, lambda: velocity.publish(twist_message(MESSAGES, 0.3, 0.3)))
+    while not all(got.values()):
+        executor.spin_once(timeout_sec=0.1)
+    start = time.monotonic() + SETTLE
+    end = start + seconds
+    cpu = None
+    while time.monotonic() < end + SETTLE:
+        executor.spin_once(timeout_sec=0.1)
+        if cpu is None and time.monotonic() >= start:
+            cpu = cpu_seconds(driver.pid)
+    share = (cpu_seconds(driver.pid) - cpu) / (seconds + SETTLE)
+    driver.terminate()
+    driver.wait(10.0)
+    node.destroy_node()
+    rclpy.try_shutdown()
+    return got, share, (start, end)
+
+
+def main() -> int:
+    """Run the measurement; 0 where all is as asked."""
+    parser = argparse.ArgumentParser(description=__doc__.split('\n', maxsplit=1)[0])
+    parser.add_argument('--seconds', type=float, default=60.0)
+    arguments = parser.parse_args()
+    os.environ.setdefault('ROS_DOMAIN_ID', '74')
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    with tempfile.TemporaryDirectory() as folder:
+        here, there = multiprocessing.get_context('spawn').Pipe()
+        emulator = multiprocessing.get_context('spawn').Process(
+            target=emulate, args=(folder, there)
+        )
+        emulator.start()
+        here.recv()
+        got, share, (start, end) = measure(folder, arguments.seconds)
+        here.send('end')
+        sent = here.recv()
+        emulator.join()
+    print(f'{arguments.seconds:.0f} s on {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}')
+    lost = 0
+    for name in got:
+        # what was sent in the window must have come, a little later
+        inside = [when for when in sent[name] if start <= when < end]
+        came = [when for when in got[name] if when >= inside[0]]
+        matched = np.searchsorted(came, inside, side='right')
+        missing = len(inside) - len(np.unique(matched))
+        lost += missing
+        delays = 1e3 * latencies(sent[name], [when for when in came if when < end])
+        print(
+            f'{name}: {len(inside)} sent, {missing} lost; last byte to topic: median '
+            f'{np.median(delays):.1f} ms, p99 {np.percentile(delays, 99):.1f} ms, '
+            f'largest {delays.max():.1f} ms'
+        )
+    print(f'CPU share of the driver: {100.0 * share:.1f} % of one core')
+    return 0 if lost == 0 else 1
+
+
+if __name__ == '__main__':
+    sys.exit(main())

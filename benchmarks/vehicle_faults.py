@@ -1,0 +1,181 @@
+"""How soon the robot is told to stand after each fault, measured at the emulated robot.
+
+    python benchmarks/vehicle_faults.py --runs 3
+
+Emulated Pioneer and LMS-200, driver and path follower as processes; the agent is played here: plan,
+pose at 5 Hz, heartbeat at 10 Hz. Each fault comes while 0.4 m/s are driven. Asked: 0.3 s and one
+status packet (0.1 s); a cable pulled and put back: data again within 3 s.
+"""
+
+import argparse
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
+from nav_msgs.msg import Path as PathMessage
+from rclpy.executors import SingleThreadedExecutor
+from sensor_msgs.msg import LaserScan
+
+from explore_slam.nodes.conversions import estimate_message, odometry_record, path_message
+from explore_slam.nodes.heartbeat import Heartbeat
+from explore_slam.nodes.messages import MESSAGES
+from explore_slam.nodes.vehicle_support import LATCHED, now_seconds
+from explore_slam.simulation.kinematic_body import KinematicBody
+from explore_slam.simulation.vehicle_emulator import VehicleEmulator
+
+ASKED = 0.4  # s: 0.3 s and one status packet
+FAULTS = (
+    'silent agent', 'silent laser', 'SIGKILL of the follower', 'SIGTERM of the driver',
+    'SIGINT twice to the driver', 'front bumper', 'cable of the base', 'cable of the laser',
+)  # fmt: skip
+
+
+class Scene:
+    """One vehicle with all its processes, driving a long straight plan."""
+
+    def __init__(self, folder: Path) -> None:
+        self.body = KinematicBody()
+        self.emulator = VehicleEmulator(folder, 'robot1', self.body, self.body.scan).start()
+        self.node = rclpy.create_node('agent_stand_in')
+        self.executor = SingleThreadedExecutor()
+        self.executor.add_node(self.node)
+        self.heard = {'odom': 0, 'scan': 0}
+        self.odometry = None
+        self.node.create_subscription(Odometry, 'robot1/odom', self._on_odometry, 10)
+        self.node.create_subscription(LaserScan, 'robot1/scan', self._on_scan, 10)
+        self.plan = self.node.create_publisher(PathMessage, 'robot1/plan', LATCHED)
+        self.pose = self.node.create_publisher(PoseWithCovarianceStamped, 'robot1/pose', 10)
+        self.heartbeat = Heartbeat(self.node, ['robot1'])
+        self.poses = self.node.create_timer(0.2, self._send_pose)
+        self.spinning = threading.Thread(target=self.executor.spin, daemon=True)
+        self.spinning.start()
+        ports = {
+            'base_port': f'{folder}/robot1_base', 'laser_port': f'{folder}/robot1_laser',
+            'use_camera': 'false', 'motors_at_start': 'true', 'motors_after_reconnect': 'true',
+        }  # fmt: skip
+        self.driver = self._start('pioneer_driver', ports)
+        self.follower = self._start('path_follower', {})
+        path = np.column_stack([np.arange(0.0, 60.0), np.zeros(60)])
+        self.plan.publish(path_message(MESSAGES, now_seconds(self.node), 'map', path))
+
+    def _start(self, module: str, parameters: dict[str, str]) -> 'subprocess.Popen[bytes]':
+        options = [w for name, value in parameters.items() for w in ('-p', f'{name}:={value}')]
+        return subprocess.Popen(
+            [sys.executable, '-m', f'explore_slam.nodes.{module}', '--ros-args', '-r',
+             '__ns:=/robot1', '--log-level', 'fatal', *options],
+        )  # fmt: skip
+
+    def _on_odometry(self, message: Odometry) -> None:
+        self.heard['odom'] += 1
+        self.odometry = odometry_record(message)
+
+    def _on_scan(self, _: LaserScan) -> None:
+        self.heard['scan'] += 1
+
+    def _send_pose(self) -> None:
+        if self.odometry is not None:
+            stamp, pose = self.odometry.stamp, self.odometry.pose
+            message = estimate_message(MESSAGES, stamp, 'map', pose, np.eye(3) * 1e-4)
+            self.pose.publish(message)
+
+    def wait(self, condition: object, limit: float) -> float:
+        """Return how long (s) a condition took to hold; inf where it did not."""
+        began = time.monotonic()
+        while time.monotonic() < began + limit:
+            if condition():
+                return time.monotonic() - began
+            time.sleep(0.002)
+        return float('inf')
+
+    def bring_about(self, fault: str) -> None:
+        """Make a fault happen."""
+        if fault == 'silent agent':
+            self.heartbeat.stop()
+            self.poses.cancel()
+        elif fault == 'silent laser':
+            self.emulator.laser_line.faults.silent = True
+        elif fault == 'SIGKILL of the follower':
+            self.follower.kill()
+        elif fault == 'SIGTERM of the driver':
+            self.driver.terminate()
+        elif fault == 'SIGINT twice to the driver':
+            self.driver.send_signal(signal.SIGINT)
+            self.driver.send_signal(signal.SIGINT)
+        elif fault == 'front bumper':
+            self.emulator.robot.faults.front_bumpers = 1
+        elif fault == 'cable of the base':
+            self.emulator.base_line.unplug()
+        else:
+            self.emulator.laser_line.unplug()
+
+    def measure(self, fault: str) -> tuple[str, float]:
+        """Return what was measured and its value (s)."""
+        speed = self.wait(lambda: self.body.velocity()[0] > 0.39, 30.0)
+        if speed == float('inf'):
+            return 'never drove', speed
+        time.sleep(float(np.random.default_rng().uniform(0.5, 1.0)))
+        self.bring_about(fault)
+        if not fault.startswith('cable'):
+            return 'told to stand', self.wait(
+                lambda: self.emulator.robot.commanded == (0.0, 0.0), 5.0
+            )
+        time.sleep(1.5)
+        line, topic = (
+            (self.emulator.base_line, 'odom')
+            if fault.endswith('base')
+            else (self.emulator.laser_line, 'scan')
+        )
+        count = self.heard[topic]
+        line.plug()
+        return f'{topic} again', self.wait(lambda: self.heard[topic] > count, 10.0)
+
+    def close(self) -> None:
+        """End all processes and the emulators."""
+        for process in (self.follower, self.driver):
+            process.terminate()
+        for process in (self.follower, self.driver):
+            process.wait(10.0)
+        self.emulator.stop()
+        self.executor.shutdown()
+        self.spinning.join(2.0)
+        self.node.destroy_node()
+
+
+def main() -> int:
+    """Run the measurement; 0 where all is as asked."""
+    parser = argparse.ArgumentParser(description=__doc__.split('\n', maxsplit=1)[0])
+    parser.add_argument('--runs', type=int, default=3)
+    arguments = parser.parse_args()
+    os.environ.setdefault('ROS_DOMAIN_ID', '75')
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    rclpy.init()
+    worst = 0
+    for fault in FAULTS:
+        values, what = [], ''
+        for _ in range(arguments.runs):
+            with tempfile.TemporaryDirectory() as folder:
+                scene = Scene(Path(folder))
+                try:
+                    what, value = scene.measure(fault)
+                finally:
+                    scene.close()
+            values.append(value)
+        asked = 3.0 if fault.startswith('cable') else ASKED
+        worst += max(values) > asked
+        text = ' '.join(f'{value:.3f}' for value in values)
+        print(f'{fault:28} {what}: {text} s (asked {asked:.1f} s)', flush=True)
+    rclpy.try_shutdown()
+    return int(worst > 0)
+
+
+if __name__ == '__main__':
+    sys.exit(main())
