@@ -140,7 +140,7 @@ def _accuracy_table(scene: str, options: Options, trials: dict[Key, list[Trial]]
                     )
                 )  # fmt: skip
     return Table(
-        f'Table {PAPER_TABLE[scene]}: {scene} paths, {steps} steps of 0.5 m',
+        f'{PAPER_TABLE[scene]}: {scene} paths, {steps} steps of 0.5 m',
         ('', 'maps', 'vehicle', 'RMS x (m)', 'RMS y (m)', 'RMS heading (rad)', 'estimates/steps',
          'updates'),
         tuple(rows),
@@ -220,7 +220,7 @@ def _path_figure(scenarios: dict[str, Scenario], options: Options, seed: int) ->
 
 
 def _error_figure(options: Options, trials: dict[Key, list[Trial]]) -> Any:
-    figure, axes = new_figure(columns=2, rows=2, height=3.2)
+    figure, axes = new_figure(columns=2, rows=len(PATHS), height=3.0)
     methods = _methods(options)
     for row, scene in enumerate(PATHS):
         for column, name in enumerate(('position_rms', 'heading_rms')):
@@ -243,7 +243,7 @@ def _error_figure(options: Options, trials: dict[Key, list[Trial]]) -> Any:
 
 
 def _effective_figure(trials: dict[Key, list[Trial]]) -> Any:
-    figure, axes = new_figure(columns=2)
+    figure, axes = new_figure(columns=len(PATHS), width=4.6)
     for axis, scene in zip(axes.flat, PATHS, strict=True):
         for method in ('paper', 'fastslam2'):
             for maps, style in (('dedicated', '--'), ('common', '-')):

@@ -8,15 +8,21 @@ import logging
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from explore_slam.data import LandmarkObservations, RgbdFrame
 from explore_slam.errors import EvaluationError
-from explore_slam.evaluation.experiments.scenarios import Noise, Scenario, VehicleStep, path_poses
-from explore_slam.geometry import Pose2, wrap_angle
+from explore_slam.evaluation.experiments.scenarios import (
+    Noise,
+    Scenario,
+    VehicleStep,
+    from_polar,
+    path_poses,
+)
+from explore_slam.geometry import Array, Pose2, wrap_angle
 from explore_slam.settings import with_values
 from explore_slam.simulation import SimulationConfig, Simulator, World
 from explore_slam.vision import CameraMount, FeatureExtractor, VisionConfig
@@ -128,12 +134,13 @@ def _look(simulator: Simulator, vehicle: str, extractor: FeatureExtractor) -> St
     raise EvaluationError(f'{vehicle}: no frame came within 2 s')
 
 
-def scenario_of(walks: Sequence[Walk], seed: int, noise: Noise | None = None) -> Scenario:
+def scenario_of(walks: Sequence[Walk], seed: int, *, table_one: bool = False) -> Scenario:
     """Return the walks as a scenario, vehicles in turn, with drawn odometry noise (table I).
 
-    What is seen at the start is seen by the first step too: a motion of zero comes before it.
+    What is seen at the start counts too: a motion of zero comes before it. With table_one the
+    covariances of what is seen are the paper's, 5 % of the range, instead of the Kinect's.
     """
-    noise = noise or Noise()
+    noise = Noise()
     rng = np.random.default_rng(np.random.SeedSequence([seed, len(walks)]))
     starts = {walk.vehicle: walk.stops[0].pose for walk in walks}
     steps = []
@@ -149,14 +156,18 @@ def scenario_of(walks: Sequence[Walk], seed: int, noise: Noise | None = None) ->
                 covariance = noise.motion_covariance(true)
                 wander = rng.multivariate_normal(np.zeros(3), covariance, method='cholesky')
                 increment = Pose2.from_array(np.add(true, wander))
-            seen = LandmarkObservations(
-                float(number),
-                stop.observations.positions,
-                stop.observations.covariances,
-                stop.observations.descriptors,
-            )
+            seen = replace(stop.observations, stamp=float(number))
+            if table_one:
+                seen = replace(seen, covariances=_table_one(seen.positions, noise))
             unknown = np.full(len(seen), -1, np.int64)
             steps.append(
                 VehicleStep(walk.vehicle, stop.pose, increment, covariance, seen, unknown)
             )
     return Scenario('walk', np.empty((0, 3)), starts, steps)
+
+
+def _table_one(positions: Array, noise: Noise) -> Array:
+    """Return the covariances (K, 3, 3) that table I gives to observations (K, 3) m."""
+    x, y, z = positions.T
+    tau = np.sqrt(x**2 + y**2 + z**2)
+    return from_polar(tau, np.arctan2(y, x), np.arcsin(z / tau), noise)[1]

@@ -68,15 +68,22 @@ class Scenario:
         return np.array([self.start_poses[vehicle], *poses])
 
 
-# corners of the paths on the 0.5 m grid; 28 and 16 steps as in figures 5 and 6 of the paper
+# corners of the paths on the 0.5 m grid; 28 and 16 steps as in figures 5 and 6 of the paper.
+# 'crossing': two loops that overlap, driven from opposite corners; 'separate': no landmark is in
+# reach of both; 'late crossing', which the paper has not: each drives about 12 steps alone before
+# it meets what the other has mapped
 PATHS: dict[str, dict[str, list[tuple[float, float]]]] = {
     'crossing': {
-        'robot1': [(3.0, 3.0), (11.0, 3.0), (11.0, 6.0), (8.0, 6.0)],
-        'robot2': [(13.0, 7.0), (5.0, 7.0), (5.0, 4.0), (8.0, 4.0)],
+        'robot1': [(6.0, 4.0), (10.0, 4.0), (10.0, 7.0), (6.0, 7.0), (6.0, 4.0)],
+        'robot2': [(10.0, 6.0), (6.0, 6.0), (6.0, 3.0), (10.0, 3.0), (10.0, 6.0)],
     },
     'separate': {
         'robot1': [(2.0, 2.0), (2.0, 5.0), (4.5, 5.0), (4.5, 2.5)],
         'robot2': [(15.0, 8.5), (15.0, 5.5), (12.5, 5.5), (12.5, 8.0)],
+    },
+    'late crossing': {
+        'robot1': [(3.0, 3.0), (11.0, 3.0), (11.0, 6.0), (8.0, 6.0)],
+        'robot2': [(13.0, 7.0), (5.0, 7.0), (5.0, 4.0), (8.0, 4.0)],
     },
 }
 
@@ -111,7 +118,7 @@ def draw_scenario(
     max_range: float = 3.5,
     noise: Noise | None = None,
 ) -> Scenario:
-    """Draw landmarks, true motion and measurements: 'crossing' (28 steps) or 'separate' (16).
+    """Draw landmarks, true motion and measurements along the paths of this name.
 
     As in the paper the vehicle follows its path by odometry, so that the true pose wanders off
     the path with the noise of table I, and sees 180 degrees to 3.5 m.

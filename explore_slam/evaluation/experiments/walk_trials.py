@@ -48,8 +48,11 @@ def record(options: WalkOptions, paths: dict[str, Corners]) -> list[Walk]:
 def run_walks(
     walks: Sequence[Walk], seed: int, particles: int, values: dict[str, Any]
 ) -> tuple[Trial, FilterEstimator]:
-    """Run a filter with the given settings over walks with the odometry noise of a seed."""
-    scenario = scenario_of(walks, seed)
+    """Run a filter with the given settings over walks with the odometry noise of a seed.
+
+    Engine paper believes its observations as table I says, fastslam2 as the Kinect's noise says.
+    """
     config = with_values(FastSlamConfig(), {'particles': particles} | values)
+    scenario = scenario_of(walks, seed, table_one=config.engine == 'paper')
     estimator = FilterEstimator(scenario.start_poses, config, seed)
     return run_trial(scenario, estimator), estimator
