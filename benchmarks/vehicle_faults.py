@@ -2,7 +2,7 @@
 
     python benchmarks/vehicle_faults.py --runs 3
 
-Emulated Pioneer and LMS-200, driver and path follower as processes; the agent is played here: plan,
+Emulated Pioneer and LMS-200, driver and follower as processes; the agent is played here: plan,
 pose at 5 Hz, heartbeat at 10 Hz. Each fault comes while 0.4 m/s are driven. Asked: 0.3 s and one
 status packet (0.1 s); a cable pulled and put back: data again within 3 s.
 """

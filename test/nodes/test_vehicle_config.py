@@ -1,0 +1,55 @@
+from pathlib import Path
+
+import pytest
+import rclpy
+import yaml
+from rclpy.parameter import Parameter
+
+from explore_slam.errors import ConfigError
+from explore_slam.nodes.path_follower import PathFollowerNode
+from explore_slam.nodes.pioneer_driver import DriverNodeConfig
+from explore_slam.settings import settings_of, with_values
+from explore_slam.vehicle import DriverConfig, PathFollowerConfig
+
+CONFIG = Path(__file__).resolve().parents[2] / 'config' / 'vehicle.yaml'
+
+
+def test_the_parameter_file_names_settings_that_exist():
+    content = yaml.safe_load(CONFIG.read_text())
+    trees = {'/**/pioneer_driver': DriverNodeConfig(), '/**/path_follower': PathFollowerConfig()}
+    assert content.keys() == trees.keys()
+    for name, tree in trees.items():
+        with_values(tree, content[name]['ros__parameters'])
+
+
+def test_names_are_unique_and_all_have_a_meaning():
+    for tree in (DriverNodeConfig(), PathFollowerConfig()):
+        names = [info.name for info, _ in settings_of(tree)]
+        assert len(set(names)) == len(names)
+        assert all(info.doc for info, _ in settings_of(tree))
+
+
+@pytest.mark.parametrize('mount', [(0.0, 0.0), (0.0, 0.0, float('nan'))])
+def test_mounts_are_checked(mount):
+    with pytest.raises(ConfigError, match='laser_mount'):
+        PathFollowerConfig(laser_mount=mount)
+    with pytest.raises(ConfigError, match='laser_mount'):
+        DriverConfig(laser_mount=mount)
+
+
+def test_the_nodes_of_a_vehicle_take_their_sections_of_the_file(tmp_path):
+    file = tmp_path / 'vehicle.yaml'
+    text = CONFIG.read_text().replace('follow_speed: 0.4', 'follow_speed: 0.3')
+    file.write_text(text)
+    context = rclpy.Context()
+    context.init(domain_id=76)
+    node = PathFollowerNode(
+        namespace='/robot9', context=context, cli_args=['--ros-args', '--params-file', str(file)]
+    )
+    assert node.follower.config.follow_speed == 0.3
+    result = node.set_parameters([Parameter('follow_speed', value=9.0)])[0]
+    assert not result.successful
+    assert node.set_parameters([Parameter('follow_speed', value=0.2)])[0].successful
+    assert node.follower.config.follow_speed == 0.2
+    node.destroy_node()
+    context.try_shutdown()
