@@ -21,12 +21,12 @@ class Contacts:
         self._obstacles = Obstacles(world)
         self._radius = radius
 
-    def check_starts(self, starts: Poses) -> None:
-        """Raise SimulationError for a start pose outside of the world, in a wall or a vehicle."""
+    def check_poses(self, starts: Poses) -> None:
+        """Raise SimulationError for a pose outside of the world, in a wall or a vehicle."""
         radius = self._radius
         x0, y0, x1, y1 = self._world.bounds
         for index, (name, pose) in enumerate(starts.items()):
-            where = f'start pose of {name!r} ({pose.x:g}, {pose.y:g}, {pose.theta:g})'
+            where = f'pose of {name!r} ({pose.x:g}, {pose.y:g}, {pose.theta:g})'
             if not pose.is_finite() or not (x0 <= pose.x <= x1 and y0 <= pose.y <= y1):
                 raise SimulationError(
                     f'{where} lies outside of world {self._world.name!r}, '

@@ -84,7 +84,7 @@ class Simulator:
                 f'world {self.world.name!r} suggests no start poses and none were given'
             )
         self._contacts = Contacts(self.world, self.config.base.simulated_radius)
-        self._contacts.check_starts(starts)
+        self._contacts.check_poses(starts)
         self._scene = build_scene(self.world, list(starts), self.config)
         self._model = self._scene.model
         self._data = mujoco.MjData(self._model)
@@ -138,6 +138,13 @@ class Simulator:
                 f'{vehicle}: velocity command is ({linear}, {angular}), expected finite m/s, rad/s'
             )
         self._find(vehicle).drive.command(linear, angular)
+
+    def place(self, vehicle: str, pose: Pose2) -> None:
+        """Lift a vehicle to another pose; its wheels do not notice (a kidnapped robot)."""
+        others = {v.name: v.pose for v in self._vehicles.values() if v.name != vehicle}
+        moved = self._find(vehicle)
+        self._contacts.check_poses({**others, vehicle: pose})
+        moved.pose, moved.touching = pose, ''
 
     def step(self) -> list[SimEvent]:
         """Advance one tick and return what the sensors measured, in a fixed order."""

@@ -233,12 +233,11 @@ def test_most_views_are_rich_in_features():
     extractor = FeatureExtractor(with_values(VisionConfig(), {'feature_budget': 2000}))
     counts = []
     with Simulator(world, {'a': world.starts['robot1']}, config()) as simulator:
-        vehicle = simulator._vehicles['a']
         while len(counts) < 40:
             x, y = rng.uniform(0, 17), rng.uniform(0, 10.5)
             if room(x, y) < 0.4:
                 continue
-            vehicle.pose = Pose2(x, y, rng.uniform(-math.pi, math.pi))
+            simulator.place('a', Pose2(x, y, rng.uniform(-math.pi, math.pi)))
             (frame,) = run(simulator, 0.26, RgbdFrame)[:1]
             if np.mean(frame.depth > 0) > 0.25:
                 counts.append(len(extractor.extract(frame)))
@@ -299,6 +298,20 @@ def test_commands_must_make_sense(world):
             simulator.set_velocity('a', math.nan, 0.0)
         with pytest.raises(SimulationError, match='simulated_camera_rate is 0'):
             simulator.picture_from_above()
+
+
+def test_a_kidnapped_vehicle_stands_elsewhere_and_its_odometry_does_not_know(world):
+    starts = {'a': Pose2(1.0, 1.5, 0.0), 'b': Pose2(2.0, 3.0, 0.0)}
+    with Simulator(world, starts, config(**BLIND)) as simulator:
+        before = run(simulator, 0.1, OdometryReading)[-2].pose
+        simulator.place('a', Pose2(4.5, 2.5, 1.0))
+        records = run(simulator, 0.1)
+        assert next(r.pose for r in records if isinstance(r, OdometryReading)) == before
+        assert simulator.true_pose('a') == Pose2(4.5, 2.5, 1.0)
+        with pytest.raises(SimulationError, match=r"pose of 'a'.* lies 0.00 m from that of 'b'"):
+            simulator.place('a', Pose2(2.0, 3.0, 0.0))
+        with pytest.raises(SimulationError, match="no vehicle 'c'"):
+            simulator.place('c', Pose2(2.0, 3.0, 0.0))
 
 
 def test_a_picture_from_above_shows_floor_and_vehicles(world):
