@@ -20,12 +20,11 @@ Corners = tuple[tuple[float, float], ...]
 ENGINES = ('paper', 'fastslam2')
 # in config/worlds/office.yaml, which has the size of the paper's building; steps of 1 m
 CORRIDOR: Corners = ((1.0, 5.25), (11.0, 5.25))  # 10 m, experiment 2
-ROUNDS: Corners = (  # 16 steps, experiment 3: a round in a room and most of a second one
-    (1.0, 7.0), (4.0, 7.0), (4.0, 9.0), (1.0, 9.0), (1.0, 7.0), (4.0, 7.0), (4.0, 9.0), (3.0, 9.0),
-)  # fmt: skip
+_A, _B, _C, _D = (1.9, 7.1), (3.9, 7.1), (3.9, 9.1), (1.9, 9.1)  # a square in a room
+ROUNDS: Corners = (_A, _B, _C, _D, _A, _B, _C, _D, _A)  # two rounds in 16 steps, experiment 3
 TEAM: dict[str, Corners] = {  # 13 steps each, experiment 4: half a round apart
-    'robot1': ((1.0, 7.0), (4.0, 7.0), (4.0, 9.0), (1.0, 9.0), (1.0, 7.0), (4.0, 7.0)),
-    'robot2': ((4.0, 9.0), (1.0, 9.0), (1.0, 7.0), (4.0, 7.0), (4.0, 9.0), (1.0, 9.0)),
+    'robot1': (_A, _B, _C, _D, _A, _B, _C, (2.9, 9.1)),
+    'robot2': (_C, _D, _A, _B, _C, _D, _A, (2.9, 7.1)),
 }
 STEP = 1.0
 
