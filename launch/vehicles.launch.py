@@ -20,10 +20,11 @@ PASSED_ON = {'camera': 'true', 'motors': 'false', 'features': 'false', 'use_sim_
 def include_vehicles(context):
     names = LaunchConfiguration('vehicles').perform(context).replace(' ', '').split(',')
     ports = LaunchConfiguration('ports').perform(context).rstrip('/')
-    one = PythonLaunchDescriptionSource(str(Path(__file__).with_name('vehicle.launch.py')))
+    one = str(Path(__file__).with_name('vehicle.launch.py'))
     return [
         IncludeLaunchDescription(
-            one,
+            # a source of its own for each: one that is shared launches the first vehicle twice
+            PythonLaunchDescriptionSource(one),
             launch_arguments={
                 'name': name,
                 'base_port': f'{ports}/{name}_base',
