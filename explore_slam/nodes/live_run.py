@@ -42,6 +42,8 @@ NUMBERS = (
     'ros_latency_median_s', 'ros_latency_p95_s', 'wall_latency_median_s', 'wall_latency_p95_s',
     'frame_mean_ms', 'plan_mean_ms', 'frame_count',
 )  # fmt: skip
+# emulated devices send the newest record at their own pace: it must be fresh
+HARDWARE_RATES = {'simulated_scan_rate': 25.0, 'simulated_odometry_rate': 50.0}
 SIM_TIME = {'use_sim_time': True}
 START_LIMIT = 90.0  # wall s in which all nodes must have begun to talk
 
@@ -127,7 +129,7 @@ class LiveRun:
             'real_time_factor': self.options.real_time_factor,
         }
         if self.options.hardware:
-            values.update(hardware=str(self._ports()), real_time_factor=1.0)
+            values.update(hardware=str(self._ports()), real_time_factor=1.0, **HARDWARE_RATES)
         return _parameters(self._write('simulator', values), {})
 
     def _ports(self) -> Path:
