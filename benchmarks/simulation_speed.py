@@ -21,7 +21,7 @@ from explore_slam.simulation import SimulationConfig, Simulator, World
 from explore_slam.simulation.mujoco_import import mujoco
 from explore_slam.simulation.obstacles import Obstacles
 from explore_slam.simulation.renderer import Renderer
-from explore_slam.simulation.scene import Scene, build_scene
+from explore_slam.simulation.scene import FLOOR, Scene, build_scene
 from explore_slam.simulation.world import world_path
 from explore_slam.vision import FeatureExtractor, VisionConfig
 
@@ -56,9 +56,11 @@ def compare_passes(world: World) -> None:
     one = timed(lambda: ours.render(data, 0), 40)
     ours.close()
     theirs = mujoco.Renderer(scene.model, 480, 640)
+    options = mujoco.MjvOption()
+    options.geomgroup[FLOOR] = 1
 
     def two_passes() -> None:
-        theirs.update_scene(data, camera=0)
+        theirs.update_scene(data, camera=0, scene_option=options)
         theirs.render()
         theirs.enable_depth_rendering()
         theirs.render()
