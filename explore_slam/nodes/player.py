@@ -63,7 +63,7 @@ class Player(Node):
                 raise RecordingError(f'{self._bag.path} does not hold {missing}; it holds {known}')
             return sorted(topics)
         found, warnings = vehicle_topics(self._bag.topics, vehicles)
-        for warning in warnings:
+        for warning in (*self._bag.warnings, *warnings):
             self.get_logger().warning(warning)
         return [topic.name for topic in found]
 

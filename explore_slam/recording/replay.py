@@ -80,7 +80,7 @@ class Tally:
         self.refused[name] = self.refused.get(name, 0) + 1
         if name not in self.first_refusals:
             self.first_refusals[name] = reason
-            logger.warning('%s: %s; it is left out, and so are others like it', name, reason)
+            logger.info('%s: %s; it is left out, and so are others like it', name, reason)
 
 
 class Replay:
@@ -98,8 +98,6 @@ class Replay:
         found, warnings = vehicle_topics(bag.topics, vehicles)
         self._topics = one_kind_of_vision(found, vision, warnings)
         self.warnings = list(bag.warnings) + warnings
-        for warning in warnings:
-            logger.warning('%s', warning)
         self._by_name = {topic.name: topic for topic in self._topics}
         self.vehicles = sorted({topic.vehicle for topic in self._topics})
         self.tally = Tally()
@@ -277,5 +275,5 @@ class Replay:
             self._note(f'{count} messages on {topic} refused; {self.tally.first_refusals[topic]}')
 
     def _note(self, text: str) -> None:
-        logger.warning('%s', text)
+        logger.info('%s', text)
         self.warnings.append(text)
