@@ -126,6 +126,9 @@ class FastSlamConfig(Section):
         low=0.01,
         high=1.0,
     )
+    filter_threads: int = setting(
+        2, 'Threads that share the particles; the result does not depend on it', low=1, high=64
+    )
     vehicle_sightings: bool = setting(
         True, 'Use what vehicles see of each other (maps common only)'
     )

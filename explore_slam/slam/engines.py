@@ -12,6 +12,7 @@ from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.gaussian import sample_gaussian
 from explore_slam.slam.landmark_map import LandmarkMap
 from explore_slam.slam.landmark_update import insert_landmarks, update_landmarks
+from explore_slam.slam.parallel import over_particles
 from explore_slam.slam.proposal import propose
 from explore_slam.slam.row_store import Items
 
@@ -23,7 +24,7 @@ class Sighted:
     """One update in work: observations, the landmarks they may be, and who chose what.
 
     z (K, 3), R (K, 6); alike (K, A): ids of the landmarks within reach that each is like, or -1;
-    known (K,): like a landmark anywhere; items (L,) candidates' landmarks with their rows in slots (L,);
+    known (K,): like a landmark anywhere; items (L,) candidates' landmarks, rows in slots (L,);
     candidates (K, J) places in items or -1, distances (K, J) of descriptors;
     choice (K, M) candidate taken or -1; quality (K, M) d²; influence (K, M) weight w.
     """
@@ -114,11 +115,15 @@ def fastslam2(
     gate = config.association.association_gate**2
     likeness = 4.0 / max(config.association.maximum_descriptor_distance, 0.05)
     shared = np.bincount(sighted.candidates[sighted.candidates >= 0], minlength=1) > 1
-    propose(
-        data, sighted.slots, sighted.candidates, sighted.distances, shared, sighted.z, sighted.R,
-        P, gate, likeness, config.outlier_threshold, normals, 0, len(poses),
-        poses, log_weights, sighted.choice, sighted.influence,
-    )  # fmt: skip
+
+    def part(begin: int, end: int) -> None:
+        propose(
+            data, sighted.slots, sighted.candidates, sighted.distances, shared, sighted.z,
+            sighted.R, P, gate, likeness, config.outlier_threshold, normals, begin, end,
+            poses, log_weights, sighted.choice, sighted.influence,
+        )  # fmt: skip
+
+    over_particles(part, len(poses), config.filter_threads)
     return log_weights
 
 
@@ -152,12 +157,16 @@ def move_by_samples(poses: Array, P: Array, normals: Array) -> None:
     poses[:, 2] += deltas[:, 2]
 
 
-def update_matched(sighted: Sighted, data: Array, poses: Array) -> None:
+def update_matched(sighted: Sighted, data: Array, poses: Array, threads: int) -> None:
     """Run the Kalman filters of all matched landmarks."""
-    update_landmarks(
-        data, sighted.slots, sighted.candidates, sighted.choice, sighted.z, sighted.R,
-        sighted.influence, poses, 0, len(poses),
-    )  # fmt: skip
+
+    def part(begin: int, end: int) -> None:
+        update_landmarks(
+            data, sighted.slots, sighted.candidates, sighted.choice, sighted.z, sighted.R,
+            sighted.influence, poses, begin, end,
+        )  # fmt: skip
+
+    over_particles(part, len(poses), threads)
 
 
 def fill_absent(

@@ -144,7 +144,7 @@ class FastSlam:
             self._refuse(random, f'update({vehicle!r}) at stamp {observations.stamp}')
         self._place(number, poses)
         self._stamps[number] = observations.stamp
-        engines.update_matched(sighted, data, poses)
+        engines.update_matched(sighted, data, poses, self.config.filter_threads)
         self._weigh(log_weights)
         best = self.best_particle()
         support_of = support(

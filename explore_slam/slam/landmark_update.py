@@ -20,6 +20,7 @@ from explore_slam.slam.proposal import (
     VX,
     VY,
     VZ,
+    WEIGHT,
     S,
     W,
     _expect,
@@ -33,8 +34,9 @@ def _correct(w, R, k):  # type: ignore[no-untyped-def]
     """Replace the landmark of each column by its posterior: K = A W, Σ⁺ = A − K A."""
     r0, r1, r2, r3, r4, r5 = R[k, 0], R[k, 1], R[k, 2], R[k, 3], R[k, 4], R[k, 5]
     for i in range(BLOCK):
-        axx, axy, axz = w[S, i] - r0, w[S + 1, i] - r1, w[S + 2, i] - r2
-        ayy, ayz, azz = w[S + 3, i] - r3, w[S + 4, i] - r4, w[S + 5, i] - r5
+        q = w[WEIGHT, i]
+        axx, axy, axz = w[S, i] - q * r0, w[S + 1, i] - q * r1, w[S + 2, i] - q * r2
+        ayy, ayz, azz = w[S + 3, i] - q * r3, w[S + 4, i] - q * r4, w[S + 5, i] - q * r5
         w0, w1, w2 = w[W, i], w[W + 1, i], w[W + 2, i]
         w3, w4, w5 = w[W + 3, i], w[W + 4, i], w[W + 5, i]
         kxx, kxy = axx * w0 + axy * w1 + axz * w2, axx * w1 + axy * w3 + axz * w4
@@ -63,8 +65,33 @@ def _correct(w, R, k):  # type: ignore[no-untyped-def]
         w[LM + 8, i] = azz - (kzx * axz + kzy * ayz + kzz * azz)
 
 
+@njit(cache=True, nogil=True, error_model='numpy', inline='always')
+def _store(w, slab, slots, candidates, choice, k, m0, n):  # type: ignore[no-untyped-def]
+    """Write back the landmarks of columns that have one, unless numbers ran out of range."""
+    first, having, taking = -1, 0, 0
+    for i in range(n):
+        first = max(first, choice[k, m0 + i])
+    for i in range(n):
+        j = choice[k, m0 + i]
+        having += 1 if j >= 0 else 0
+        taking += 1 if j == first else 0
+        least = min(w[LM + 3, i], w[LM + 6, i], w[LM + 8, i])
+        w[MASK, i] = w[MASK, i] if least > 0.0 and least < 1e300 else 0.0
+    if taking < having:
+        for i in range(n):
+            if w[MASK, i] > 0.0:
+                slot = slots[candidates[k, choice[k, m0 + i]]]
+                for v in range(9):
+                    slab[slot, v, m0 + i] = w[LM + v, i]
+    elif first >= 0:
+        row = slab[slots[candidates[k, first]]]
+        for v in range(9):
+            for i in range(n):
+                row[v, m0 + i] = w[LM + v, i] if w[MASK, i] > 0.0 else row[v, m0 + i]
+
+
 @njit(cache=True, nogil=True, error_model='numpy')
-def update_landmarks(  # noqa: PLR0912, C901 - a kernel
+def update_landmarks(
     slab: Array,
     slots: Locals,
     candidates: Locals,
@@ -80,38 +107,36 @@ def update_landmarks(  # noqa: PLR0912, C901 - a kernel
 
     influence (K, M): an observation of weight w counts with the covariance R / w.
     """
-    w = np.empty((SCRATCH, BLOCK))
-    for m0 in range(begin, end, BLOCK):
-        n = min(BLOCK, end - m0)
-        w[:] = 0.0
-        for i in range(BLOCK):
-            w[LM + 3, i] = w[LM + 6, i] = w[LM + 8, i] = 1.0
-        for i in range(n):
-            w[PX, i], w[PY, i] = poses[m0 + i, 0], poses[m0 + i, 1]
-            w[COS, i], w[SIN, i] = math.cos(poses[m0 + i, 2]), math.sin(poses[m0 + i, 2])
-        for k in range(len(candidates)):
+    w = np.zeros((SCRATCH, BLOCK))
+    for i in range(BLOCK):
+        w[LM + 3, i] = w[LM + 6, i] = w[LM + 8, i] = 1.0
+    placed = np.empty((4, end - begin))
+    for i in range(end - begin):
+        placed[0, i], placed[1, i] = poses[begin + i, 0], poses[begin + i, 1]
+        placed[2, i], placed[3, i] = math.cos(poses[begin + i, 2]), math.sin(poses[begin + i, 2])
+    for k in range(len(candidates)):
+        r0, r1, r2, r3, r4, r5 = R[k, 0], R[k, 1], R[k, 2], R[k, 3], R[k, 4], R[k, 5]
+        for m0 in range(begin, end, BLOCK):
+            n = min(BLOCK, end - m0)
             if not _load(w, slab, slots, candidates, choice, k, m0, n):
                 continue
+            for i in range(n):
+                w[PX, i], w[PY, i] = placed[0, m0 - begin + i], placed[1, m0 - begin + i]
+                w[COS, i], w[SIN, i] = placed[2, m0 - begin + i], placed[3, m0 - begin + i]
             _expect(w, z, R, k)
             for i in range(n):
-                if influence[k, m0 + i] < 1.0 and w[MASK, i] > 0.0:
-                    more = 1.0 / influence[k, m0 + i] - 1.0
-                    for v in range(6):
-                        w[S + v, i] += more * R[k, v]
+                w[WEIGHT, i] = 1.0 / max(influence[k, m0 + i], 1e-12)
+            for i in range(BLOCK):
+                more = w[WEIGHT, i] - 1.0
+                w[S, i] += more * r0
+                w[S + 1, i] += more * r1
+                w[S + 2, i] += more * r2
+                w[S + 3, i] += more * r3
+                w[S + 4, i] += more * r4
+                w[S + 5, i] += more * r5
             _invert(w)
-            for i in range(n):
-                if influence[k, m0 + i] < 1.0 and w[MASK, i] > 0.0:
-                    more = 1.0 / influence[k, m0 + i] - 1.0
-                    for v in range(6):
-                        w[S + v, i] -= more * R[k, v]
             _correct(w, R, k)
-            for i in range(n):
-                j = choice[k, m0 + i]
-                least = min(w[LM + 3, i], w[LM + 6, i], w[LM + 8, i])
-                if j >= 0 and least > 0.0 and least < np.inf:
-                    slot = slots[candidates[k, j]]
-                    for v in range(9):
-                        slab[slot, v, m0 + i] = w[LM + v, i]
+            _store(w, slab, slots, candidates, choice, k, m0, n)
 
 
 @njit(cache=True, nogil=True, error_model='numpy')

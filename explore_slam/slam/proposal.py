@@ -23,7 +23,7 @@ from explore_slam.geometry import Array
 from explore_slam.slam.association import Choice, Locals
 from explore_slam.slam.gaussian import sample_gaussian, solve
 
-BLOCK = 32
+BLOCK = 64
 
 # Rows of the scratch array.
 PX, PY, COS, SIN = 0, 1, 2, 3  # pose at which to linearize
@@ -48,20 +48,20 @@ SCRATCH = 59
 @njit(cache=True, nogil=True, error_model='numpy', inline='always')
 def _load(w, slab, slots, candidates, choice, k, m0, n):  # type: ignore[no-untyped-def]
     """Load the landmark that each particle has chosen for observation k, and the mask."""
-    first = -1
-    mixed = False
+    first, having, taking = -1, 0, 0
+    for i in range(n):
+        first = max(first, choice[k, m0 + i])
     for i in range(n):
         j = choice[k, m0 + i]
+        having += 1 if j >= 0 else 0
+        taking += 1 if j == first else 0
         w[MASK, i] = 1.0 if j >= 0 else 0.0
-        if j >= 0:
-            mixed = mixed or (first >= 0 and j != first)
-            first = j
     if first >= 0:
         row = slab[slots[candidates[k, first]]]
         for v in range(9):
             for i in range(n):
                 w[LM + v, i] = row[v, m0 + i]
-        if mixed:
+        if taking < having:
             for i in range(n):
                 j = choice[k, m0 + i]
                 if j >= 0:

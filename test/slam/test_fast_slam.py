@@ -260,3 +260,14 @@ def test_few_particles_work(make_world, make_slam, drive_circles, particles):
     slam = make_slam(world.start(**STARTS), particles=particles)
     assert np.isfinite(drive_circles(slam, world, 15)).all()
     assert FastSlamConfig(particles=particles).particles == particles
+
+
+def test_the_number_of_threads_does_not_matter(make_world, make_slam, drive_circles):
+    paths = []
+    for threads in (1, 2, 5):
+        world = make_world()
+        slam = make_slam(world.start(**STARTS), filter_threads=threads, particles=300)
+        drive_circles(slam, world, 12)
+        paths.append(slam.best_path())
+    np.testing.assert_array_equal(paths[0], paths[1])
+    np.testing.assert_array_equal(paths[0], paths[2])

@@ -107,7 +107,7 @@ def test_samples_have_the_posterior_covariance():
     samples = np.concatenate(
         [scene.propose(random.standard_normal((M, 3)))[0] for _ in range(200)]
     )
-    nu, H, S = stacked(scene, 0, np.zeros(3))
+    _, H, S = stacked(scene, 0, np.zeros(3))
     posterior = np.linalg.inv(np.linalg.inv(scene.P) + H.T @ np.linalg.solve(S, H))
     G = rotation(scene.poses[0, 2])
     np.testing.assert_allclose(np.cov(samples.T), G @ posterior @ G.T, rtol=0.1, atol=2e-6)
