@@ -67,10 +67,11 @@ def map_figure(data: RunData) -> str | None:
             _draw_grid(axes, data.grid)
         if data.landmarks is not None and len(data.landmarks.means):
             means = _thin(np.asarray(data.landmarks.means), 4000)
+            size = 5.0 if len(means) > 100 else 28.0
             axes.scatter(
                 means[:, 0],
                 means[:, 1],
-                s=5,
+                s=size,
                 color='#b7791f',
                 alpha=0.55,
                 linewidths=0,
