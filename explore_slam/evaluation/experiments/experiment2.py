@@ -21,6 +21,7 @@ from explore_slam.evaluation.experiments.association_study import (
     distance_shares,
 )
 from explore_slam.evaluation.experiments.figures import COLORS, new_figure
+from explore_slam.evaluation.experiments.filter_study import filter_config, run_filter
 from explore_slam.evaluation.experiments.kinect_walks import Walk
 from explore_slam.evaluation.experiments.tables import (
     PAPER_ASSOCIATIONS,
@@ -63,6 +64,8 @@ def run(options: Options) -> ExperimentReport:
     report = ExperimentReport('Experiment 2: association of SIFT features')
     if options.data is not None:
         study_frames(read_tum(options.data, _vision()), report)
+        frames = read_tum(options.data, VisionConfig())
+        report.tables.append(_filter_table(frames, options.walks, report))
     else:
         report.remarks.append('no --data: tables IV and V are left out')
     walks = record(options.walks, {'robot1': CORRIDOR})
@@ -106,6 +109,35 @@ def study_frames(frames: Sequence[TumFrame], report: ExperimentReport) -> None:
         'the frames show one desk again and again, so that more distances are small than in the '
         "paper's walk",
     ]
+
+
+def _filter_table(
+    frames: Sequence[TumFrame], options: WalkOptions, report: ExperimentReport
+) -> Table:
+    rows = []
+    for e0 in PAPER_ASSOCIATIONS:
+        config = filter_config(e0, options.particles)
+        runs = [run_filter(frames, config, seed) for seed in options.seeds]
+        right, total = sum(run.right for run in runs), sum(run.total for run in runs)
+        report.metrics[f'filter on real frames, E0 {e0}'] = {
+            'right': right,
+            'total': total,
+            'precision': right / max(total, 1),
+            'position_rms': [run.position_rms for run in runs],
+            'heading_rms': [run.heading_rms for run in runs],
+        }
+        rows.append(
+            (
+                f'{e0}', f'{right}/{total} = {100 * right / max(total, 1):.1f} %',
+                spread(run.position_rms for run in runs), spread(run.heading_rms for run in runs),
+                spread(run.odometry_rms for run in runs),
+            )
+        )  # fmt: skip
+    return Table(
+        f'The whole filter (fastslam2) over {len(frames)} real frames, {len(options.seeds)} seeds',
+        ('E0', 'right updates', 'RMS position (m)', 'RMS heading (rad)', 'odometry position (m)'),
+        tuple(rows),
+    )
 
 
 def _distance_table(descriptors: NDArray[np.float32]) -> Table:
