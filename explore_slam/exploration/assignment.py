@@ -33,8 +33,8 @@ def assign_targets(
     """Return the target of each vehicle, -1 for none: the paper's greedy choice.
 
     costs (V, F), inf where a vehicle cannot go; targets (F, 2) m. Again and again the
-    pair with the best U - travel_weight * V is fixed and the utilities of the other targets are lowered. Every
-    vehicle gets a target of its own as long as there are enough.
+    pair with the best U - travel_weight * V is fixed and the utilities of the other targets are
+    lowered. Every vehicle gets a target of its own as long as there are enough.
     """
     matrix, points = _checked(costs, targets)
     chosen = [-1] * len(matrix)

@@ -28,11 +28,18 @@ class Chooser:
         self._cache = RouteCache()
 
     def choose(
-        self, scene: Scene, frontiers: list[Frontier], costs: Array, kept: list[int]
+        self,
+        scene: Scene,
+        frontiers: list[Frontier],
+        costs: Array,
+        kept: list[int],
+        changes: list[int],
     ) -> list[int]:
         """Return for each vehicle the index of its frontier, -1 for none.
 
-        costs (V, F) m; kept holds for each vehicle the frontier it is on the way to, or -1.
+        costs (V, F) m; kept holds for each vehicle the frontier it is on the way to, or -1;
+        changes how often it has changed its mind since it last got anywhere: the more, the better
+        another target has to be, so that goals cannot go on flipping.
         """
         config = self.config.assignment
         targets = np.array([f.target for f in frontiers])
@@ -41,22 +48,28 @@ class Chooser:
             drawn = assign_random(costs, self._random)
             return [k if k >= 0 else d for k, d in zip(kept, drawn, strict=True)]
         if config.strategy == 'default':
-            return self._by_tours(scene, frontiers, costs, kept)
+            margin = config.hysteresis * 2.0 ** max(changes, default=0)
+            return self._by_tours(scene, frontiers, costs, kept, margin)
         biased = costs.copy()
         for i, target in enumerate(kept):
             if target >= 0:
-                biased[i, target] -= config.hysteresis
+                biased[i, target] -= config.hysteresis * 2.0 ** changes[i]
         if config.strategy == 'nearest':
             return assign_nearest(biased)
         return assign_targets(biased, targets, sensor, config.travel_weight)
 
     def _by_tours(
-        self, scene: Scene, frontiers: list[Frontier], costs: Array, kept: list[int]
+        self,
+        scene: Scene,
+        frontiers: list[Frontier],
+        costs: Array,
+        kept: list[int],
+        margin: float,
     ) -> list[int]:
         """Plan tours of the whole team and take the first target of each.
 
         Vehicles go on to the targets they have unless all tours together get shorter by more than
-        the hysteresis.
+        the margin (m).
         """
         config = self.config.assignment
         gains = np.array([f.gain for f in frontiers])
@@ -69,12 +82,18 @@ class Chooser:
         bonus = config.last_bonus * np.minimum(node_gains, config.largest_gain)
         starts = costs[:, members]
         fixed = np.array([members.index(k) if k in members else -1 for k in kept], np.int64)
-        tours = self._solve(starts, between, work, bonus, fixed)
+        tours = self._solve(starts, between, work, bonus, fixed, margin)
         chosen = [members[order[0]] if order else -1 for order in tours.orders]
         return self._employ_idle(chosen, frontiers, costs)
 
     def _solve(
-        self, starts: Array, between: Array, work: Array, bonus: Array, fixed: NDArray[np.int64]
+        self,
+        starts: Array,
+        between: Array,
+        work: Array,
+        bonus: Array,
+        fixed: NDArray[np.int64],
+        margin: float,
     ) -> Tours:
         config: AssignmentConfig = self.config.assignment
         open_tours = plan_tours(
@@ -83,7 +102,7 @@ class Chooser:
         if (fixed < 0).all():
             return open_tours
         bound = plan_tours(starts, between, work, bonus, fixed, config.longest_weight)
-        return open_tours if open_tours.cost < bound.cost - config.hysteresis else bound
+        return open_tours if open_tours.cost < bound.cost - margin else bound
 
     def _nodes(
         self, frontiers: list[Frontier], costs: Array, kept: list[int]

@@ -28,6 +28,8 @@ from explore_slam.exploration.traffic import (
     Right,
     Traffic,
     Traveler,
+    along,
+    arc_lengths,
     cut,
     remaining_path,
 )
@@ -36,6 +38,11 @@ from explore_slam.geometry import Array, Pose2
 LOGGER = logging.getLogger(__name__)
 SAME_PLACE = 0.5  # m: targets this near to each other are the same
 FOLLOWS = 2.0  # m: a frontier whose target moved by no more is the same frontier, receding
+NEAR = 2.0  # m: a vehicle that is blocked this near to its target has failed to reach it
+BLOCKINGS = 3  # so many times blocked on the way mean the same
+BAR_AHEAD, BAR_TIME = 0.5, 60.0  # m, s: what is barred when blocked on the way, how long
+TRAIL = 300  # places where a vehicle has been that are remembered
+JUMP = 3.0  # m between two plannings: the pose was corrected, the trail means nothing any more
 WORTH = 0.3  # m: shorter paths up to a stop are not worth driving
 
 
@@ -51,6 +58,7 @@ class Task:
     nearest: float = math.inf
     since: float = 0.0
     arrivals: int = 0
+    changes: int = 0
 
 
 class Planner:
@@ -65,14 +73,31 @@ class Planner:
         self._retreats: dict[str, Plan] = {}
         self._chooser = Chooser(self.config)
         self._failed: list[Point] = []
+        self._trails: dict[str, list[Point]] = {}
+        self._bars: list[tuple[Point, float]] = []
+        self._blockings: dict[str, int] = {}
+        self._poses: dict[str, Pose2] = {}
         self._empty = 0
         self._cycles = 0
 
     def report_blocked(self, vehicle: str, goal: Pose2 | Point, now: float) -> None:
-        """Take note that a vehicle cannot get to its goal; another target is chosen for it."""
+        """Take note that a vehicle cannot get on towards its goal.
+
+        Near the goal, or after several times on the way, the target has failed. Farther away it is
+        the place just ahead that is barred for a while, so that another way is tried.
+        """
         LOGGER.info('%s is blocked on its way to (%.2f, %.2f) at %.1f s', vehicle, *goal[:2], now)
-        task = self._tasks.pop(vehicle, None)
-        self._failed.append(task.target if task else (float(goal[0]), float(goal[1])))
+        task, pose = self._tasks.pop(vehicle, None), self._poses.get(vehicle)
+        target = task.target if task else (float(goal[0]), float(goal[1]))
+        count = self._blockings[vehicle] = self._blockings.get(vehicle, 0) + 1
+        far = pose is not None and math.dist(pose[:2], target) > NEAR
+        if task is None or pose is None or not far or count >= BLOCKINGS:
+            self._failed.append(target)
+            self._blockings[vehicle] = 0
+            return
+        ahead = remaining_path(np.array(pose[:2]), task.path)
+        place = along(ahead, arc_lengths(ahead), np.array([BAR_AHEAD]))[0]
+        self._bars.append(((float(place[0]), float(place[1])), now + BAR_TIME))
 
     def plan(
         self,
@@ -83,14 +108,14 @@ class Planner:
     ) -> PlanningResult:
         """Run one planning cycle at time `now` (s); see PlanningResult."""
         wanted = PlanningMode(mode)
-        for name, snapshot in vehicles.items():
-            if snapshot.pose.is_finite():
-                self._homes.setdefault(name, snapshot.home or snapshot.pose)
+        self._follow(vehicles)
+        self._bars = [item for item in self._bars if now < item[1]]
         if wanted is PlanningMode.PAUSED:
             return PlanningResult(ExplorationStatus.PAUSED, 'paused', searched=False)
         if 0 in grid.shape:
             return self._cannot_search('the map is empty')
-        scene = Scene(grid, now, self.config, vehicles)
+        bars = [place for place, _ in self._bars]
+        scene = Scene(grid, now, self.config, vehicles, self._trails.values(), bars)
         if not scene.vehicles:
             return self._cannot_search('no vehicle with a valid pose')
         if not scene.starts:
@@ -104,6 +129,21 @@ class Planner:
         if wanted is PlanningMode.RETURN_HOME:
             return self._go_home(scene, ())
         return self._explore(scene)
+
+    def _follow(self, vehicles: Mapping[str, VehicleSnapshot]) -> None:
+        """Remember where vehicles are, have been and are at home."""
+        for name, snapshot in vehicles.items():
+            pose = snapshot.pose
+            if not pose.is_finite():
+                continue
+            self._homes.setdefault(name, snapshot.home or pose)
+            self._poses[name] = pose
+            trail = self._trails.setdefault(name, [])
+            if trail and math.dist(trail[-1], pose[:2]) > JUMP:
+                trail.clear()
+            if not trail or math.dist(trail[-1], pose[:2]) > 0.05:
+                trail.append((pose.x, pose.y))
+            del trail[:-TRAIL]
 
     def _cannot_search(self, reason: str) -> PlanningResult:
         """Keep all plans as they are; this is neither an empty search nor the end."""
@@ -142,11 +182,14 @@ class Planner:
         names = tuple(scene.starts)
         costs = scene.costs_to(names, frontiers)
         kept = self._kept_targets(names, np.array([f.target for f in frontiers]))
-        chosen = self._chooser.choose(scene, frontiers, costs, kept)
+        changes = [
+            self._tasks[n].changes if k >= 0 else 0 for n, k in zip(names, kept, strict=True)
+        ]
+        chosen = self._chooser.choose(scene, frontiers, costs, kept, changes)
         tasks: dict[str, Task] = {}
         waiting: dict[str, str] = {}
         standing = [n for n, index in zip(names, chosen, strict=True) if index < 0]
-        for name, index in zip(names, chosen, strict=True):
+        for name, index, before, change in zip(names, chosen, kept, changes, strict=True):
             if index < 0:
                 waiting[name] = 'no target left for this vehicle'
                 continue
@@ -156,8 +199,10 @@ class Planner:
             )
             if task is None:
                 waiting[name] = 'no path to its target'
-            else:
-                tasks[name] = task
+                continue
+            tasks[name] = task
+            if before >= 0 and before != index:
+                task.changes = change + 1
         status = ExplorationStatus.STARTED if self._cycles == 1 else ExplorationStatus.IN_PROGRESS
         reason = f'{len(frontiers)} frontiers'
         return self._finish(scene, status, reason, tasks, waiting, tuple(frontiers), costs)
@@ -209,6 +254,7 @@ class Planner:
         task = Task(target, path, look_at, None, Right.GO, math.inf, scene.now)
         if old is not None and same:
             task.nearest, task.since, task.arrivals = old.nearest, old.since, old.arrivals
+            task.changes = old.changes
             task.sent, task.right = old.sent, old.right
             if old.right is Right.GO:
                 task.sent = None

@@ -1,13 +1,13 @@
 """One planning cycle's view: the map, what it costs, and the vehicles that take part."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.compiled import kernel
-from explore_slam.exploration.clearance import CostMap, make_cost_map
+from explore_slam.exploration.clearance import TIGHT, CostMap, make_cost_map
 from explore_slam.exploration.config import ExplorationConfig
 from explore_slam.exploration.paths import search_path, shortcut
 from explore_slam.exploration.records import Cell, Frontier, Grid, Point, VehicleSnapshot
@@ -16,6 +16,7 @@ from explore_slam.exploration.traffic import Traveler, along, arc_lengths, stamp
 from explore_slam.exploration.value_iteration import Costs, padded_costs, spread
 from explore_slam.geometry import Array, Pose2
 
+BAR_RADIUS = 0.25  # m of what is barred around a place that could not be passed
 BYPASS = 8.0  # a cell beside a standing vehicle costs so many times more
 
 
@@ -28,7 +29,10 @@ class Scene:
         now: float,
         config: ExplorationConfig,
         vehicles: Mapping[str, VehicleSnapshot],
+        trails: Iterable[list[Point]] = (),
+        bars: Iterable[Point] = (),
     ) -> None:
+        """Look at a grid; trails lead where vehicles drove, bars are where they could not."""
         self.grid, self.now, self.config = grid, now, config
         self.vehicles = {n: v for n, v in vehicles.items() if v.active and v.pose.is_finite()}
         paper = config.assignment.strategy == 'paper'
@@ -37,6 +41,11 @@ class Scene:
             if name not in self.vehicles and vehicle.pose.is_finite():
                 for cost in (self.costs.cost, self.costs.tight_cost):
                     self.bar(cost, vehicle.pose, 2.0 * config.paths.vehicle_radius)
+        for trail in trails:
+            self._open_trail(trail)
+        for place in bars:
+            for cost in (self.costs.cost, self.costs.tight_cost):
+                self.bar(cost, place, BAR_RADIUS)
         self.starts: dict[str, Cell] = {}
         self.reach: dict[str, NDArray[np.bool_]] = {}
         self.tight: set[str] = set()
@@ -61,6 +70,18 @@ class Scene:
                 self.reach[name] = mask
                 return
         self.reach[name] = flood(self.cost_of(name), cell[0], cell[1])
+
+    def _open_trail(self, trail: list[Point]) -> None:
+        """Make free cells where a vehicle drove passable, at a price: it can get out there."""
+        points = np.array(trail)
+        lengths = arc_lengths(points)
+        at = np.append(np.arange(0.0, lengths[-1], 0.5 * self.grid.resolution), lengths[-1])
+        cells = self.grid.to_cell(along(points, lengths, at))
+        cells = cells[((cells >= 0) & (cells < self.grid.shape)).all(axis=1)]
+        rows, cols = cells[self.costs.free[cells[:, 0], cells[:, 1]]].T
+        for cost in (self.costs.cost, self.costs.tight_cost):
+            shut = ~np.isfinite(cost[rows, cols])
+            cost[rows[shut], cols[shut]] = TIGHT
 
     def widen(self, name: str) -> bool:
         """Let a vehicle through tight places too; tell whether that takes it any further."""

@@ -36,8 +36,8 @@ def plan_tours(
     """Return tours for the team.
 
     starts (V, F): travel from each vehicle to each target; between (F, F): among targets; work
-    (F,) and bonus (F,) m; fixed (V,): the target a vehicle has to visit first, or -1. Targets that a
-    vehicle cannot reach (inf) are taken by others, if any can.
+    (F,) and bonus (F,) m; fixed (V,): the target a vehicle has to visit first, or -1. Targets that
+    a vehicle cannot reach (inf) are taken by others, if any can.
     """
     vehicles, count = starts.shape
     orders = np.full((vehicles, count), -1, np.int64)
