@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -24,31 +25,36 @@ from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import LaserScan
 
-from explore_slam.nodes.conversions import twist_message
+from explore_slam.nodes.conversions import odometry_record, twist_message
 from explore_slam.nodes.messages import MESSAGES
 from explore_slam.simulation.kinematic_body import KinematicBody
 from explore_slam.simulation.vehicle_emulator import VehicleEmulator
 from explore_slam.vehicle.arcos_packets import PacketDecoder
 from explore_slam.vehicle.arcos_status import parse_status
+from explore_slam.vehicle.lms200_scan import parse_scan, scan_ranges
 from explore_slam.vehicle.lms200_telegrams import Reply, TelegramDecoder
 
+Event = tuple[float, tuple[int, ...]]  # when (monotonic s), what tells it from others
 SETTLE = 3.0  # s before and after what is counted
 
 
 def emulate(folder: str, pipe: Connection) -> None:
     """Run both devices; send the times of all status packets and scans at the end."""
     body = KinematicBody()
-    body.obstacles = [(20.0, 0.0, 15.0)]
-    sent: dict[str, list[float]] = {'odom': [], 'scan': []}
+    body.obstacles = [(4.0, 0.0, 0.7), (-3.0, 3.0, 0.5), (0.0, -4.0, 1.0), (-3.0, -1.0, 0.4)]
+    sent: dict[str, list[Event]] = {'odom': [], 'scan': []}
     packets, telegrams = PacketDecoder(), TelegramDecoder()
 
     def on_base(when: float, data: bytes) -> None:
-        count = sum(parse_status(payload) is not None for payload in packets.feed(data))
-        sent['odom'] += [when] * count
+        for payload in packets.feed(data):
+            if (status := parse_status(payload)) is not None:
+                sent['odom'].append((when, (status.x, status.y, status.heading)))
 
     def on_laser(when: float, data: bytes) -> None:
-        count = sum(item.command == Reply.SCAN for item in telegrams.feed(data))
-        sent['scan'] += [when] * count
+        for telegram in telegrams.feed(data):
+            scan = parse_scan(telegram.data) if telegram.command == Reply.SCAN else None
+            if scan is not None:
+                sent['scan'].append((when, identity(scan_ranges(scan, 14))))
 
     emulator = VehicleEmulator(Path(folder), 'robot1', body, body.scan)
     emulator.base_line.on_sent, emulator.laser_line.on_sent = on_base, on_laser
@@ -64,15 +70,42 @@ def cpu_seconds(process: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
 
 
-def latencies(sent: list[float], received: list[float]) -> np.ndarray:
-    """Return for each message the time since the last byte sent before it."""
-    index = np.searchsorted(sent, received) - 1
-    return np.asarray(received) - np.asarray(sent)[index]
+def identity(ranges: np.ndarray) -> tuple[int, ...]:
+    """Return what tells a scan from its neighbours while the vehicle drives."""
+    finite = np.where(np.isfinite(ranges), ranges, 0.0)
+    return tuple(np.rint(1000.0 * finite).astype(int).tolist())
+
+
+def on_odometry(got: list[Event], message: Odometry) -> None:
+    """Keep when a message came, and the counters it was made of (1 mm, 15 bits)."""
+    now, pose = time.monotonic(), odometry_record(message).pose
+    x, y = (round(1000.0 * value) & 0x7FFF for value in pose[:2])
+    got.append((now, (x, y, round(pose.theta / (np.pi / 2048)))))
+
+
+def on_scan(got: list[Event], message: LaserScan) -> None:
+    """Keep when a message came, and its ranges."""
+    now = time.monotonic()
+    got.append((now, identity(np.asarray(message.ranges))))
+
+
+def match(sent: list[Event], came: list[Event]) -> tuple[list[float], int]:
+    """Return latencies (s) of what was sent and came, in order, and how many did not come."""
+    delays, missing, at = [], 0, 0
+    for when, what in sent:
+        window = range(at, min(at + 10, len(came)))
+        found = next((i for i in window if came[i][1] == what and came[i][0] >= when), None)
+        if found is None:
+            missing += 1
+        else:
+            delays.append(came[found][0] - when)
+            at = found + 1
+    return delays, missing
 
 
 def measure(
     folder: str, seconds: float
-) -> tuple[dict[str, list[float]], float, tuple[float, float]]:
+) -> tuple[dict[str, list[Event]], float, tuple[float, float]]:
     """Return times of messages by topic, the driver's CPU share, and the window counted."""
     arguments = {
         'base_port': f'{folder}/robot1_base', 'laser_port': f'{folder}/robot1_laser',
@@ -87,10 +120,9 @@ def measure(
     node = rclpy.create_node('observer', namespace='/robot1')
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    got: dict[str, list[float]] = {'odom': [], 'scan': []}
-    for name, kind in (('odom', Odometry), ('scan', LaserScan)):
-        take = got[name].append
-        node.create_subscription(kind, name, lambda _, take=take: take(time.monotonic()), 50)
+    got: dict[str, list[Event]] = {'odom': [], 'scan': []}
+    node.create_subscription(Odometry, 'odom', partial(on_odometry, got['odom']), 50)
+    node.create_subscription(LaserScan, 'scan', partial(on_scan, got['scan']), 50)
     velocity = node.create_publisher(Twist, 'cmd_vel', 1)
     node.create_timer(0.05, lambda: velocity.publish(twist_message(MESSAGES, 0.3, 0.3)))
     while not all(got.values()):
@@ -132,12 +164,11 @@ def main() -> int:
     lost = 0
     for name in got:
         # what was sent in the window must have come, a little later
-        inside = [when for when in sent[name] if start <= when < end]
-        came = [when for when in got[name] if when >= inside[0]]
-        matched = np.searchsorted(came, inside, side='right')
-        missing = len(inside) - len(np.unique(matched))
+        inside = [event for event in sent[name] if start <= event[0] < end]
+        came = [event for event in got[name] if event[0] >= start]
+        found, missing = match(inside, came)
         lost += missing
-        delays = 1e3 * latencies(sent[name], [when for when in came if when < end])
+        delays = 1e3 * np.array(found)
         print(
             f'{name}: {len(inside)} sent, {missing} lost; last byte to topic: median '
             f'{np.median(delays):.1f} ms, p99 {np.percentile(delays, 99):.1f} ms, '
