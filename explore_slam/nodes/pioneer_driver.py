@@ -9,7 +9,6 @@ import logging
 import sys
 import threading
 import time
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,6 +26,7 @@ from explore_slam.errors import DataError
 from explore_slam.geometry import Pose2, to_world
 from explore_slam.nodes.conversions import scan_record
 from explore_slam.nodes.driver_outputs import DriverOutputs, Frames, Latency
+from explore_slam.nodes.driver_parameters import DriverNodeConfig
 from explore_slam.nodes.vehicle_support import (
     ERROR,
     OK,
@@ -38,10 +38,8 @@ from explore_slam.nodes.vehicle_support import (
     run_node,
     vehicle_name,
 )
-from explore_slam.settings import Section, section, setting
 from explore_slam.vehicle import (
     BaseState,
-    DriverConfig,
     Kinect,
     Lms200,
     PioneerRobot,
@@ -59,25 +57,6 @@ _SAFETY_SETTINGS = {
     'guard_half_width', 'guard_length', 'guard_acceleration', 'guard_deceleration',
     'guard_turn_acceleration', 'use_sim_time',
 }  # fmt: skip
-
-
-@dataclass(frozen=True)
-class DriverNodeConfig(Section):
-    """All parameters of the driver node."""
-
-    odom_frame: str = setting('odom', "frame of odometry, behind the vehicle's name and a slash")
-    robot_base_frame: str = setting(
-        'base_link', "frame of the vehicle, behind the vehicle's name and a slash"
-    )
-    laser_frame: str = setting('laser', "frame of the laser, behind the vehicle's name")
-    camera_frame: str = setting(
-        'camera_optical_frame', "frame of the camera, behind the vehicle's name"
-    )
-    publish_tf: bool = setting(True, 'publish tf, where tf2_msgs is installed')
-    watch_scan_topic: bool = setting(
-        False, "stop for another driver's laser: use the topic scan where use_laser is false"
-    )
-    driver: DriverConfig = section(DriverConfig)
 
 
 class PioneerDriverNode(Node):

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from explore_slam.data import OdometryReading
 from explore_slam.errors import VehicleError
 from explore_slam.geometry import IDENTITY
+from explore_slam.vehicle.arcos_handshake import shake_hands, who_is_there
 from explore_slam.vehicle.arcos_packets import Command, PacketDecoder, encode_command
 from explore_slam.vehicle.arcos_status import (
     CounterOdometry,
@@ -17,20 +18,16 @@ from explore_slam.vehicle.arcos_status import (
     ScaleFactors,
     StatusPacket,
     parse_configuration,
-    parse_identity,
     parse_status,
     scale_factors,
 )
 from explore_slam.vehicle.driver_config import BaseConfig
-from explore_slam.vehicle.lms200_telegrams import TelegramDecoder
 from explore_slam.vehicle.odometry_noise import OdometryCovariance
 from explore_slam.vehicle.serial_port import SerialPort
 
 _log = logging.getLogger(__name__)
 BAUD_RATES = (9600, 38400, 19200, 115200, 57600)
 BAUD_CODES = {9600: 0, 19200: 1, 38400: 2, 57600: 3, 115200: 4}
-_REPLY_TIMEOUT = 0.25  # s for an echo of the handshake
-_SYNC_ATTEMPTS = 3
 _REST_TIMEOUT = 1.0  # s to come to rest before the motors are switched off
 _AT_REST = 0.02  # m/s, rad/s
 _PULSE_PERIOD = 0.4  # s
@@ -119,56 +116,12 @@ class PioneerRobot:
         heard = b''
         for rate in rates:
             self._port.set_baud(rate)
-            identity, came = self._synchronize()
+            identity, came = shake_hands(self._port, self._decoder)
             heard += came
             if identity is not None:
                 self.last_baud = rate
                 return identity
-        raise VehicleError(f'{self.config.base_port}: {_who_is_there(heard, rates)}')
-
-    def _synchronize(self) -> tuple[RobotIdentity | None, bytes]:
-        """Shake hands at the present rate; return identity or None, and the bytes that came."""
-        assert self._port is not None
-        self._port.discard()
-        self._decoder.clear()
-        step, failures, heard = 0, 0, b''
-        while failures < _SYNC_ATTEMPTS:
-            self._port.write(encode_command(step))
-            reply, came = self._await_echo(step)
-            heard = (heard + came)[-4096:]
-            if reply == 'session':  # of a client that crashed
-                _log.info('%s: closing a session left open', self.config.base_port)
-                self._port.write(encode_command(Command.CLOSE))
-                time.sleep(0.1)
-                self._port.discard()
-                self._decoder.clear()
-                step, failures = 0, failures + 1
-            elif isinstance(reply, bytes):
-                if step == 2:
-                    return parse_identity(reply), heard
-                step += 1
-            else:
-                step, failures = 0, failures + 1
-                if not came and failures == 2:
-                    break  # nothing at all twice: another rate, or nobody
-        return None, heard
-
-    def _await_echo(self, step: int) -> tuple[bytes | str, bytes]:
-        """Return the echo of a sync step, 'session', 'lost' or 'silent', and what came."""
-        assert self._port is not None
-        end = time.monotonic() + _REPLY_TIMEOUT + self._port.transmission_time(80)
-        heard = b''
-        while (left := end - time.monotonic()) > 0.0:
-            data = self._port.read(left)
-            heard += data
-            for payload in self._decoder.feed(data):
-                if payload[0] == step:
-                    return payload, heard
-                if parse_status(payload) is not None:
-                    return 'session', heard
-                if payload[0] == 255:
-                    return 'lost', heard
-        return 'silent', heard
+        raise VehicleError(f'{self.config.base_port}: {who_is_there(heard, rates)}')
 
     def _open_session(self) -> None:
         config, port = self.config, self._port
@@ -322,16 +275,3 @@ class PioneerRobot:
         self._velocity = (0, 0)
         self._command(Command.ESTOP)
         self._send_velocity()
-
-
-def _who_is_there(heard: bytes, rates: list[int]) -> str:
-    """Return why no robot was found, from the bytes that came instead of its answers."""
-    asked = '/'.join(str(rate) for rate in rates)
-    if TelegramDecoder().feed(heard):
-        return 'a SICK laser is at this port, not a robot; exchange base_port and laser_port'
-    if heard:
-        return (
-            f'{len(heard)} bytes came at {asked} Bd but no answer to SYNC; '
-            'is another device at this port, or base_baud wrong?'
-        )
-    return f'no answer to SYNC at {asked} Bd; is the robot switched on and its cable plugged in?'

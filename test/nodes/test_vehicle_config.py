@@ -6,8 +6,8 @@ import yaml
 from rclpy.parameter import Parameter
 
 from explore_slam.errors import ConfigError
+from explore_slam.nodes.driver_parameters import DriverNodeConfig
 from explore_slam.nodes.path_follower import PathFollowerNode
-from explore_slam.nodes.pioneer_driver import DriverNodeConfig
 from explore_slam.settings import settings_of, with_values
 from explore_slam.vehicle import DriverConfig, PathFollowerConfig
 

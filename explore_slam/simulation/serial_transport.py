@@ -1,0 +1,176 @@
+"""Our end of a client's serial port: a pseudo terminal, or a TCP server."""
+
+import contextlib
+import os
+import pty
+import select
+import socket
+import termios
+import time
+import tty
+from pathlib import Path
+
+from explore_slam.errors import SimulationError
+
+_TERMIOS_RATES = {
+    getattr(termios, f'B{rate}'): rate
+    for rate in (9600, 19200, 38400, 57600, 115200, 500000)
+    if hasattr(termios, f'B{rate}')
+}
+
+
+class PtyTransport:
+    """Our end of a pseudo terminal; both ends are held open so that clients may come and go."""
+
+    def __init__(self, link: Path | None) -> None:
+        self._link = link
+        self._master = self._slave = -1
+        self._name = ''
+
+    @property
+    def path(self) -> str:
+        """What a client opens."""
+        return str(self._link) if self._link is not None else self._name
+
+    @property
+    def connected(self) -> bool:
+        """Whether a client could hear something."""
+        return self._master >= 0
+
+    def open(self) -> None:
+        """Plug in, anew if need be."""
+        self.close()
+        self._master, self._slave = pty.openpty()
+        self._name = os.ttyname(self._slave)
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        if self._link is not None:
+            temporary = self._link.with_name(f'.{self._link.name}.{os.getpid()}')
+            temporary.unlink(missing_ok=True)
+            temporary.symlink_to(self._name)
+            temporary.replace(self._link)
+
+    def close(self) -> None:
+        """Unplug."""
+        if self._master < 0:
+            return
+        os.close(self._master)
+        os.close(self._slave)
+        self._master = self._slave = -1
+        if self._link is not None and self._link.is_symlink():
+            self._link.unlink()
+
+    def wait(self, timeout: float) -> None:
+        """Wait for bytes, at most timeout (s)."""
+        master = self._master
+        if master < 0:
+            time.sleep(timeout)
+            return
+        with contextlib.suppress(OSError, ValueError):
+            select.select([master], [], [], timeout)
+
+    def host_rate(self) -> int:
+        """Return the rate (Bd) of the host's side; 0 where there is none."""
+        if self._master < 0:
+            return 0
+        return _TERMIOS_RATES.get(termios.tcgetattr(self._slave)[5], 1)
+
+    def read(self) -> bytes:
+        """Return what the host has sent."""
+        try:
+            return os.read(self._master, 4096) if self._master >= 0 else b''
+        except OSError:
+            return b''
+
+    def write(self, data: bytes) -> int:
+        """Send; return how many bytes need not be sent again."""
+        try:
+            return os.write(self._master, data)
+        except BlockingIOError:
+            return len(data)  # nobody reads: a UART would lose the bytes too
+        except OSError:
+            return len(data)
+
+
+class TcpTransport:
+    """A listening socket with one client at a time, as the TCP simulators of ARCOS have."""
+
+    def __init__(self, port: int) -> None:
+        self._port = port
+        self._server: socket.socket | None = None
+        self._client: socket.socket | None = None
+
+    @property
+    def path(self) -> str:
+        """What a client opens."""
+        return f'tcp://127.0.0.1:{self._port}'
+
+    @property
+    def connected(self) -> bool:
+        """Whether a client could hear something."""
+        return self._client is not None
+
+    def open(self) -> None:
+        """Plug in, anew if need be."""
+        self.close()
+        server = socket.socket()
+        server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            server.bind(('127.0.0.1', self._port))
+        except OSError as error:
+            server.close()
+            raise SimulationError(f'TCP port {self._port} cannot be had: {error}') from error
+        self._port = server.getsockname()[1]
+        server.listen(1)
+        server.setblocking(False)
+        self._server = server
+
+    def close(self) -> None:
+        """Unplug."""
+        for end in (self._client, self._server):
+            if end is not None:
+                end.close()
+        self._client = self._server = None
+
+    def wait(self, timeout: float) -> None:
+        """Wait for bytes, at most timeout (s)."""
+        end = self._client or self._server
+        if end is None:
+            time.sleep(timeout)
+            return
+        with contextlib.suppress(OSError, ValueError):
+            select.select([end], [], [], timeout)
+
+    def host_rate(self) -> int:
+        """Return the rate (Bd) of the host's side; 0 where there is none."""
+        return 0
+
+    def read(self) -> bytes:
+        """Return what the host has sent."""
+        if self._client is None and self._server is not None:
+            with contextlib.suppress(OSError):
+                self._client, _ = self._server.accept()
+                self._client.setblocking(False)
+                self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        if self._client is None:
+            return b''
+        try:
+            data = self._client.recv(4096)
+        except BlockingIOError:
+            return b''
+        except OSError:
+            data = b''
+        if not data:
+            self._client.close()
+            self._client = None
+        return data
+
+    def write(self, data: bytes) -> int:
+        """Send; return how many bytes need not be sent again."""
+        assert self._client is not None
+        try:
+            return self._client.send(data)
+        except BlockingIOError:
+            return 0
+        except OSError:
+            return len(data)
