@@ -23,7 +23,7 @@ class AssociationConfig(Section):
         high=1.0,
     )
     association_gate: float = setting(
-        4.5,
+        8.0,
         'Engine fastslam2: largest Mahalanobis distance between a match and its prediction',
         unit='sigma',
         low=1.0,
@@ -118,6 +118,13 @@ class FastSlamConfig(Section):
         unit='sigma',
         low=1.0,
         high=20.0,
+    )
+    independent_observations: float = setting(
+        20.0,
+        'Engine fastslam2: the observations of one update weigh like at most this many '
+        'independent ones, because features of one frame err together',
+        low=1.0,
+        high=1e6,
     )
     linearizable_heading: float = setting(
         0.1,

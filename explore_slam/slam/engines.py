@@ -116,10 +116,13 @@ def fastslam2(
     likeness = 4.0 / max(config.association.maximum_descriptor_distance, 0.05)
     shared = np.bincount(sighted.candidates[sighted.candidates >= 0], minlength=1) > 1
 
+    # features of one frame err together: they count as that many independent ones at most
+    share = min(1.0, config.independent_observations / len(sighted.z))
+
     def part(begin: int, end: int) -> None:
         propose(
             data, sighted.slots, sighted.candidates, sighted.distances, shared, sighted.z,
-            sighted.R, P, gate, likeness, config.outlier_threshold, normals, begin, end,
+            sighted.R, P, gate, likeness, config.outlier_threshold, share, normals, begin, end,
             poses, log_weights, sighted.choice, sighted.influence,
         )  # fmt: skip
 

@@ -292,7 +292,7 @@ def _fold(
 
 @njit(cache=True, nogil=True, error_model='numpy')
 def _solve_block(
-    w: Array, poses: Array, P: Array, m0: int, n: int, L: Array, Qm: Array
+    w: Array, poses: Array, P: Array, m0: int, n: int, L: Array, Qm: Array, share: float
 ) -> None:  # pragma: no cover - compiled
     """Set δ, Q and the pose at which to linearize next; COST becomes −2 ln of the likelihood."""
     eta, delta = np.empty(3), np.empty(3)
@@ -302,6 +302,9 @@ def _solve_block(
         L[2, 0], L[2, 1], L[2, 2] = L[0, 2], L[1, 2], w[LAMBDA + 5, i]
         for a in range(3):
             eta[a] = w[ETA + a, i]
+        L *= share
+        eta *= share
+        w[COST, i] *= share
         determinant, quad = solve(P, L, eta, delta, Qm)
         w[COST, i] += math.log(max(determinant, 1e-300)) - quad
         w[Q, i], w[Q + 1, i], w[Q + 2, i] = Qm[0, 0], Qm[0, 1], Qm[0, 2]
@@ -355,6 +358,7 @@ def propose(
     gate: float,
     likeness: float,
     threshold: float,
+    share: float,
     normals: Array,
     begin: int,
     end: int,
@@ -367,7 +371,8 @@ def propose(
 
     slab, slots, candidates (K, J), distances (K, J), z (K, 3), R (K, 6) as in `association`;
     shared (L,) landmarks that are candidates of several observations; P (3, 3) of the predicted
-    poses in the vehicle frame. log_weights (M,) gains the likelihoods; choice and influence
+    poses in the vehicle frame. What is observed counts with the share (0 to 1) of its
+    information. log_weights (M,) gains the likelihoods; choice and influence
     (K, M) receive candidate and w. Unmatched counts like a residual at the gate.
     """
     t2 = threshold * threshold
@@ -395,5 +400,5 @@ def propose(
                 w, slab, slots, candidates, choice, z, R, scales, unmatched, t2, judged, m0, n,
                 influence,
             )  # fmt: skip
-            _solve_block(w, poses, P, m0, n, L, Qm)
+            _solve_block(w, poses, P, m0, n, L, Qm, share)
         _sample_block(w, poses, normals, log_weights, m0, n, Qm)
