@@ -122,6 +122,13 @@ class AssignmentConfig(Section):
     longest_weight: float = setting(
         3.0, 'weight of the longest tour against the sum of all', low=0.0, high=1000.0
     )
+    gain_per_detour: float = setting(
+        0.1,
+        'unknown area per length of detour that makes a target worth it now',
+        unit='m² per m',
+        low=0.0,
+        high=100.0,
+    )
     merge_distance: float = setting(
         1.5,
         'frontiers this near to each other are one stop of a tour',
@@ -148,7 +155,7 @@ class BlacklistConfig(Section):
         0.5, 'targets this near to a failed one are left alone too', unit='m', low=0.0, high=10.0
     )
     blacklist_expiry: float = setting(
-        60.0,
+        600.0,
         'a failed target is tried again after this; doubled at every further failure',
         unit='s',
         low=0.0,

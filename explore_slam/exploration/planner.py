@@ -161,6 +161,11 @@ class Planner:
         if open_now:
             self._empty = 0
             return self._assign(scene, open_now)
+        if self._bars:
+            # What is barred may be the only way on: that is no reason to call it done.
+            self._bars.clear()
+            reason = 'no target beside barred places, which are tried again'
+            return self._finish(scene, ExplorationStatus.IN_PROGRESS, reason, {}, {}, tuple(found))
         self._empty += 1
         if self._empty < self.config.empty_searches:
             reason = f'no target in search {self._empty} of {self.config.empty_searches}'
