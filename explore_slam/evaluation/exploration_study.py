@@ -46,7 +46,7 @@ class Study:
     def run_one(self, strategy: str, size: int, seed: int) -> ExplorationRun:
         """Make one run: the seed gives the start place and all noise."""
         world = _world(self.map_path)
-        radius = GridSimulatorConfig().body_radius
+        radius = GridSimulatorConfig().reach_clearance
         poses = world.start_poses(size, seed, radius)
         starts = {f'robot{index + 1}': pose for index, pose in enumerate(poses)}
         run = explore(world, starts, strategy, seed, self.config, self.planner_settings)

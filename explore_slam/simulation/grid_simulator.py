@@ -26,7 +26,20 @@ BACKING_SPEED = 0.15
 class GridSimulatorConfig(Section):
     """What the vehicles, their lasers and their poses are like."""
 
-    body_radius: float = setting(0.26, 'radius of a vehicle, a disc', unit='m', low=0.05, high=2.0)
+    body_radius: float = setting(
+        0.22,
+        'radius of a vehicle, a disc (half the length of a Pioneer)',
+        unit='m',
+        low=0.05,
+        high=2.0,
+    )
+    reach_clearance: float = setting(
+        0.3,
+        'reachable is what vehicles reach at this distance from obstacles',
+        unit='m',
+        low=0.05,
+        high=2.0,
+    )
     cruise_speed: float = setting(0.5, 'speed on a straight path', unit='m/s', low=0.05, high=3.0)
     turn_rate: float = setting(1.0, 'fastest turn', unit='rad/s', low=0.1, high=6.0)
     acceleration: float = setting(0.5, 'while gaining speed', unit='m/s^2', low=0.05, high=10.0)
@@ -115,7 +128,7 @@ class GridSimulator:
         self._angles = np.linspace(-half, half, self.config.beams)
         self._ranges = np.zeros(self.config.beams)
         self._check_apart()
-        self.reachable = world.reachable(self._poses[:, :2], self.config.body_radius)
+        self.reachable = world.reachable(self._poses[:, :2], self.config.reach_clearance)
         self.reachable_cells = max(1, int(np.count_nonzero(self.reachable)))
         self._seen = np.zeros(world.shape, np.uint32)
         self._own_cells = [0] * len(self.vehicles)

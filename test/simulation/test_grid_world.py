@@ -53,7 +53,7 @@ def test_other_vehicles_are_seen_and_shade_what_lies_behind():
     starts = {'a': Pose2(1.0, 2.0, 0.0), 'b': Pose2(3.0, 2.0, 0.0)}
     simulator = GridSimulator(world, starts, EXACT)
     middle = simulator.scan('a').ranges[180]
-    assert middle == pytest.approx(2.0 - 0.26, abs=1e-6)
+    assert middle == pytest.approx(2.0 - 0.22, abs=1e-6)
     row, col = world.to_cell(np.array([[4.0, 2.0]]))[0]
     assert not simulator.seen('a')[row, col]
     simulator.scan('b')
@@ -180,7 +180,7 @@ def test_a_plan_through_a_wall_ends_before_it_without_contact():
     simulator.set_plan('a', plan('a', (2.0, 2.0), (6.0, 2.0)))
     drive(simulator, 30)
     pose = simulator.true_pose('a')
-    assert 3.9 < pose.x <= 4.5 - 0.26
+    assert 3.9 < pose.x <= 4.5 - 0.22
     assert simulator.collisions == []
     assert simulator.stalled_for('a') > 10
     assert not simulator.is_idle('a')
@@ -191,7 +191,7 @@ def test_glass_stops_a_vehicle_too():
     simulator = GridSimulator(GridWorld.from_drawing(rows), {'a': Pose2(1.0, 2.0, 0.0)}, EXACT)
     simulator.set_plan('a', plan('a', (1.0, 2.0), (4.0, 2.0)))
     drive(simulator, 20)
-    assert simulator.true_pose('a').x < 3.0 - 0.26 + 1e-6
+    assert simulator.true_pose('a').x < 3.0 - 0.22 + 1e-6
     assert simulator.collisions == []
 
 
@@ -228,7 +228,7 @@ def test_vehicles_sent_across_each_other_never_touch(seed):
             gaps = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1))
             closest = min(closest, gaps[np.triu_indices(4, 1)].min())
     assert simulator.collisions == []
-    assert closest >= 2 * 0.26
+    assert closest >= 2 * 0.22
     assert sum(simulator.travelled(name) for name in simulator.vehicles) > 3.0
 
 
