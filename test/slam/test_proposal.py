@@ -155,7 +155,7 @@ def test_each_particle_takes_its_own_candidate_once():
     poses, log_weights = scene.poses.copy(), np.zeros(M)
     propose(
         scene.slab, np.arange(2), scene.candidates, np.zeros((2, 2)), np.ones(2, bool), scene.z,
-        np.ascontiguousarray(scene.R[:, *UPPER]), 1e-6 * np.eye(3), 1e6, 0.0, 3.0,
+        np.ascontiguousarray(scene.R[:, *UPPER]), 1e-6 * np.eye(3), 1e6, 0.0, 3.0, 1.0,
         np.zeros((M, 3)), 0, M, poses, log_weights, scene.choice, scene.influence,
     )  # fmt: skip
     assert set(scene.choice[0]) == {0, 1}

@@ -1,0 +1,81 @@
+"""`colcon build` gives an installed package, and an installed executable starts."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+EXECUTABLES = {
+    'explore_slam', 'agent', 'pioneer_driver', 'path_follower', 'feature_extractor', 'simulator',
+}  # fmt: skip
+COLCON = Path(sys.executable).with_name('colcon')
+
+
+def run(command, **options):
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=240, check=False, **options
+    )
+
+
+@pytest.fixture(scope='module')
+def installed(tmp_path_factory):
+    """A workspace of its own with a copy of the tracked files, built."""
+    if not COLCON.exists():
+        pytest.skip('colcon is not installed: make setup-dev')
+    workspace = tmp_path_factory.mktemp('workspace')
+    source = workspace / 'src' / 'explore_slam'
+    leave_out = shutil.ignore_patterns(
+        '.git', '.venv*', 'runs', '*.egg-info', '__pycache__', '.*_cache', 'build', 'results'
+    )
+    shutil.copytree(REPOSITORY, source, ignore=leave_out)
+    path = f'{COLCON.parent}{os.pathsep}{os.environ["PATH"]}'
+    environment = {**os.environ, 'PATH': path}
+    listed = run([COLCON, 'list'], cwd=workspace, env=environment)
+    assert '(ros.ament_python)' in listed.stdout, listed.stdout + listed.stderr
+    built = run([COLCON, 'build'], cwd=workspace, env=environment)
+    assert built.returncode == 0, built.stdout + built.stderr
+    return workspace / 'install' / 'explore_slam', environment
+
+
+def test_executables_and_files_lie_where_ros2_looks(installed):
+    prefix, _ = installed
+    assert {path.name for path in (prefix / 'lib' / 'explore_slam').iterdir()} == EXECUTABLES
+    share = prefix / 'share' / 'explore_slam'
+    assert (share / 'package.xml').exists()
+    for folder, pattern in (('launch', '*.launch.py'), ('config', '*.yaml')):
+        wanted = {path.name for path in (REPOSITORY / folder).glob(pattern)}
+        assert wanted == {path.name for path in (share / folder).glob(pattern)} != set()
+    assert (share / 'config' / 'worlds' / 'office.yaml').exists()
+    index = prefix / 'share' / 'ament_index' / 'resource_index' / 'packages' / 'explore_slam'
+    assert index.exists()
+
+
+def test_an_installed_executable_starts(installed):
+    prefix, environment = installed
+    command = f'source {prefix}/share/explore_slam/package.bash; '
+    command += f'exec {prefix}/lib/explore_slam/explore_slam --help'
+    shown = run(['bash', '-c', command], cwd=prefix, env=environment)
+    assert shown.returncode == 0, shown.stderr
+    assert 'demo' in shown.stdout
+
+
+def test_an_installed_node_starts_and_ends_when_asked(installed):
+    prefix, environment = installed
+    command = f'source {prefix}/share/explore_slam/package.bash; '
+    command += f'exec {prefix}/lib/explore_slam/path_follower --ros-args -r __ns:=/robot1'
+    environment = {**environment, 'ROS_DOMAIN_ID': '77'}
+    node = subprocess.Popen(
+        ['bash', '-c', command], cwd=prefix, env=environment, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        with pytest.raises(subprocess.TimeoutExpired):
+            node.wait(timeout=8.0)
+        node.terminate()
+        assert node.wait(timeout=20.0) == 0
+    finally:
+        node.kill()
+        node.stderr.close()
