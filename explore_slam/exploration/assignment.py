@@ -8,6 +8,7 @@ from explore_slam.errors import ExplorationError
 from explore_slam.geometry import Array
 
 LOCAL_ROUNDS = 20
+UNREACHABLE = 1e6
 
 
 def coverage_probability(distance: ArrayLike, max_range: float) -> Array:
@@ -84,28 +85,40 @@ def assign_jointly(
 ) -> list[int]:
     """Return the targets that are best for the team: least travel plus overlap of what is seen.
 
-    costs (V, F) m may hold bonuses. The Hungarian method starts it; then single vehicles change
-    target and pairs swap as long as the sum of costs plus overlap_weight times the coverage
-    probability (equation 9) between every two targets falls.
+    costs (V, F) m may hold bonuses. The team pays the sum of costs plus overlap_weight times the
+    coverage probability (equation 9) between every two targets. Started from the Hungarian method
+    and from the greedy choice, single vehicles change target as long as the sum falls; the better
+    of the two is returned.
     """
     matrix, points = _checked(costs, targets)
     if 0 in matrix.shape:
         return [-1] * len(matrix)
     blocked = ~np.isfinite(matrix)
-    penalty = 1e6
-    filled = np.where(blocked, penalty, matrix)
-    chosen = np.full(len(matrix), -1, np.int64)
-    vehicles, picked = linear_sum_assignment(filled)
-    for vehicle, target in zip(vehicles, picked, strict=True):
-        if not blocked[vehicle, target]:
-            chosen[vehicle] = target
+    filled = np.where(blocked, UNREACHABLE, matrix)
     overlap = overlap_weight * coverage_probability(
         np.linalg.norm(points[:, None] - points[None], axis=2), max_range
     )
-    for _ in range(LOCAL_ROUNDS):
-        if not _improve(chosen, filled, overlap):
-            break
-    return [int(target) for target in chosen]
+    hungarian = np.full(len(matrix), -1, np.int64)
+    vehicles, picked = linear_sum_assignment(filled)
+    hungarian[vehicles] = np.where(blocked[vehicles, picked], -1, picked)
+    weight = 1.0 / max(overlap_weight, 1e-9)
+    greedy = np.array(assign_targets(matrix, points, max_range, weight), np.int64)
+    results: list[tuple[float, list[int]]] = []
+    for chosen in (hungarian, greedy):
+        for _ in range(LOCAL_ROUNDS):
+            if not _improve(chosen, filled, overlap):
+                break
+        results.append((_team_cost(chosen, filled, overlap), chosen.tolist()))
+    return min(results)[1]
+
+
+def _team_cost(chosen: NDArray[np.int64], costs: Array, overlap: Array) -> float:
+    """Return what the team pays; a vehicle without a target costs as if it could not go."""
+    given = np.flatnonzero(chosen >= 0)
+    targets = chosen[given]
+    shared = (overlap[np.ix_(targets, targets)].sum() - overlap[targets, targets].sum()) / 2.0
+    idle = (len(chosen) - len(given)) * UNREACHABLE
+    return float(costs[given, targets].sum() + shared + idle)
 
 
 def _improve(chosen: NDArray[np.int64], costs: Array, overlap: Array) -> bool:

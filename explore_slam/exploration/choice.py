@@ -1,5 +1,7 @@
 """Which vehicle goes to which frontier, by the strategy that is set."""
 
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -82,9 +84,41 @@ class Chooser:
         bonus = config.last_bonus * np.minimum(node_gains, config.largest_gain)
         starts = costs[:, members]
         fixed = np.array([members.index(k) if k in members else -1 for k in kept], np.int64)
+        worth = self._worth_their_detour(starts, between, node_gains, fixed)
+        starts = np.where(worth[None], starts, np.inf)
         tours = self._solve(starts, between, work, bonus, fixed, margin)
         chosen = [members[order[0]] if order else -1 for order in tours.orders]
         return self._employ_idle(chosen, frontiers, costs)
+
+    def _worth_their_detour(
+        self, starts: Array, between: Array, gains: Array, fixed: NDArray[np.int64]
+    ) -> NDArray[np.bool_]:
+        """Return the nodes (F,) to be visited now: others gain too little for the way they take.
+
+        Of tours through all nodes the least worthwhile node is dropped, again and again, until
+        every node gains at least `gain_per_detour`. Where none is left, all are visited.
+        """
+        rate = self.config.assignment.gain_per_detour
+        zero = np.zeros(len(gains))
+        worth = np.ones(len(gains), np.bool_)
+        weight = self.config.assignment.longest_weight
+        tours = plan_tours(starts, between, zero, zero, fixed, weight)
+        for vehicle, order in enumerate(tours.orders):
+            while order:
+                steps = [starts[vehicle, order[0]]]
+                steps += [between[a, b] for a, b in itertools.pairwise(order)]
+                rates = []
+                for at, node in enumerate(order):
+                    detour = steps[at]
+                    if at + 1 < len(order):
+                        direct = between[order[at - 1]] if at else starts[vehicle]
+                        detour += steps[at + 1] - direct[order[at + 1]]
+                    rates.append(gains[node] / max(detour, 0.1))
+                worst = int(np.argmin(rates))
+                if rates[worst] >= rate or order[worst] in fixed:
+                    break
+                worth[order.pop(worst)] = False
+        return worth if worth.any() else np.ones(len(gains), np.bool_)
 
     def _solve(
         self,
