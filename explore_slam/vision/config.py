@@ -13,13 +13,13 @@ class FeatureConfig(Section):
         200, 'most features taken from one frame', unit='features', low=1, high=5000
     )
     feature_grid_rows: int = setting(
-        6, 'rows of image cells that share the feature budget evenly', low=1, high=100
+        4, 'rows of image cells that share the feature budget evenly', low=1, high=100
     )
     feature_grid_columns: int = setting(
-        8, 'columns of image cells that share the feature budget evenly', low=1, high=100
+        6, 'columns of image cells that share the feature budget evenly', low=1, high=100
     )
     sift_contrast_threshold: float = setting(
-        0.04,
+        0.06,
         'least contrast of a SIFT feature; lower finds more and weaker ones',
         low=0.0,
         high=1.0,
@@ -27,8 +27,15 @@ class FeatureConfig(Section):
     sift_edge_threshold: float = setting(
         10.0, 'most elongated SIFT feature kept; higher keeps more of them', low=1.0, high=1000.0
     )
+    minimum_feature_size: float = setting(
+        3.0,
+        'smallest SIFT feature; small ones are not found again',
+        unit='pixels',
+        low=0.0,
+        high=100.0,
+    )
     feature_orientation: str = setting(
-        'single',
+        'upright',
         'orientations of a feature: one per place, all of them, or upright for a camera that '
         'never rolls',
         choices=('single', 'all', 'upright'),
@@ -43,7 +50,7 @@ class DepthConfig(Section):
     min_depth: float = setting(0.8, 'nearest valid depth', unit='m', low=0.0, high=100.0)
     max_depth: float = setting(3.5, 'farthest valid depth', unit='m', low=0.0, high=100.0)
     pixel_noise: float = setting(
-        1.0, 'standard deviation of a feature in the image', unit='pixels', low=0.01, high=100.0
+        0.8, 'standard deviation of a feature in the image', unit='pixels', low=0.01, high=100.0
     )
     depth_noise: float = setting(
         0.003,

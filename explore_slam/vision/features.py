@@ -82,35 +82,41 @@ class FeatureExtractor:
     def detect(self, image: NDArray[np.uint8], mask: NDArray[np.bool_] | None = None) -> Features:
         """Return all SIFT features of an image (H, W, 3) RGB or (H, W), in a fixed order.
 
-        Only features whose pixel is set in the mask (H, W) are described.
+        Only features whose pixel is set in the mask (H, W) are taken.
         """
-        grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image
-        grey = np.ascontiguousarray(grey)
-        allowed = None if mask is None else mask.astype(np.uint8)
-        orientation = self.config.features.feature_orientation
-        if orientation == 'upright':
-            found = self._sift.detect(grey, allowed)
+        grey = _grey(image)
+        return self._describe(grey, self._find(grey, mask))
+
+    def _find(self, grey: NDArray[np.uint8], mask: NDArray[np.bool_] | None) -> list[Any]:
+        """Return the keypoints wanted by the settings, sorted, so that their order is fixed."""
+        chosen = self.config.features
+        found = self._sift.detect(grey, None if mask is None else mask.astype(np.uint8))
+        if chosen.feature_orientation == 'upright':
             for keypoint in found:
                 keypoint.angle = 0.0
-            keypoints, raw = self._sift.compute(grey, _one_per_place(found))
-        else:
-            keypoints, raw = self._sift.detectAndCompute(grey, allowed)
-        if raw is None or not keypoints:
+        found = sorted(
+            (k for k in found if k.size >= chosen.minimum_feature_size),
+            key=lambda k: (*k.pt, k.size, k.angle, k.response),
+        )
+        if chosen.feature_orientation == 'all':
+            return found
+        return list({(k.pt, k.size): k for k in reversed(found)}.values())[::-1]
+
+    def _describe(self, grey: NDArray[np.uint8], keypoints: list[Any]) -> Features:
+        """Return the features of keypoints in their order, without those that show nothing."""
+        raw = None
+        if keypoints:
+            keypoints, raw = self._sift.compute(grey, keypoints)
+        if raw is None or not len(keypoints):
             none = np.empty(0)
             return Features(
                 np.empty((0, 2)), none, none, np.empty((0, DESCRIPTOR_LENGTH), np.float32)
             )
-        table = np.array([(*k.pt, k.size, k.angle, k.response) for k in keypoints])
-        order = np.lexsort(table.T[[3, 2, 1, 0]])
-        table, raw = table[order], raw[order]
-        if orientation == 'single':
-            first = np.ones(len(table), np.bool_)
-            first[1:] = (np.diff(table[:, :3], axis=0) != 0.0).any(axis=1)
-            table, raw = table[first], raw[first]
+        table = np.array([(*k.pt, k.size, k.response) for k in keypoints])
         unit = normalise(raw, root=self.config.features.root_sift)
         # a featureless patch has no descriptor to compare
         whole = np.linalg.norm(unit, axis=1) > 0.5
-        return Features(table[:, :2], table[:, 2], table[:, 4], unit).take(whole)
+        return Features(table[:, :2], table[:, 2], table[:, 3], unit).take(whole)
 
     def extract(self, frame: RgbdFrame) -> LandmarkObservations:
         """Return the landmarks seen in a frame: positions and covariances in the vehicle frame."""
@@ -123,14 +129,19 @@ class FeatureExtractor:
         mask = layers.depth > 0.0
         if config.depth.depth_edges == 'drop':
             mask &= layers.spread <= config.depth.depth_edge_ratio * layers.depth
-        found = self.detect(frame.rgb, mask)
-        columns, rows = _pixel_of(found.pixels, (camera.width, camera.height))
-        inside = mask[rows, columns]
-        found, columns, rows = found.take(inside), columns[inside], rows[inside]
-        chosen = spread_over_image(
-            found.pixels, found.responses, (camera.width, camera.height), config.features
-        )
-        found, columns, rows = found.take(chosen), columns[chosen], rows[chosen]
+        size = (camera.width, camera.height)
+        grey = _grey(frame.rgb)
+        keypoints = self._find(grey, mask)
+        pixels = np.array([k.pt for k in keypoints]).reshape(-1, 2)
+        responses = np.array([k.response for k in keypoints])
+        columns, rows = _pixel_of(pixels, size)
+        inside = np.flatnonzero(mask[rows, columns])
+        chosen = inside[
+            spread_over_image(pixels[inside], responses[inside], size, config.features)
+        ]
+        # only those within the budget are described: that costs as much as finding them
+        found = self._describe(grey, [keypoints[row] for row in chosen.tolist()])
+        columns, rows = _pixel_of(found.pixels, size)
         depths = layers.depth[rows, columns].astype(np.float64)
         spreads = layers.spread[rows, columns].astype(np.float64)
         depth_noise = config.depth.depth_noise * depths**2
@@ -154,6 +165,7 @@ def _pixel_of(pixels: Array, size: tuple[int, int]) -> tuple[NDArray[np.intp], N
     return np.clip(nearest[:, 0], 0, size[0] - 1), np.clip(nearest[:, 1], 0, size[1] - 1)
 
 
-def _one_per_place(keypoints: Any) -> list[Any]:
-    """Return the keypoints without those that differ from another in their angle alone."""
-    return list({(k.pt, k.size): k for k in keypoints}.values())
+def _grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return an image (H, W, 3) RGB or (H, W) as grey (H, W)."""
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image
+    return np.ascontiguousarray(grey)

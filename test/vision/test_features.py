@@ -274,6 +274,7 @@ CHANGED = {
     'feature_grid_columns': 1,
     'sift_contrast_threshold': 0.2,
     'sift_edge_threshold': 2.0,
+    'minimum_feature_size': 6.0,
     'feature_orientation': 'all',
     'root_sift': True,
     'min_depth': 2.5,
