@@ -21,7 +21,7 @@ from explore_slam.nodes.conversions import (
 )
 from explore_slam.nodes.frame_pairing import FramePairing
 from explore_slam.nodes.inbox import Inbox
-from explore_slam.nodes.vehicle_support import now_seconds
+from explore_slam.nodes.vehicle_support import explain_silence, now_seconds
 
 COLOR = 'camera/rgb/image_raw'
 DEPTH = 'camera/depth_registered/image_raw'
@@ -136,21 +136,8 @@ class VehicleInputs:
 
     def silence(self) -> list[str]:
         """Return, for every expected topic that brought nothing so far, why that may be."""
-        return [self._explain(name) for name in self._expected if not self.heard[name]]
-
-    def _explain(self, name: str) -> str:
-        topic = self._node.resolve_topic_name(f'{self.vehicle}/{name}')
-        publishers = self._node.get_publishers_info_by_topic(topic)
-        text = f'nothing on {topic} after {SILENCE:.0f} s: '
-        if not publishers:
-            return text + (
-                'no publisher found; is the vehicle running, in this ROS_DOMAIN_ID, '
-                'and is the namespace right?'
-            )
-        found = ', '.join(
-            f'{info.node_namespace.rstrip("/")}/{info.node_name} '
-            f'({info.topic_type}, {info.qos_profile.reliability.name}, '
-            f'{info.qos_profile.durability.name})'
-            for info in publishers
-        )
-        return text + f'publishers {found}; it does not send, or type or QoS do not match'
+        return [
+            explain_silence(self._node, f'{self.vehicle}/{name}', SILENCE)
+            for name in self._expected
+            if not self.heard[name]
+        ]

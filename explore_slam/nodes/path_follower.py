@@ -12,6 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
 from nav_msgs.msg import Odometry, Path
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
@@ -36,12 +37,14 @@ from explore_slam.nodes.vehicle_support import (
     changed_settings,
     declare_settings,
     diagnostics_message,
+    explain_silence,
     now_seconds,
     run_node,
     vehicle_name,
 )
 from explore_slam.vehicle import FollowerState, PathFollower, PathFollowerConfig, VelocityCommand
 
+_SILENCE = 5.0  # s without a first message
 _REPORT_PERIOD = 0.5  # s
 _QUIET_AFTER = 1.0  # s of zero commands, then silence: another may drive the vehicle
 
@@ -67,6 +70,9 @@ class PathFollowerNode(Node):
         self._velocity = self.create_publisher(Twist, 'cmd_vel', 1)
         self._status = self.create_publisher(String, 'follower_status', 10)
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self._silence_timer = self.create_timer(
+            _SILENCE, self._explain_silence, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
         self.add_on_set_parameters_callback(self._on_parameters)
         self._timer = self.create_timer(
             1.0 / self.follower.config.control_frequency, self._on_timer
@@ -98,6 +104,13 @@ class PathFollowerNode(Node):
 
     def _on_scan(self, message: LaserScan) -> None:
         self._take('scan', lambda now: self.follower.set_scan(scan_record(message), now))
+
+    def _explain_silence(self) -> None:
+        """Say once, after some seconds, what has not come at all and why that may be."""
+        self._silence_timer.cancel()
+        for name, count in self._counts.items():
+            if count == 0 and name != 'plan':  # an agent need not have a plan yet
+                self.get_logger().warning(explain_silence(self, name, _SILENCE))
 
     def _take(self, name: str, hand_over: Any) -> None:
         """Hand a message to the follower; a malformed one is logged and counts as not come."""

@@ -14,6 +14,7 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
+from rclpy.exceptions import InvalidParameterValueException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -63,7 +64,10 @@ def declare_settings[S: Section](node: Node, tree: S) -> S:
     Raises ConfigError naming the parameter, its value and what was expected.
     """
     for info, value in settings_of(tree):
-        node.declare_parameter(info.name, _plain(value), _descriptor(info))
+        try:
+            node.declare_parameter(info.name, _plain(value), _descriptor(info))
+        except InvalidParameterValueException as error:  # rclpy has checked the range before us
+            raise ConfigError(str(error)) from error
     names = [info.name for info, _ in settings_of(tree)]
     values = {name: _plain(node.get_parameter(name).value) for name in names}
     return with_values(tree, values)
@@ -126,6 +130,25 @@ class RosLogHandler(logging.Handler):
             self._logger.warning(text)
         else:
             self._logger.info(text)
+
+
+def explain_silence(node: Node, name: str, waited: float) -> str:
+    """Return why nothing may have come on a topic (its name in the node) for so long (s)."""
+    topic = node.resolve_topic_name(name)
+    publishers = node.get_publishers_info_by_topic(topic)
+    text = f'nothing on {topic} after {waited:.0f} s: '
+    if not publishers:
+        return text + (
+            'no publisher found; is the vehicle running, in this ROS_DOMAIN_ID, '
+            'and is the namespace right?'
+        )
+    found = ', '.join(
+        f'{info.node_namespace.rstrip("/")}/{info.node_name} '
+        f'({info.topic_type}, {info.qos_profile.reliability.name}, '
+        f'{info.qos_profile.durability.name})'
+        for info in publishers
+    )
+    return text + f'publishers {found}; it does not send, or type or QoS do not match'
 
 
 def vehicle_name(node: Node) -> str:
