@@ -64,6 +64,8 @@ def associate(
 ) -> None:  # pragma: no cover - compiled
     """Fill choice (K, M) with the number of the candidate taken, or -1; quality (K, M) with d².
 
+    Where none is taken, d² is that of the nearest candidate all the same, inf if there is none.
+
     candidates (K, J) are places in slots, or -1; distances (K, J) descriptor distances E; z (K, 3)
     and R (K, 6) in the vehicle frame; poses (M, 3) sampled. Each particle takes the candidate of
     least E among those with d² <= gate, of equals the one of least d² (section III).
@@ -74,6 +76,7 @@ def associate(
         c, s = math.cos(poses[m, 2]), math.sin(poses[m, 2])
         for k in range(K):
             best = np.inf
+            nearest = np.inf
             choice[k, m] = -1
             quality[k, m] = np.inf
             for j in range(J):
@@ -92,6 +95,7 @@ def associate(
                     sxx + R[k, 0], sxy + R[k, 1], sxz + R[k, 2], syy + R[k, 3], syz + R[k, 4],
                     szz + R[k, 5],
                 )  # fmt: skip
+                nearest = min(nearest, square)
                 score = distances[k, j]
                 if not square <= gate or score > best:
                     continue
@@ -99,3 +103,5 @@ def associate(
                     best = score
                     choice[k, m] = j
                     quality[k, m] = square
+            if choice[k, m] < 0:
+                quality[k, m] = nearest

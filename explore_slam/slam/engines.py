@@ -16,6 +16,7 @@ from explore_slam.slam.parallel import over_particles
 from explore_slam.slam.proposal import propose
 from explore_slam.slam.row_store import Items
 
+_WORST = -2.0 * np.log(1e-6)
 UPPER = (np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2]))
 
 
@@ -135,7 +136,9 @@ def paper(
 ) -> Array:
     """FastSLAM 1.0 as in section III: poses from the motion model, weight by match quality.
 
-    The quality p = exp(-d²/2) is gated at P0; a new landmark weighs P0 like the worst match.
+    The quality p = exp(-d²/2) is gated at P0. The text does not say what a particle weighs where
+    an observation becomes a new landmark: here the quality of the like landmark that it failed
+    to match (not less than 1e-6), and P0 where it has none.
     """
     move_by_samples(poses, P, normals)
     least = config.association.minimum_match_quality
@@ -144,7 +147,8 @@ def paper(
         data, sighted.slots, sighted.candidates, sighted.distances, sighted.z, sighted.R,
         poses, gate, sighted.choice, sighted.quality,
     )  # fmt: skip
-    squares = np.where(sighted.choice >= 0, sighted.quality, min(gate, 50.0))
+    squares = np.where(np.isinf(sighted.quality), min(gate, _WORST), sighted.quality)
+    squares = np.minimum(squares, _WORST)
     log_weights: Array = -0.5 * squares.sum(axis=0)
     return log_weights
 

@@ -18,10 +18,7 @@ def over_particles(call: Callable[[int, int], None], particles: int, threads: in
     blocks = -(-particles // BLOCK)
     parts = max(1, min(threads, blocks))
     edges = [min(particles, BLOCK * (blocks * part // parts)) for part in range(parts + 1)]
-    others = [
-        _executor(threads).submit(call, begin, end)
-        for begin, end in pairwise(edges[1:])
-    ]
+    others = [_executor(threads).submit(call, begin, end) for begin, end in pairwise(edges[1:])]
     call(edges[0], edges[1])
     for other in others:
         other.result()
