@@ -19,7 +19,7 @@ class FeatureConfig(Section):
         6, 'columns of image cells that share the feature budget evenly', low=1, high=100
     )
     sift_contrast_threshold: float = setting(
-        0.06,
+        0.05,
         'least contrast of a SIFT feature; lower finds more and weaker ones',
         low=0.0,
         high=1.0,
