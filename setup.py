@@ -38,6 +38,7 @@ setup(
     ],
     python_requires='>=3.12',
     install_requires=['setuptools', *requirements('requirements.txt')],
+    extras_require={'kinect': ['freenect']},  # compiles against libfreenect-dev
     zip_safe=True,
     tests_require=['pytest'],
     entry_points={
