@@ -133,7 +133,8 @@ class Traffic:
                 winner = now[grant.winner]
                 if may_swap and winner.path is not None and now[name].path is not None:
                     _, other_cost = terrain.retreat(winner, [now[name]])
-                    if other_cost + EASIER < cost:
+                    parks = self._parks_on(now[name], winner) and math.isfinite(cost)
+                    if other_cost + EASIER < cost and not parks:
                         return grants, (grant.winner, name)
                 if path is None:
                     grant = Grant(Right.STOP, 0.0, grant.winner)
@@ -142,6 +143,11 @@ class Traffic:
                     now[name] = Traveler(name, now[name].place, path)
             grants[name] = grant
         return grants, None
+
+    def _parks_on(self, one: Traveler, other: Traveler) -> bool:
+        """Tell whether the goal of one lies on the path of the other: it would block it again."""
+        gap = _gaps(one.points[-1:], self._dense(other))[0]
+        return bool(gap < self.config.vehicle_separation)
 
     def threshold(self, one: Traveler, other: Traveler) -> float:
         """Return how near the two may come: the separation, or what they have now if less."""
