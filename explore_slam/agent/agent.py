@@ -110,6 +110,7 @@ class Agent:
         if reading.stamp < before:
             self._follow_clock_back(track)
         self.now = max(self.now, reading.stamp)
+        track.last_heard = self.now
         if track.keyframe is None:
             self._add_keyframe(track, reading.stamp)
         self._use_ready(track)
@@ -384,7 +385,7 @@ class Agent:
         pose, covariance = self.estimate(track.name)
         deviation = math.sqrt(max(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]), 0.0))
         state = track.state
-        if track.odometry.last < self.now - self.config.inputs.silent_timeout:
+        if track.last_heard < self.now - self.config.inputs.silent_timeout:
             state = VehicleState.SILENT
         elif deviation > self.config.inputs.lost_deviation:
             state = VehicleState.LOST

@@ -39,6 +39,7 @@ class VehicleTrack:
     selector: KeyframeSelector
     keyframe: Keyframe | None = None
     last_scan: tuple[float, Pose2] | None = None  # stamp and odometry of the last scan kept
+    last_heard: float = -np.inf  # the agent's time (s) when odometry came last
     last_seen: float = -np.inf  # stamp of the last frame or landmarks that were used
     plan: Plan | None = None
     state: VehicleState = VehicleState.WAITING

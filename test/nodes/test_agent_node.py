@@ -1,0 +1,346 @@
+"""The agent's node in a process of its own, synthetic vehicles on real topics around it."""
+
+import math
+import time
+
+import numpy as np
+import pytest
+import rclpy
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseArray, PoseWithCovarianceStamped
+from nav_msgs.msg import OccupancyGrid, Odometry, Path
+from nav_msgs.srv import GetMap
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import DescribeParameters, SetParameters
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import CameraInfo, Image, LaserScan, PointCloud2
+from std_msgs.msg import Bool, String
+from std_srvs.srv import SetBool, Trigger
+from synthetic import ROOM, SyntheticVehicle, SyntheticWorld
+from visualization_msgs.msg import MarkerArray
+
+from explore_slam.data import Intrinsics
+from explore_slam.geometry import Pose2
+from explore_slam.mapping import load_map
+from explore_slam.nodes import conversions
+from explore_slam.nodes.messages import MESSAGES
+from explore_slam.nodes.processes import NodeProcess, NodeProcesses, one_machine_environment
+from explore_slam.nodes.vehicle_support import LATCHED
+
+DOMAIN = 93
+STARTS = {'robot1': Pose2(-1.0, -1.5, 0.0), 'robot2': Pose2(1.0, 1.5, math.pi)}
+NEWEST = {
+    'map': (OccupancyGrid, LATCHED),
+    'map_landmarks': (PointCloud2, LATCHED),
+    'explore/status': (String, LATCHED),
+    'explore/frontiers': (MarkerArray, 10),
+    'robot1/pose': (PoseWithCovarianceStamped, 10),
+    'robot2/pose': (PoseWithCovarianceStamped, 10),
+    'robot1/plan': (Path, LATCHED),
+    'robot1/trajectory': (Path, 10),
+    'robot1/particles': (PoseArray, qos_profile_sensor_data),
+}
+
+
+class Team:
+    """Synthetic vehicles that publish, and ears for what the agent says."""
+
+    def __init__(self, context):
+        self.node = rclpy.create_node('team', context=context)
+        self.executor = SingleThreadedExecutor(context=context)
+        self.executor.add_node(self.node)
+        self.heard, self.statuses, self.parts = {}, [], {}
+        for topic, (kind, qos) in NEWEST.items():
+            self.node.create_subscription(kind, topic, self.listener(topic), qos)
+        self.node.create_subscription(DiagnosticArray, '/diagnostics', self.on_diagnostics, 10)
+        world = SyntheticWorld()
+        self.vehicles = {
+            name: SyntheticVehicle(world, pose, seed=number)
+            for number, (name, pose) in enumerate(STARTS.items())
+        }
+        kinds = {
+            'odom': Odometry, 'scan': LaserScan, 'landmarks': PointCloud2,
+            'camera/rgb/image_raw': Image, 'camera/depth_registered/image_raw': Image,
+            'camera/rgb/camera_info': CameraInfo,
+        }  # fmt: skip
+        self.out = {
+            (name, topic): self.node.create_publisher(kind, f'{name}/{topic}', 10)
+            for name in STARTS
+            for topic, kind in kinds.items()
+        }
+        self.resume = self.node.create_publisher(Bool, 'explore/resume', LATCHED)
+        self.epoch = time.time()
+
+    def listener(self, topic):
+        def on_message(message):
+            self.heard[topic] = message
+            if topic == 'explore/status':
+                self.statuses.append(message.data)
+
+        return on_message
+
+    def on_diagnostics(self, message):
+        for status in message.status:
+            self.parts[status.name] = {pair.key: pair.value for pair in status.values}
+
+    def spin(self, seconds):
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.executor.spin_once(timeout_sec=0.01)
+
+    def wait_for(self, condition, seconds=30.0):
+        end = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < end, f'nothing after {seconds} s: {condition}'
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def drive(self, ticks):
+        for tick in range(ticks):
+            for name, vehicle in self.vehicles.items():
+                reading = vehicle.advance()
+                stamp = self.epoch + reading.stamp
+                moved = type(reading)(stamp, reading.pose)
+                odom = conversions.odometry_message(
+                    MESSAGES, moved, f'{name}/odom', f'{name}/base_link'
+                )
+                self.out[name, 'odom'].publish(odom)
+                if tick % 5 == 0:
+                    seen = vehicle.world.landmarks_from(stamp, vehicle.pose)
+                    cloud = conversions.landmarks_message(MESSAGES, seen, f'{name}/base_link')
+                    self.out[name, 'landmarks'].publish(cloud)
+                if tick % 3 == 0:
+                    laser = vehicle.pose.compose(Pose2(0.1, 0.0, 0.0))
+                    scan = vehicle.world.scan_from(stamp, laser)
+                    message = conversions.scan_message(MESSAGES, scan, f'{name}/laser')
+                    self.out[name, 'scan'].publish(message)
+            self.spin(0.02)
+
+    def drive_until(self, condition, seconds=30.0):
+        end = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < end, f'nothing after {seconds} s: {condition}'
+            self.drive(5)
+
+    def call(self, kind, name, request):
+        client = self.node.create_client(kind, name)
+        assert client.wait_for_service(timeout_sec=20.0), name
+        future = client.call_async(request)
+        self.executor.spin_until_future_complete(future, timeout_sec=30.0)
+        assert future.done(), name
+        return future.result()
+
+    def set_parameter(self, name, **value):
+        types = {'bool_value': 1, 'integer_value': 2, 'double_value': 3, 'string_value': 4}
+        (kind,) = value
+        parameter = Parameter(name=name, value=ParameterValue(type=types[kind], **value))
+        request = SetParameters.Request(parameters=[parameter])
+        return self.call(SetParameters, 'agent/set_parameters', request).results[0]
+
+
+def start_agent(folder, settings=None):
+    values = {
+        'vehicles': list(STARTS),
+        'start_poses': [float(v) for pose in STARTS.values() for v in pose],
+        'particles': 100,
+        'run_directory': str(folder),
+        'planner_frequency': 2.0,
+        'map_period': 0.5,
+        'landmarks_period': 0.5,
+        **(settings or {}),
+    }
+    file = folder / 'agent.yaml'
+    file.write_text(yaml.safe_dump({'/**': {'ros__parameters': values}}))
+    environment = {**one_machine_environment(), 'ROS_DOMAIN_ID': str(DOMAIN)}
+    node = NodeProcess('agent', 'agent_node', ['--ros-args', '--params-file', str(file)])
+    return NodeProcesses([node], folder / 'logs', environment)
+
+
+@pytest.fixture(scope='module')
+def live(tmp_path_factory):
+    """An agent that has heard two vehicles drive through a closed room for a while."""
+    folder = tmp_path_factory.mktemp('agent')
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=DOMAIN)
+    team = Team(context)
+    with start_agent(folder) as processes:
+        team.wait_for(lambda: 'explore/status' in team.heard, 90.0)
+        team.wait_for(lambda: all(out.get_subscription_count() for out in team.out.values()))
+        team.spin(1.0)
+        team.drive(150)
+        team.wait_for(lambda: {'map', 'map_landmarks', 'robot1/trajectory'} <= set(team.heard))
+        team.spin(2.0)
+        yield team, folder, processes
+    team.node.destroy_node()
+    rclpy.shutdown(context=context)
+
+
+def log_of(folder):
+    return (folder / 'logs' / 'agent.log').read_text()
+
+
+def test_poses_come_and_are_right(live):
+    team, _, processes = live
+    processes.check()
+    for name, vehicle in team.vehicles.items():
+        message = team.heard[f'{name}/pose']
+        assert message.header.frame_id == 'map'
+        pose = conversions.planar_pose(message.pose.pose)
+        alone = STARTS[name].compose(vehicle.odometry)
+        assert vehicle.error_of(pose) < 0.06 < vehicle.error_of(alone)
+        assert conversions.seconds(message.header.stamp) == pytest.approx(
+            team.epoch + vehicle.stamp, abs=1e-3
+        )
+
+
+def test_map_landmarks_particles_and_trajectory_come(live):
+    team, _, _ = live
+    cells, resolution, origin = conversions.grid_arrays(team.heard['map'])
+    walls = (np.argwhere(cells > 65)[:, ::-1] + 0.5) * resolution + origin
+    assert len(walls) > 200
+    assert np.median(np.abs(np.abs(walls).max(axis=1) - ROOM)) < 0.06
+    columns = conversions.cloud_columns(team.heard['map_landmarks'])
+    assert len(columns['x']) >= 50
+    assert columns['count'].max() > 3
+    assert 0 < len(team.heard['robot1/particles'].poses) <= 100
+    stamps = [
+        conversions.seconds(pose.header.stamp) for pose in team.heard['robot1/trajectory'].poses
+    ]
+    assert len(stamps) > 20
+    assert (np.diff(stamps) >= 0.0).all()
+
+
+def test_a_closed_room_is_explored(live):
+    team, _, _ = live
+    team.wait_for(lambda: 'exploration_complete' in team.statuses)
+    assert team.statuses[0] in ('exploration_started', 'exploration_in_progress')
+    assert team.heard['explore/frontiers'].markers[0].ns == 'frontiers'
+
+
+def test_diagnostics_tell_rates_and_drops(live):
+    team, _, _ = live
+    values = team.parts['agent: vehicle robot1']
+    assert float(values['effective_particles']) > 10.0
+    assert values['dropped_frames'] == '0'
+    assert int(values['associated']) > 5
+    assert int(team.parts['agent: agent']['odometry_count']) >= 300
+
+
+def test_save_map_answers_with_the_path_and_map_server_reads_it(live):
+    team, folder, _ = live
+    answer = team.call(Trigger, 'save_map', Trigger.Request())
+    assert answer.success
+    assert str(folder / 'map.yaml') in answer.message
+    assert load_map(folder / 'map.yaml').known().sum() > 5000
+    served = team.call(GetMap, 'get_map', GetMap.Request()).map
+    assert served.info.width * served.info.height == len(served.data) > 5000
+
+
+def test_malformed_messages_are_named_and_nothing_is_lost(live):
+    team, folder, processes = live
+    name, stamp = 'robot1', team.epoch + 100.0
+    camera = Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0)
+    rgb, depth = np.zeros((48, 64, 3), np.uint8), np.zeros((24, 32), np.uint16)
+    send = conversions.image_message
+    info = conversions.camera_info_message(MESSAGES, stamp, f'{name}/camera', camera)
+    scan = team.vehicles[name].world.scan_from(stamp, Pose2(0, 0, 0))
+    foreign = conversions.scan_message(MESSAGES, scan, 'robot2/laser')
+    empty = LaserScan(range_max=8.0, angle_increment=0.1)
+    held = len(conversions.cloud_columns(team.heard['map_landmarks'])['x'])
+    cloud = conversions.cloud_message(MESSAGES, stamp, name, [('x', np.zeros(2, np.float32))])
+    lost = conversions.odometry_message(
+        MESSAGES, team.vehicles[name].advance(), f'{name}/odom', f'{name}/base_link'
+    )
+    lost.pose.pose.position.x = math.nan
+    out = team.out
+
+    def images(stamp, encoding):
+        out[name, 'camera/rgb/camera_info'].publish(info)
+        team.spin(0.2)
+        color = send(MESSAGES, stamp, f'{name}/c', encoding, rgb)
+        out[name, 'camera/rgb/image_raw'].publish(color)
+        small = send(MESSAGES, stamp, f'{name}/c', '16UC1', depth)
+        out[name, 'camera/depth_registered/image_raw'].publish(small)
+
+    expected = {
+        "encoding 'yuv422', expected one of": lambda: images(stamp, 'yuv422'),
+        'depth has shape (24, 32), expected (48, 64)': lambda: images(stamp + 1.0, 'rgb8'),
+        "frame 'robot2/laser' belongs to vehicle 'robot2'": lambda: out[name, 'scan'].publish(
+            foreign
+        ),
+        'ranges has shape (0,)': lambda: out['robot2', 'scan'].publish(empty),
+        "field 'y' has 0 values": lambda: out[name, 'landmarks'].publish(cloud),
+        'pose is (nan': lambda: out[name, 'odom'].publish(lost),
+    }
+    for text, act in expected.items():
+        act()
+        team.wait_for(lambda text=text: text in log_of(folder), 20.0)
+        team.spin(5.1)  # warnings are throttled
+    processes.check()
+    team.spin(1.5)
+    assert int(team.parts['agent: vehicle robot1']['malformed']) >= 5
+    assert len(conversions.cloud_columns(team.heard['map_landmarks'])['x']) >= held
+
+
+def test_parameters_are_described_checked_and_set(live):
+    team, _, _ = live
+    request = DescribeParameters.Request(names=['resolution', 'particles', 'engine'])
+    described = team.call(DescribeParameters, 'agent/describe_parameters', request).descriptors
+    assert '[m]' in described[0].description
+    assert described[0].floating_point_range[0].from_value == pytest.approx(0.01)
+    assert described[1].integer_range[0].to_value > 1000
+    assert 'fastslam2 | paper' in described[2].additional_constraints
+    assert team.set_parameter('min_frontier_size', double_value=0.8).successful
+    refused = team.set_parameter('engine', string_value='magic')
+    assert not refused.successful
+    assert 'fastslam2' in refused.reason
+    fixed = team.set_parameter('seed', integer_value=3)
+    assert not fixed.successful
+    assert fixed.reason == 'seed: set at start only'
+
+
+def test_pause_resume_and_return_home(live):
+    team, _, _ = live
+    answer = team.call(SetBool, 'pause_new_measurements', SetBool.Request(data=True))
+    assert answer.success
+    assert 'ignored' in answer.message
+    team.call(SetBool, 'pause_new_measurements', SetBool.Request(data=False))
+    team.resume.publish(Bool(data=False))
+    team.wait_for(lambda: team.statuses[-1] == 'exploration_paused')
+    assert team.call(Trigger, 'return_home', Trigger.Request()).success
+    team.drive_until(lambda: team.statuses[-1] == 'returning_to_origin')
+    team.drive_until(lambda: len(team.heard['robot1/plan'].poses) > 1)
+    goal = conversions.plan_record(team.heard['robot1/plan'], 'robot1').goal
+    assert math.dist(goal[:2], STARTS['robot1'][:2]) < 0.2
+
+
+def test_state_is_saved_forgotten_and_loaded(live):
+    team, folder, _ = live
+    assert team.call(Trigger, 'save_state', Trigger.Request()).success
+    assert team.call(Trigger, 'reset', Trigger.Request()).success
+    team.heard.pop('map_landmarks')
+    team.wait_for(lambda: 'map_landmarks' in team.heard)
+    assert team.heard['map_landmarks'].width < 50
+    answer = team.call(Trigger, 'load_state', Trigger.Request())
+    assert answer.success, answer.message
+    assert 'state.npz' in answer.message
+    team.wait_for(lambda: team.heard['map_landmarks'].width >= 50)
+    (folder / 'state.npz').write_bytes(b'garbage')
+    answer = team.call(Trigger, 'load_state', Trigger.Request())
+    assert not answer.success
+    assert 'state cannot be loaded' in answer.message
+    team.spin(1.0)
+    assert team.heard['map_landmarks'].width >= 50
+
+
+def test_silence_is_explained(tmp_path):
+    """Nothing is connected: after five seconds the agent says which topics it misses and why."""
+    with start_agent(tmp_path, {'vehicles': ['robot8', 'robot9']}) as processes:
+        log = tmp_path / 'logs' / 'agent.log'
+        end = time.monotonic() + 90.0
+        text = 'nothing on /robot9/odom after 5 s: no publisher found'
+        while text not in log.read_text():
+            assert time.monotonic() < end
+            time.sleep(0.2)
+        processes.check()
