@@ -1,0 +1,333 @@
+"""The planner on maps drawn by hand: statuses, hysteresis, failures, bad input."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from exploration_maps import grid_of, point_of
+
+from explore_slam.exploration import (
+    ExplorationConfig,
+    ExplorationStatus,
+    Planner,
+    PlanningMode,
+    VehicleSnapshot,
+)
+from explore_slam.geometry import Pose2
+from explore_slam.mapping import OccupancyGrid
+from explore_slam.settings import settings_of, with_values
+
+HALL = """
+??????????????????????
+#####......#####..####
+#....................#
+#....................#
+?....................?
+?....................?
+#....................#
+#....................#
+######################
+"""
+CLOSED = """
+############
+#..........#
+#..........#
+#..........#
+#..........#
+############
+"""
+SIDE = 2  # cells of 0.25 m per letter
+
+
+def config(**values):
+    return with_values(
+        ExplorationConfig(), {'vehicle_radius': 0.3, 'return_to_init': False, **values}
+    )
+
+
+def snapshot(text, row, col, active=True, home=None):
+    x, y = point_of(row, col, text, cells_per_letter=SIDE)
+    return VehicleSnapshot(Pose2(x, y, 0.0), active, home)
+
+
+def team(text, *cells):
+    return {f'robot{i + 1}': snapshot(text, *cell) for i, cell in enumerate(cells)}
+
+
+def hall():
+    return grid_of(HALL, cells_per_letter=SIDE)
+
+
+STRATEGIES = ['default', 'paper', 'nearest', 'random']
+
+
+@pytest.mark.parametrize('strategy', STRATEGIES)
+def test_every_vehicle_gets_a_plan_to_a_reachable_frontier(strategy):
+    planner = Planner(config(strategy=strategy))
+    vehicles = team(HALL, (3, 4), (5, 10), (6, 17))
+    result = planner.plan(hall(), 0.0, vehicles)
+    assert result.status is ExplorationStatus.STARTED
+    assert set(result.plans) <= set(vehicles)
+    assert len(result.plans) + len(result.waiting) >= 3
+    assert result.costs.shape == (3, len(result.frontiers))
+    targets = [f.target for f in result.frontiers]
+    for name, plan in result.plans.items():
+        assert plan.vehicle == name
+        assert np.allclose(plan.waypoints[0], vehicles[name].pose[:2])
+        assert np.allclose(plan.waypoints[-1], plan.goal[:2])
+        assert math.isfinite(plan.goal.theta)
+    ends = [plan.goal[:2] for plan in result.plans.values()]
+    assert any(min(math.dist(end, t) for t in targets) < 0.01 for end in ends)
+    later = planner.plan(hall(), 1.0, vehicles)
+    assert later.status is ExplorationStatus.IN_PROGRESS
+
+
+@pytest.mark.parametrize('strategy', ['default', 'paper'])
+def test_a_team_spreads_out(strategy):
+    vehicles = team(HALL, (4, 9), (4, 11))
+    result = Planner(config(strategy=strategy)).plan(hall(), 0.0, vehicles)
+    goals = [plan.goal for plan in result.plans.values()]
+    assert len(goals) == 2
+    assert math.dist(goals[0][:2], goals[1][:2]) > 2.0
+
+
+def test_nearest_takes_the_nearest():
+    result = Planner(config(strategy='nearest')).plan(hall(), 0.0, team(HALL, (4, 2)))
+    (plan,) = result.plans.values()
+    best = int(np.argmin(result.costs[0]))
+    assert math.dist(plan.goal[:2], result.frontiers[best].target) < 0.01
+
+
+def test_random_follows_its_seed():
+    def goals(seed):
+        planner = Planner(config(strategy='random', exploration_seed=seed))
+        return [
+            tuple(planner.plan(hall(), 0.0, team(HALL, (4, 9))).plans['robot1'].goal)
+            for _ in range(1)
+        ]
+
+    assert goals(1) == goals(1)
+    assert len({tuple(goals(seed)) for seed in range(8)}) > 1
+
+
+@pytest.mark.parametrize('strategy', STRATEGIES)
+def test_an_unchanged_plan_is_the_same_object_and_goals_do_not_flip(strategy):
+    planner = Planner(config(strategy=strategy))
+    vehicles = team(HALL, (4, 9))
+    first = planner.plan(hall(), 0.0, vehicles).plans['robot1']
+    for k in range(1, 6):
+        # It wavers around its place: neither target becomes much better.
+        x, y = vehicles['robot1'].pose[:2]
+        moved = {'robot1': VehicleSnapshot(Pose2(x + 0.2 * (-1) ** k, y, 0.3 * k))}
+        assert planner.plan(hall(), float(k), moved).plans['robot1'] is first
+
+
+def test_a_path_that_the_map_closes_is_planned_anew():
+    planner = Planner(config())
+    vehicles = team(HALL, (4, 9))
+    before = planner.plan(hall(), 0.0, vehicles).plans['robot1']
+    goal = before.goal
+    middle = before.waypoints[0] * 0.5 + before.waypoints[-1] * 0.5
+    grid = hall()
+    probability, known = grid.probability().copy(), grid.known()
+    row, col = grid.to_cell([middle])[0]
+    probability[row - 1 : row + 2, col - 1 : col + 2] = 0.97
+    closed = OccupancyGrid.from_probability(probability, known, config=grid.config)
+    after = planner.plan(closed, 1.0, vehicles).plans['robot1']
+    assert after is not before
+    if math.dist(after.goal[:2], goal[:2]) < 0.5:
+        at = np.concatenate(
+            [np.linspace(p, q, 60) for p, q in itertools.pairwise(after.waypoints)]
+        )
+        assert np.hypot(*(at - closed.to_point([[row, col]])[0]).T).min() > 0.3
+
+
+def test_done_only_after_several_empty_searches():
+    grid = grid_of(CLOSED, cells_per_letter=SIDE)
+    planner = Planner(config(empty_searches=3))
+    vehicles = team(CLOSED, (2, 3))
+    found = [planner.plan(grid, float(k), vehicles) for k in range(3)]
+    assert [r.status for r in found[:2]] == [ExplorationStatus.IN_PROGRESS] * 2
+    assert found[2].status is ExplorationStatus.COMPLETE
+    assert all(r.searched and not r.plans for r in found)
+
+
+def test_a_failed_search_in_between_does_not_count():
+    grid = grid_of(CLOSED, cells_per_letter=SIDE)
+    planner = Planner(config(empty_searches=2))
+    vehicles = team(CLOSED, (2, 3))
+    planner.plan(grid, 0.0, vehicles)
+    lost = {'robot1': VehicleSnapshot(Pose2(math.nan, 0.0, 0.0))}
+    for k in range(5):
+        result = planner.plan(grid, 1.0 + k, lost)
+        assert result.status is ExplorationStatus.PAUSED
+        assert not result.searched
+        assert 'cannot search' in result.reason
+    assert planner.plan(grid, 9.0, vehicles).status is ExplorationStatus.COMPLETE
+
+
+def test_new_frontiers_end_the_end():
+    planner = Planner(config(empty_searches=1))
+    vehicles = team(CLOSED, (2, 3))
+    closed = grid_of(CLOSED, cells_per_letter=SIDE)
+    assert planner.plan(closed, 0.0, vehicles).status is ExplorationStatus.COMPLETE
+    again = planner.plan(hall(), 1.0, team(HALL, (4, 9)))
+    assert again.status is ExplorationStatus.IN_PROGRESS
+    assert again.plans
+
+
+@pytest.mark.parametrize(
+    ('grid', 'vehicles', 'reason'),
+    [
+        (OccupancyGrid(), {'a': VehicleSnapshot(Pose2(0.0, 0.0, 0.0))}, 'empty'),
+        (hall(), {}, 'valid pose'),
+        (hall(), {'a': VehicleSnapshot(Pose2(1.0, 1.0, 0.0), False)}, 'valid pose'),
+        (hall(), {'a': VehicleSnapshot(Pose2(500.0, 1.0, 0.0))}, 'free cell'),
+        (hall(), {'a': VehicleSnapshot(Pose2(math.inf, 1.0, 0.0))}, 'valid pose'),
+    ],
+)
+def test_cannot_search_is_not_done_and_keeps_the_plans(grid, vehicles, reason):
+    planner = Planner(config(empty_searches=1))
+    before = planner.plan(hall(), 0.0, team(HALL, (4, 9))).plans
+    result = planner.plan(grid, 1.0, vehicles)
+    assert result.status is ExplorationStatus.PAUSED
+    assert reason in result.reason
+    assert result.plans == before
+
+
+def test_probabilities_that_are_not_numbers_are_obstacles():
+    class Damaged:
+        def __init__(self, grid):
+            self._grid = grid
+
+        def __getattr__(self, name):
+            return getattr(self._grid, name)
+
+        def probability(self):
+            values = self._grid.probability().copy()
+            values[:, 20] = np.nan
+            return values
+
+    result = Planner(config()).plan(Damaged(hall()), 0.0, team(HALL, (4, 4)))
+    for plan in result.plans.values():
+        assert plan.waypoints[:, 0].max() < 20 * 0.25
+
+
+def test_a_vehicle_in_a_blocked_cell_starts_from_the_nearest_free_one():
+    x, y = point_of(1, 8, HALL, cells_per_letter=SIDE)
+    inside_wall = {'robot1': VehicleSnapshot(Pose2(0.6, y - 1.2, 0.0))}
+    plan = Planner(config()).plan(hall(), 0.0, inside_wall).plans['robot1']
+    assert tuple(plan.waypoints[0]) == (0.6, y - 1.2)
+    assert len(plan.waypoints) >= 2
+    del x
+
+
+def test_a_shut_in_vehicle_gets_out_through_a_tight_place():
+    tight = """
+    ?????????????
+    ###########.?
+    #....#......?
+    #....#......?
+    #...........?
+    #....#......?
+    ###########.?
+    ?????????????
+    """
+    grid = grid_of(tight, cells_per_letter=SIDE)
+    start = {'robot1': snapshot(tight, 4, 2)}
+    wide = config(vehicle_radius=0.4, tight_radius=0.2)
+    assert 'robot1' in Planner(wide).plan(grid, 0.0, start).plans
+    wall = config(vehicle_radius=0.4, tight_radius=0.4)
+    assert 'robot1' not in Planner(wall).plan(grid, 0.0, start).plans
+
+
+def test_a_target_reported_as_blocked_near_by_is_left_alone_and_tried_again_at_the_end():
+    planner = Planner(config(blacklist_radius=1.0))
+    vehicles = team(HALL, (4, 9))
+    first = planner.plan(hall(), 0.0, vehicles).plans['robot1']
+    near = {'robot1': VehicleSnapshot(Pose2(*(np.array(first.goal[:2]) - [0.9, 0.0]), 0.0))}
+    targets = []
+    for k in range(40):
+        result = planner.plan(hall(), 1.0 + k, near)
+        if result.status is ExplorationStatus.COMPLETE:
+            break
+        plan = result.plans.get('robot1')
+        if plan is not None:
+            targets.append(plan.goal[:2])
+            near = {'robot1': VehicleSnapshot(Pose2(*plan.waypoints[-1], 0.0))}
+            planner.report_blocked('robot1', plan.goal, 1.0 + k)
+    assert result.status is ExplorationStatus.COMPLETE
+    assert result.unreachable > 0
+    for target in targets:
+        times = sum(math.dist(target, other) < 0.3 for other in targets)
+        assert times <= 3 * 2
+
+
+def test_what_is_blocked_far_from_the_target_is_the_way():
+    planner = Planner(config())
+    vehicles = team(HALL, (4, 9))
+    first = planner.plan(hall(), 0.0, vehicles).plans['robot1']
+    planner.report_blocked('robot1', first.goal, 1.0)
+    second = planner.plan(hall(), 2.0, vehicles).plans['robot1']
+    assert second is not first
+    ahead = first.waypoints[0] + 0.5 * (first.waypoints[1] - first.waypoints[0]) / np.linalg.norm(
+        first.waypoints[1] - first.waypoints[0]
+    )
+    at = np.concatenate([np.linspace(p, q, 60) for p, q in itertools.pairwise(second.waypoints)])
+    assert np.hypot(*(at - ahead).T).min() > 0.1
+
+
+def test_a_lost_vehicle_leaves_its_target_to_another():
+    planner = Planner(config())
+    vehicles = team(HALL, (4, 3), (4, 17))
+    first = planner.plan(hall(), 0.0, vehicles)
+    vehicles['robot1'] = VehicleSnapshot(vehicles['robot1'].pose, False)
+    second = planner.plan(hall(), 1.0, vehicles)
+    assert 'robot1' not in second.plans
+    assert 'robot2' in second.plans
+    vehicles['robot1'] = VehicleSnapshot(vehicles['robot1'].pose, True)
+    assert set(planner.plan(hall(), 2.0, vehicles).plans) == set(first.plans)
+
+
+def test_home_again():
+    planner = Planner(config(empty_searches=1, return_to_init=True))
+    grid = grid_of(CLOSED, cells_per_letter=SIDE)
+    away = {'robot1': snapshot(CLOSED, 3, 8, True, Pose2(1.2, 1.2, 0.0))}
+    result = planner.plan(grid, 0.0, away)
+    assert result.status is ExplorationStatus.RETURNING
+    assert math.dist(result.plans['robot1'].goal[:2], (1.2, 1.2)) < 0.3
+    home = {'robot1': VehicleSnapshot(Pose2(1.2, 1.2, 0.0), True, Pose2(1.2, 1.2, 0.0))}
+    assert planner.plan(grid, 1.0, home).status is ExplorationStatus.RETURNED
+
+
+def test_home_is_where_a_vehicle_was_first_seen_unless_told():
+    planner = Planner(config())
+    start = snapshot(HALL, 4, 3)
+    planner.plan(hall(), 0.0, {'robot1': start})
+    result = planner.plan(hall(), 1.0, {'robot1': snapshot(HALL, 4, 15)}, PlanningMode.RETURN_HOME)
+    assert math.dist(result.plans['robot1'].goal[:2], start.pose[:2]) < 0.4
+
+
+def test_paused_sends_nobody_anywhere():
+    result = Planner(config()).plan(hall(), 0.0, team(HALL, (4, 3)), 'paused')
+    assert result.status is ExplorationStatus.PAUSED
+    assert not result.plans
+
+
+def test_plans_are_the_same_every_time():
+    def run():
+        planner = Planner(config())
+        vehicles = team(HALL, (3, 4), (5, 10), (6, 17))
+        return [
+            [(n, p.waypoints.tolist()) for n, p in planner.plan(hall(), k, vehicles).plans.items()]
+            for k in range(3)
+        ]
+
+    assert run() == run()
+
+
+def test_every_setting_has_a_doc_and_a_name_of_its_own():
+    names = [info.name for info, _ in settings_of(ExplorationConfig())]
+    assert len(names) == len(set(names))
+    assert all(info.doc for info, _ in settings_of(ExplorationConfig()))
