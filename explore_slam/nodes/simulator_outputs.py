@@ -27,6 +27,7 @@ from explore_slam.nodes.vehicle_support import LATCHED
 from explore_slam.simulation import SimEvent, SimulationConfig, TruePose
 
 RELIABLE = QoSProfile(depth=10)
+OPTICAL = (-0.5, 0.5, -0.5, 0.5)  # quaternion of an optical frame (REP-103): z looks ahead
 Mount = tuple[float, float, float, float, float, float, float]  # x, y, z, quaternion x, y, z, w
 
 
@@ -103,7 +104,7 @@ class VehicleOutputs:
 
     def _transform(self, stamp: float, frame: str, child: str, mount: Mount) -> None:
         if self._tf is not None:
-            message = _transform_message(stamp, frame, child, mount)
+            message = transform_message(stamp, frame, child, mount)
             self._tf.publish(self._tf_type(transforms=[message]))
 
     def publish_mounts(self, config: SimulationConfig) -> None:
@@ -114,12 +115,11 @@ class VehicleOutputs:
         mounts = {
             self._frames.laser: (laser.simulated_laser_x, 0.0, laser.simulated_laser_z)
             + (0.0, 0.0, 0.0, 1.0),
-            # optical frame (REP-103): x right, y down, z ahead
             self._frames.camera: (kinect.simulated_camera_x, 0.0, kinect.simulated_camera_z)
-            + (-0.5, 0.5, -0.5, 0.5),
+            + OPTICAL,
         }
         messages = [
-            _transform_message(0.0, base, self._name(child), mount)
+            transform_message(0.0, base, self._name(child), mount)
             for child, mount in mounts.items()
         ]
         self._static.publish(self._tf_type(transforms=messages))
@@ -130,7 +130,8 @@ def _planar(pose: Pose2) -> Mount:
     return (pose.x, pose.y, 0.0, 0.0, 0.0, math.sin(half), math.cos(half))
 
 
-def _transform_message(stamp: float, frame: str, child: str, mount: Mount) -> TransformStamped:
+def transform_message(stamp: float, frame: str, child: str, mount: Mount) -> TransformStamped:
+    """Return where a frame sits in another one."""
     message = TransformStamped()
     message.header.stamp = time_message(MESSAGES, stamp)
     message.header.frame_id = frame

@@ -258,3 +258,19 @@ def test_a_mistake_ends_the_node_with_one_message(start, parameters, world, word
     assert process.wait(timeout=30) == 1
     said = process.stdout.read()
     assert words in said
+
+
+def test_the_optical_frame_of_tf_looks_ahead():
+    from explore_slam.nodes.simulator_outputs import OPTICAL, transform_message
+
+    message = transform_message(1.5, 'robot1/base_link', 'robot1/camera', (0.1, 0, 0.4, *OPTICAL))
+    assert (message.header.frame_id, message.child_frame_id) == (
+        'robot1/base_link', 'robot1/camera',
+    )  # fmt: skip
+    assert (message.transform.translation.x, message.transform.translation.z) == (0.1, 0.4)
+    turn = message.transform.rotation
+    x, y, z, w = turn.x, turn.y, turn.z, turn.w
+    ahead = (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y))  # optical z
+    right = (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y))  # optical x
+    assert ahead == (1.0, 0.0, 0.0)
+    assert right == (0.0, -1.0, 0.0)
