@@ -51,5 +51,7 @@ def test_the_nodes_of_a_vehicle_take_their_sections_of_the_file(tmp_path):
     assert not result.successful
     assert node.set_parameters([Parameter('follow_speed', value=0.2)])[0].successful
     assert node.follower.config.follow_speed == 0.2
+    node.set_parameters([Parameter('control_frequency', value=10.0)])
+    assert node._timer.timer_period_ns == 100_000_000
     node.destroy_node()
     context.try_shutdown()
