@@ -24,7 +24,7 @@ class PaceConfig(Section):
         high=1000.0,
     )
     pose_lead: float = setting(
-        1.0,
+        0.6,
         'simulated time is at most this far ahead of the newest pose of the slowest vehicle '
         '(real_time_factor 0)',
         unit='s',
