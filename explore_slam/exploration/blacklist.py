@@ -14,12 +14,12 @@ CHANGED_SHARE = 0.02
 
 @dataclass
 class Failure:
-    """One place that did not work out: where, how often, until when, how much was known there."""
+    """One place that did not work out: where, how often, until when, how much was free there."""
 
     place: Point
     attempts: int
     until: float
-    seen: int
+    free: int
 
 
 class Blacklist:
@@ -32,15 +32,17 @@ class Blacklist:
     def __len__(self) -> int:
         return len(self._failures)
 
-    def add(self, place: Point, now: float, grid: Grid, known: NDArray[np.bool_]) -> None:
-        """Note a failure at a place (m)."""
+    def add(
+        self, place: Point, now: float, grid: Grid, free: NDArray[np.bool_], *, final: bool = False
+    ) -> None:
+        """Note a failure at a place (m); a final one is given up at once, not tried again."""
         entry = self._entry_at(place)
-        seen = self._seen_around(place, grid, known)
+        seen = self._free_around(place, grid, free)
         if entry is None:
             entry = Failure(place, 0, now, seen)
             self._failures.append(entry)
-        entry.attempts += 1
-        entry.seen = seen
+        entry.attempts = self.config.maximum_attempts if final else entry.attempts + 1
+        entry.free = seen
         entry.until = now + self.config.blacklist_expiry * 2.0 ** (entry.attempts - 1)
 
     def clear(self, place: Point) -> None:
@@ -48,12 +50,12 @@ class Blacklist:
         radius = self.config.blacklist_radius
         self._failures = [f for f in self._failures if math.dist(f.place, place) > radius]
 
-    def refresh(self, grid: Grid, known: NDArray[np.bool_]) -> None:
+    def refresh(self, grid: Grid, free: NDArray[np.bool_]) -> None:
         """Forget failures where the map has changed since."""
         kept = []
         for failure in self._failures:
-            seen = self._seen_around(failure.place, grid, known)
-            if abs(seen - failure.seen) <= self._area(grid) * CHANGED_SHARE:
+            seen = self._free_around(failure.place, grid, free)
+            if abs(seen - failure.free) <= self._area(grid) * CHANGED_SHARE:
                 kept.append(failure)
         self._failures = kept
 
@@ -81,8 +83,8 @@ class Blacklist:
     def _area(self, grid: Grid) -> int:
         return (2 * self._half(grid) + 1) ** 2
 
-    def _seen_around(self, place: Point, grid: Grid, known: NDArray[np.bool_]) -> int:
+    def _free_around(self, place: Point, grid: Grid, free: NDArray[np.bool_]) -> int:
         half = self._half(grid)
         row, col = grid.to_cell([place])[0].tolist()
-        window = known[max(0, row - half) : row + half + 1, max(0, col - half) : col + half + 1]
+        window = free[max(0, row - half) : row + half + 1, max(0, col - half) : col + half + 1]
         return int(np.count_nonzero(window))

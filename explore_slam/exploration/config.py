@@ -114,7 +114,7 @@ class AssignmentConfig(Section):
         high=100.0,
     )
     last_bonus: float = setting(
-        0.3, 'travel saved if a tour ends at an unknown area', unit='m per m²', low=0.0, high=100.0
+        0.0, 'travel saved if a tour ends at an unknown area', unit='m per m²', low=0.0, high=100.0
     )
     largest_gain: float = setting(
         60.0, 'larger unknown areas count as so large', unit='m²', low=0.0, high=10000.0

@@ -38,9 +38,11 @@ from explore_slam.geometry import Array, Pose2
 LOGGER = logging.getLogger(__name__)
 SAME_PLACE = 0.5  # m: targets this near to each other are the same
 FOLLOWS = 2.0  # m: a frontier whose target moved by no more is the same frontier, receding
+ARRIVALS = 3  # plannings at a target after which it has nothing new to show
 NEAR = 2.0  # m: a vehicle that is blocked this near to its target has failed to reach it
 BLOCKINGS = 3  # so many times blocked on the way mean the same
 BAR_AHEAD, BAR_TIME = 0.5, 60.0  # m, s: what is barred when blocked on the way, how long
+BAR_TRAFFIC = 1.5  # m: with another vehicle this near it was that vehicle that was in the way
 TRAIL = 300  # places where a vehicle has been that are remembered
 JUMP = 3.0  # m between two plannings: the pose was corrected, the trail means nothing any more
 WORTH = 0.3  # m: shorter paths up to a stop are not worth driving
@@ -72,9 +74,10 @@ class Planner:
         self._traffic = Traffic(self.config.traffic)
         self._retreats: dict[str, Plan] = {}
         self._chooser = Chooser(self.config)
-        self._failed: list[Point] = []
+        self._failed: list[tuple[Point, bool]] = []
         self._trails: dict[str, list[Point]] = {}
         self._bars: list[tuple[Point, float]] = []
+        self._dropped: list[tuple[Point, float]] = []
         self._blockings: dict[str, int] = {}
         self._poses: dict[str, Pose2] = {}
         self._empty = 0
@@ -94,10 +97,18 @@ class Planner:
         if task is None or pose is None or not far or count >= BLOCKINGS:
             self._failed.append(target)
             self._blockings[vehicle] = 0
+        if task is not None and pose is not None:
+            ahead = remaining_path(np.array(pose[:2]), task.path)
+            x, y = along(ahead, arc_lengths(ahead), np.array([BAR_AHEAD]))[0].tolist()
+            self._bar(vehicle, (x, y), now)
+
+    def _bar(self, vehicle: str, place: Point, now: float) -> None:
+        """Bar a place for a while, and for good when it is the second time; not for a vehicle."""
+        others = (pose for name, pose in self._poses.items() if name != vehicle)
+        if any(math.dist(pose[:2], place) < BAR_TRAFFIC for pose in others):
             return
-        ahead = remaining_path(np.array(pose[:2]), task.path)
-        place = along(ahead, arc_lengths(ahead), np.array([BAR_AHEAD]))[0]
-        self._bars.append(((float(place[0]), float(place[1])), now + BAR_TIME))
+        again = any(math.dist(bar, place) < SAME_PLACE for bar, _ in self._bars + self._dropped)
+        self._bars.append((place, math.inf if again else now + BAR_TIME))
 
     def plan(
         self,
@@ -109,7 +120,8 @@ class Planner:
         """Run one planning cycle at time `now` (s); see PlanningResult."""
         wanted = PlanningMode(mode)
         self._follow(vehicles)
-        self._bars = [item for item in self._bars if now < item[1]]
+        self._dropped += [bar for bar in self._bars if now >= bar[1]]
+        self._bars = [bar for bar in self._bars if now < bar[1]]
         if wanted is PlanningMode.PAUSED:
             return PlanningResult(ExplorationStatus.PAUSED, 'paused', searched=False)
         if 0 in grid.shape:
@@ -121,10 +133,9 @@ class Planner:
         if not scene.starts:
             return self._cannot_search('no vehicle stands on or near a free cell of the map')
         self._cycles += 1
-        known = ~scene.costs.unknown
-        self._blacklist.refresh(grid, known)
-        for place in self._failed:
-            self._blacklist.add(place, now, grid, known)
+        self._blacklist.refresh(grid, scene.costs.free)
+        for place, final in self._failed:
+            self._blacklist.add(place, now, grid, scene.costs.free, final=final)
         self._failed.clear()
         if wanted is PlanningMode.RETURN_HOME:
             return self._go_home(scene, ())
@@ -161,9 +172,11 @@ class Planner:
         if open_now:
             self._empty = 0
             return self._assign(scene, open_now)
-        if self._bars:
+        passing = [bar for bar in self._bars if math.isfinite(bar[1])]
+        if passing:
             # What is barred may be the only way on: that is no reason to call it done.
-            self._bars.clear()
+            self._bars = [bar for bar in self._bars if bar not in passing]
+            self._dropped += passing
             reason = 'no target beside barred places, which are tried again'
             return self._finish(scene, ExplorationStatus.IN_PROGRESS, reason, {}, {}, tuple(found))
         self._empty += 1
@@ -187,6 +200,7 @@ class Planner:
         names = tuple(scene.starts)
         costs = scene.costs_to(names, frontiers)
         kept = self._kept_targets(names, np.array([f.target for f in frontiers]))
+        self._forgive(scene, names, kept)
         changes = [
             self._tasks[n].changes if k >= 0 else 0 for n, k in zip(names, kept, strict=True)
         ]
@@ -211,6 +225,15 @@ class Planner:
         status = ExplorationStatus.STARTED if self._cycles == 1 else ExplorationStatus.IN_PROGRESS
         reason = f'{len(frontiers)} frontiers'
         return self._finish(scene, status, reason, tasks, waiting, tuple(frontiers), costs)
+
+    def _forgive(self, scene: Scene, names: tuple[str, ...], kept: list[int]) -> None:
+        """Clear the blacklist where a vehicle got to its target and left nothing to be seen."""
+        for name, index in zip(names, kept, strict=True):
+            task = self._tasks.get(name)
+            if task is not None and index < 0:
+                self._blockings[name] = 0
+                if math.dist(scene.vehicles[name].pose[:2], task.target) <= NEAR:
+                    self._blacklist.clear(task.target)
 
     def _kept_targets(self, names: tuple[str, ...], targets: Array) -> list[int]:
         """Return for each vehicle the target that continues its present one, or -1."""
@@ -246,8 +269,9 @@ class Planner:
                 old.nearest, old.since = min(remaining, old.nearest), scene.now
             old.arrivals += arrived
             late = scene.now - old.since > self.config.blacklist.progress_timeout
-            if old.arrivals > self.config.empty_searches or late:
-                self._failed.append(target)
+            if old.arrivals >= ARRIVALS or late:
+                # Whoever stood there and saw nothing new need not come again.
+                self._failed.append((target, old.arrivals >= ARRIVALS))
             elif old.right is Right.GO and not arrived:
                 ahead = remaining_path(np.array([pose.x, pose.y]), old.path)
                 if scene.is_passable(name, ahead):
