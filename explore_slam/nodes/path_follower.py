@@ -34,6 +34,7 @@ from explore_slam.nodes.vehicle_support import (
     LATCHED,
     OK,
     WARN,
+    ask_for_priority,
     changed_settings,
     declare_settings,
     diagnostics_message,
@@ -167,6 +168,7 @@ class PathFollowerNode(Node):
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the node; the entry point of the executable."""
+    ask_for_priority()
     return run_node(PathFollowerNode, arguments)
 
 

@@ -5,9 +5,7 @@ Velocities go through the safety gate in the base's thread, not in the executor'
 executor is busy with, the vehicle stops when commands or the laser fall silent.
 """
 
-import contextlib
 import logging
-import os
 import sys
 import threading
 import time
@@ -34,6 +32,7 @@ from explore_slam.nodes.vehicle_support import (
     OK,
     WARN,
     RosLogHandler,
+    ask_for_priority,
     changed_settings,
     declare_settings,
     now_seconds,
@@ -53,7 +52,6 @@ from explore_slam.vehicle.dead_reckoning import DeadReckoning
 from explore_slam.vehicle.safety import SafeVelocity, sonar_points
 
 CONTROL_PERIOD = 0.02  # s
-_NICENESS = -10  # asked for; granted to root and where limits.conf allows it
 _MOTOR_GRACE = 1.0  # s for the status to show that motors were switched on
 _SAFETY_SETTINGS = {
     'command_timeout', 'laser_timeout', 'driver_obstacle_stop', 'sonar_stop', 'guard_distance',
@@ -304,8 +302,7 @@ class PioneerDriverNode(Node):
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the node; the entry point of the executable."""
-    with contextlib.suppress(OSError):  # stopping in time comes before all else on the machine
-        os.setpriority(os.PRIO_PROCESS, 0, _NICENESS)
+    ask_for_priority()
     return run_node(PioneerDriverNode, arguments)
 
 

@@ -1,6 +1,8 @@
 """What the nodes of a vehicle share: parameters from settings, stamps, diagnostics."""
 
+import contextlib
 import logging
+import os
 import signal
 import sys
 from collections.abc import Callable, Mapping
@@ -24,6 +26,7 @@ from rclpy.signals import SignalHandlerOptions
 from explore_slam.errors import ConfigError, ExploreSlamError
 from explore_slam.settings import Section, Setting, settings_of, with_values
 
+_NICENESS = -10  # granted to root, and where limits.conf allows it
 OK, WARN, ERROR, STALE = (
     DiagnosticStatus.OK,
     DiagnosticStatus.WARN,
@@ -167,6 +170,12 @@ class StoppableNode(Protocol):
 
     def get_logger(self) -> Any:
         """Return the node's logger."""
+
+
+def ask_for_priority() -> None:
+    """Run before others where that is allowed: stopping in time comes before all else."""
+    with contextlib.suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, 0, _NICENESS)
 
 
 def run_node(make: Callable[[], StoppableNode], arguments: list[str] | None = None) -> int:

@@ -76,7 +76,7 @@ class PathFollowerConfig(Section):
         2.0, 'stop when neither plan nor pose has come for longer', unit='s', low=0.1, high=60.0
     )
     heartbeat_timeout: float = setting(
-        0.3, "stop when the agent's heartbeat, once heard, is silent for longer", unit='wall s',
+        0.25, "stop when the agent's heartbeat, once heard, is silent for longer", unit='wall s',
         low=0.15, high=60.0,
     )  # fmt: skip
     pose_timeout: float = setting(
