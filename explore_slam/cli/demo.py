@@ -140,7 +140,8 @@ def _vehicle_text(name: str, text: str, values: dict[str, str], state: 'RunState
     deviation = float(values.get('position_deviation_m', 'nan'))
     error = state.position_error(name)
     rate = float(values.get('keyframes_per_second', 'nan'))
-    return f'{name}  {doing:40.40s} pose ±{deviation:.3f} m, error {error:.3f} m  {rate:.1f} keyframes/s'
+    quality = f'pose ±{deviation:.3f} m, error {error:.3f} m'
+    return f'{name}  {doing:40.40s} {quality}  {rate:.1f} keyframes/s'
 
 
 def _summarize(live: 'LiveRun', data: 'RunData', elapsed: float) -> None:

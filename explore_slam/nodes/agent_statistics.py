@@ -1,7 +1,7 @@
 """How the agent node is doing: rates, latency, drops, effective particles, per vehicle states."""
 
 import time
-from collections import Counter, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
@@ -24,7 +24,7 @@ class AgentStatistics:
     """Collects on the worker's thread; `parts` gives what /diagnostics says."""
 
     def __init__(self) -> None:
-        self._busy: Counter[str] = Counter()
+        self._busy: defaultdict[str, float] = defaultdict(float)
         self._done: Counter[str] = Counter()
         self._keyframes: dict[str, deque[float]] = {}
         self._last: dict[str, KeyframeEvent] = {}

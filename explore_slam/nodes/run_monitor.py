@@ -9,6 +9,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid, Odometry, Path
+from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock
@@ -38,7 +39,7 @@ class LandmarkCloud:
 
     means: Array
     covariances: Array
-    counts: Array
+    counts: NDArray[np.int64]
 
 
 @dataclass
@@ -57,7 +58,7 @@ class RunState:
     messages: dict[str, int] = field(default_factory=dict)
 
     def position_error(self, vehicle: str) -> float:
-        """Return how far (m) the newest pose is from the truth of the same time; NaN if unknown."""
+        """Return how far (m) the newest pose is from the truth of its time; NaN if unknown."""
         if vehicle not in self.poses or not self.truth.get(vehicle):
             return math.nan
         stamp, pose = self.poses[vehicle]

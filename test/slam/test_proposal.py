@@ -53,7 +53,8 @@ class Scene:
         propose(
             self.slab, np.arange(self.K), self.candidates, np.zeros((self.K, 1)),
             np.zeros(self.K, bool), self.z, np.ascontiguousarray(self.R[:, *UPPER]), self.P,
-            gate, 0.0, threshold, 1.0, normals, 0, end, poses, log_weights, self.choice, self.influence,
+            gate, 0.0, threshold, 1.0, normals, 0, end, poses, log_weights, self.choice,
+            self.influence,
         )  # fmt: skip
         return poses, log_weights
 
