@@ -1,6 +1,7 @@
 """`explore_slam experiment 1|2|3|4`: the paper's experiments, beside what the paper published."""
 
 import argparse
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -30,7 +31,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         '--without-isam2', action='store_true', help='experiment 1: no yardstick, no gtsam needed'
     )
     parser.add_argument(
-        '--data', type=Path, help='experiment 2: folder of TUM RGB-D frames (tum_fr1_rpy)'
+        '--data',
+        type=Path,
+        help='experiment 2: folder of TUM RGB-D frames; without: $EXPLORE_SLAM_DATA/tum_fr1_rpy',
     )
     parser.add_argument(
         '--world', type=Path, help='experiments 2, 3, 4: world file of the simulated Kinect'
@@ -70,7 +73,14 @@ def _run_number(arguments: argparse.Namespace) -> 'ExperimentReport':
         world=arguments.world,
     )
     if arguments.number == 2:
-        return experiment2.run(experiment2.Options(options, arguments.data))
+        return experiment2.run(experiment2.Options(options, arguments.data or _recorded_frames()))
     if arguments.number == 3:
         return experiment3.run(options)
     return experiment4.run(options)
+
+
+def _recorded_frames() -> Path | None:
+    """Return the folder tum_fr1_rpy below the environment's EXPLORE_SLAM_DATA, if it is there."""
+    root = os.environ.get('EXPLORE_SLAM_DATA')
+    folder = Path(root) / 'tum_fr1_rpy' if root else None
+    return folder if folder is not None and folder.is_dir() else None
