@@ -169,4 +169,4 @@ def paint_floor(shape: Shape, resolution: float, rng: np.random.Generator) -> Im
     tones = rng.uniform(90, 112, (rows // tile + 1, columns // tile + 1, 1))
     tones = (tones * np.array([1.0, 0.97, 0.92])).astype(np.uint8)
     tiles = np.repeat(np.repeat(tones, tile, 0), tile, 1)[:rows, :columns]
-    return mottled(tiles, rng, 0.36, 0.05)
+    return mottled(tiles, rng, 0.6, 0.05)
