@@ -129,18 +129,21 @@ def _a_star(
                 size += 1
     if values[goal] == np.inf:
         return np.empty(0, np.int64), np.inf
-    length = 1
-    cell = goal
-    while cell != start:
-        cell -= offsets[came[cell]]
-        length += 1
-    path = np.empty(length, np.int64)
-    cell = goal
-    for i in range(length - 1, -1, -1):
-        path[i] = cell
-        if cell != start:
-            cell -= offsets[came[cell]]
-    return path, values[goal]
+    return _trace(came, offsets, start, goal), values[goal]
+
+
+@kernel
+def _trace(
+    came: NDArray[np.int8], offsets: NDArray[np.int64], start: int, goal: int
+) -> NDArray[np.int64]:
+    """Follow the moves that led to the goal back to the start; return the cells in order."""
+    cells = [goal]
+    while cells[-1] != start:
+        cells.append(cells[-1] - offsets[came[cells[-1]]])
+    path = np.empty(len(cells), np.int64)
+    for i in range(len(cells)):
+        path[i] = cells[len(cells) - 1 - i]
+    return path
 
 
 @kernel

@@ -3,7 +3,6 @@
 import logging
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,20 +22,18 @@ from explore_slam.exploration.records import (
     VehicleSnapshot,
 )
 from explore_slam.exploration.scene import Scene
+from explore_slam.exploration.tasks import SAME_PLACE, Task, plan_by
 from explore_slam.exploration.traffic import (
-    Grant,
     Right,
     Traffic,
     Traveler,
     along,
     arc_lengths,
-    cut,
     remaining_path,
 )
 from explore_slam.geometry import Array, Pose2
 
 LOGGER = logging.getLogger(__name__)
-SAME_PLACE = 0.5  # m: targets this near to each other are the same
 FOLLOWS = 2.0  # m: a frontier whose target moved by no more is the same frontier, receding
 ARRIVALS = 3  # plannings at a target after which it has nothing new to show
 NEAR = 2.0  # m: a vehicle that is blocked this near to its target has failed to reach it
@@ -45,22 +42,6 @@ BAR_AHEAD, BAR_TIME = 0.5, 60.0  # m, s: what is barred when blocked on the way,
 BAR_TRAFFIC = 1.5  # m: with another vehicle this near it was that vehicle that was in the way
 TRAIL = 300  # places where a vehicle has been that are remembered
 JUMP = 3.0  # m between two plannings: the pose was corrected, the trail means nothing any more
-WORTH = 0.3  # m: shorter paths up to a stop are not worth driving
-
-
-@dataclass
-class Task:
-    """What one vehicle is at: target, the path to it, what was sent of it, and how it gets on."""
-
-    target: Point
-    path: Array
-    look_at: Point | None
-    sent: Plan | None = None
-    right: Right = Right.GO
-    nearest: float = math.inf
-    since: float = 0.0
-    arrivals: int = 0
-    changes: int = 0
 
 
 class Planner:
@@ -95,7 +76,7 @@ class Planner:
         count = self._blockings[vehicle] = self._blockings.get(vehicle, 0) + 1
         far = pose is not None and math.dist(pose[:2], target) > NEAR
         if task is None or pose is None or not far or count >= BLOCKINGS:
-            self._failed.append(target)
+            self._failed.append((target, False))
             self._blockings[vehicle] = 0
         if task is not None and pose is not None:
             ahead = remaining_path(np.array(pose[:2]), task.path)
@@ -311,7 +292,9 @@ class Planner:
         plans: dict[str, Plan] = {}
         retreats: dict[str, Plan] = {}
         for name, grant in grants.items():
-            plan = self._plan_by(scene, name, tasks.get(name), grant, travelers[name])
+            plan = plan_by(
+                scene, tasks.get(name), grant, travelers[name], self._retreats.get(name)
+            )
             if grant.right is Right.RETREAT and plan is not None:
                 retreats[name] = plan
             if plan is not None:
@@ -325,40 +308,6 @@ class Planner:
         return PlanningResult(
             status, reason, plans, waiting, frontiers, names, matrix, True, unreachable
         )
-
-    def _plan_by(
-        self, scene: Scene, name: str, task: Task | None, grant: Grant, traveler: Traveler
-    ) -> Plan | None:
-        """Return the plan that a grant allows: the one in force if it still says the same."""
-        if grant.right is Right.RETREAT and grant.retreat is not None:
-            if task is not None:
-                task.right, task.sent = Right.RETREAT, None
-            before = self._retreats.get(name)
-            end = grant.retreat[-1]
-            if before is not None and math.dist(before.waypoints[-1], end) <= SAME_PLACE:
-                return before
-            return make_plan(scene, name, grant.retreat, None)
-        if task is None:
-            return None
-        if grant.right is Right.GO:
-            if task.right is not Right.GO or task.sent is None:
-                task.right = Right.GO
-                task.sent = make_plan(scene, name, traveler.points, task.look_at)
-            return task.sent
-        part = cut(traveler.points, grant.limit)
-        length = float(np.hypot(*np.diff(part, axis=0).T).sum()) if len(part) > 1 else 0.0
-        if length < WORTH:
-            task.right, task.sent = Right.STOP, None
-            return None
-        same = (
-            task.right is Right.STOP
-            and task.sent is not None
-            and math.dist(task.sent.waypoints[-1], part[-1]) <= SAME_PLACE
-        )
-        if not same:
-            task.sent = make_plan(scene, name, part, None)
-        task.right = Right.STOP
-        return task.sent
 
     def _go_home(self, scene: Scene, frontiers: tuple[Frontier, ...]) -> PlanningResult:
         tasks: dict[str, Task] = {}
@@ -384,16 +333,3 @@ class Planner:
         status = ExplorationStatus.RETURNING if tasks else ExplorationStatus.RETURNED
         reason = 'on the way home' if tasks else 'home'
         return self._finish(scene, status, reason, tasks, waiting, frontiers)
-
-
-def make_plan(scene: Scene, name: str, points: Array, look_at: Point | None) -> Plan:
-    """Make a plan of a path (W, 2) m whose goal looks at a point, or along the path."""
-    end = points[-1]
-    pose = scene.vehicles[name].pose
-    heading = pose.theta
-    if look_at is not None and math.dist(look_at, end) > 1e-6:
-        heading = math.atan2(look_at[1] - end[1], look_at[0] - end[0])
-    elif len(points) > 1 and math.dist(points[-2], end) > 1e-6:
-        heading = math.atan2(end[1] - points[-2][1], end[0] - points[-2][0])
-    goal = Pose2(float(end[0]), float(end[1]), heading)
-    return Plan(scene.now, name, goal, np.ascontiguousarray(points))

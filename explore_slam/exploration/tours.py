@@ -42,9 +42,13 @@ def plan_tours(
     vehicles, count = starts.shape
     orders = np.full((vehicles, count), -1, np.int64)
     lengths = np.zeros(vehicles, np.int64)
+    once = fixed.copy()
+    for vehicle in range(vehicles):
+        if fixed[vehicle] in fixed[:vehicle]:
+            once[vehicle] = -1  # two cannot go there first
     first = np.where(np.isfinite(starts), starts, UNREACHABLE)
     pairs = np.where(np.isfinite(between), between, UNREACHABLE)
-    cost = _make_tours(first, pairs, work, bonus, fixed, longest_weight, orders, lengths)
+    cost = _make_tours(first, pairs, work, bonus, once, longest_weight, orders, lengths)
     result = []
     for vehicle in range(vehicles):
         order = orders[vehicle, : lengths[vehicle]].tolist()
@@ -176,20 +180,46 @@ def _make_tours(
     orders: NDArray[np.int64],
     lengths: NDArray[np.int64],
 ) -> float:
-    vehicles, count = first.shape
+    vehicles = first.shape[0]
     heads = np.zeros(vehicles, np.int64)
     costs = np.zeros(vehicles)
-    open_targets = np.ones(count, np.bool_)
     for vehicle in range(vehicles):
-        target = fixed[vehicle]
-        if target >= 0 and open_targets[target]:
-            orders[vehicle, 0], lengths[vehicle], heads[vehicle] = target, 1, 1
-            open_targets[target] = False
+        if fixed[vehicle] >= 0:
+            orders[vehicle, 0], lengths[vehicle], heads[vehicle] = fixed[vehicle], 1, 1
             costs[vehicle] = _tour_cost(orders[vehicle], 1, first[vehicle], pairs, work, bonus)
+    _insert_all(first, pairs, work, bonus, heads, longest_weight, orders, lengths, costs)
+    for _ in range(ROUNDS):
+        reversed_any = _reverse_stretches(orders, lengths, heads, first, pairs, work, bonus, costs)
+        moved_any = _move_targets(
+            first, pairs, work, bonus, heads, longest_weight, orders, lengths, costs
+        )
+        if not (reversed_any or moved_any):
+            break
+    return _team_cost(costs, longest_weight)
+
+
+@kernel
+def _insert_all(
+    first: Array,
+    pairs: Array,
+    work: Array,
+    bonus: Array,
+    heads: NDArray[np.int64],
+    longest_weight: float,
+    orders: NDArray[np.int64],
+    lengths: NDArray[np.int64],
+    costs: Array,
+) -> None:
+    """Insert all targets that are in no tour yet, each time the one that is cheapest to add."""
+    vehicles, count = first.shape
+    waiting = np.ones(count, np.bool_)
+    for vehicle in range(vehicles):
+        for at in range(lengths[vehicle]):
+            waiting[orders[vehicle, at]] = False
     for _ in range(count):
         best, best_target, best_vehicle, best_at = np.inf, -1, -1, -1
         for target in range(count):
-            if open_targets[target]:
+            if waiting[target]:
                 total, vehicle, at = _best_insertion(
                     target,
                     first,
@@ -211,15 +241,7 @@ def _make_tours(
         costs[best_vehicle] = _tour_cost(
             orders[best_vehicle], lengths[best_vehicle], first[best_vehicle], pairs, work, bonus
         )
-        open_targets[best_target] = False
-    for _ in range(ROUNDS):
-        reversed_any = _reverse_stretches(orders, lengths, heads, first, pairs, work, bonus, costs)
-        moved_any = _move_targets(
-            first, pairs, work, bonus, heads, longest_weight, orders, lengths, costs
-        )
-        if not (reversed_any or moved_any):
-            break
-    return _team_cost(costs, longest_weight)
+        waiting[best_target] = False
 
 
 @kernel

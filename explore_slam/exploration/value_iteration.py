@@ -135,18 +135,16 @@ def _sweep(
     final: no move is cheaper than a bucket is wide, so a cell has its value when its bucket is up;
     otherwise a cell is queued again whenever its value falls.
     """
-    offsets = np.array(
-        [-1, 1, -stride, stride, -stride - 1, -stride + 1, stride - 1, stride + 1], np.int64
-    )
+    straight = [-1, 1, -stride, stride]
+    offsets = np.array(straight + [-stride - 1, -stride + 1, stride - 1, stride + 1])
     lengths = np.array([1.0] * 4 + [math.sqrt(2.0)] * 4)
     scale = 1.0 / width
     room = max(1024, sources.size)
     queue = np.empty((count, room), np.int32)
     filled = np.zeros(count, np.int64)
-    for source in sources:
-        values[source] = 0.0
-        queue[0, filled[0]] = source
-        filled[0] += 1
+    values[sources] = 0.0
+    queue[0, : sources.size] = sources
+    filled[0] = sources.size
     pending, number, slot = sources.size, 0, 0
     while pending > 0:
         taken = 0
