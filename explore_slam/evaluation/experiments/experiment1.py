@@ -160,7 +160,7 @@ def _summary_table(options: Options, trials: dict[Key, list[Trial]]) -> Table:
             (
                 scene, method, maps, spread((run.position_rms for run in runs), 4),
                 spread((run.heading_rms for run in runs), 4), *ratios,
-                '' if method == 'iSAM2' else f'{np.median(effective):.0f}',
+                '' if method == 'iSAM2' else f'{np.nanmedian(effective):.0f}',
                 f'{1000.0 * np.median([s for run in runs for s in run.seconds]):.1f}',
             )
         )  # fmt: skip
@@ -248,10 +248,10 @@ def _effective_figure(trials: dict[Key, list[Trial]]) -> Any:
         for method in ('paper', 'fastslam2'):
             for maps, style in (('dedicated', '--'), ('common', '-')):
                 series = np.array([run.effective for run in trials[scene, method, maps]])
-                median = np.median(series, axis=0)
+                median = np.nanmedian(series, axis=0)
                 axis.plot(median, style, color=COLORS[method], label=f'{method}, {maps} maps')
                 if maps == 'common':
-                    low, high = np.percentile(series, [10, 90], axis=0)
+                    low, high = np.nanpercentile(series, [10, 90], axis=0)
                     axis.fill_between(
                         range(len(median)), low, high, color=COLORS[method], alpha=0.15
                     )

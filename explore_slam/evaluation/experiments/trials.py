@@ -164,7 +164,8 @@ def run_trial(scenario: Scenario, estimator: Estimator) -> Trial:
         turn = float(wrap_angles(pose.theta - true.theta))
         mine.errors.append((pose.x - true.x, pose.y - true.y, turn))
         if outcome is None:
-            continue
+            before = trial.landmarks[-1] if trial.landmarks else 0
+            outcome = Outcome(0, before)
         mine.updates += outcome.updated
         mine.estimates += outcome.updated > 0
         trial.seconds.append(seconds)
