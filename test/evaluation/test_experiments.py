@@ -219,3 +219,13 @@ def test_command_refuses_what_it_does_not_know(words, capsys):
     with pytest.raises(SystemExit):
         command(*words)
     assert 'usage' in capsys.readouterr().err
+
+
+def test_step_without_observations_keeps_its_place_in_the_series():
+    scenario = draw_scenario('separate', 0, landmarks=3)
+    assert any(len(step.observations) == 0 for step in scenario.steps)
+    options = experiment1.Options(particles=20)
+    estimator = experiment1.make_estimator('fastslam2', 'common', scenario, options, 0)
+    trial = run_trial(scenario, estimator)
+    assert len(trial.effective) == len(trial.landmarks) == len(trial.seconds) == 32
+    assert np.isnan(trial.effective).any()
