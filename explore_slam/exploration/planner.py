@@ -244,8 +244,9 @@ class Planner:
         pose = scene.vehicles[name].pose
         same = old is not None and math.dist(old.target, target) <= SAME_PLACE
         if old is not None and same:
-            remaining = math.dist((pose.x, pose.y), old.target)
-            arrived = remaining <= self.config.paths.goal_tolerance
+            ahead = remaining_path(np.array([pose.x, pose.y]), old.path)
+            remaining = float(arc_lengths(ahead)[-1])
+            arrived = math.dist(pose[:2], old.target) <= self.config.paths.goal_tolerance
             if remaining < old.nearest - 0.1 or old.right is not Right.GO:
                 old.nearest, old.since = min(remaining, old.nearest), scene.now
             old.arrivals += arrived
@@ -253,18 +254,16 @@ class Planner:
             if old.arrivals >= ARRIVALS or late:
                 # Whoever stood there and saw nothing new need not come again.
                 self._failed.append((target, old.arrivals >= ARRIVALS))
-            elif old.right is Right.GO and not arrived:
-                ahead = remaining_path(np.array([pose.x, pose.y]), old.path)
-                if scene.is_passable(name, ahead):
-                    return old
+            elif old.right is Right.GO and not arrived and scene.is_passable(name, ahead):
+                return old
         parked = [scene.vehicles[n].pose for n in standing if n != name]
         path = scene.path(name, cell, scene.around_standing(name, parked))
         if path is None:
             return None
         task = Task(target, path, look_at, None, Right.GO, math.inf, scene.now)
         if old is not None and same:
-            task.nearest, task.since, task.arrivals = old.nearest, old.since, old.arrivals
-            task.changes = old.changes
+            # Another way may be longer: progress is counted anew, but the time runs on.
+            task.since, task.arrivals, task.changes = old.since, old.arrivals, old.changes
             task.sent, task.right = old.sent, old.right
             if old.right is Right.GO:
                 task.sent = None

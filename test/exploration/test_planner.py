@@ -264,6 +264,38 @@ def test_a_target_reported_as_blocked_near_by_is_left_alone_and_tried_again_at_t
         assert times <= 3 * 2
 
 
+WINDING = """
+################
+#.............##
+#.##########..##
+#.##########..##
+#.##########..##
+#.##########..##
+#.##########..##
+#.##########...?
+#.##########...?
+################
+"""
+
+
+def test_a_long_way_around_is_progress_and_standing_still_is_failure():
+    grid = grid_of(WINDING, cells_per_letter=4)
+    settings = config(progress_timeout=10.0, max_frontier_size=10.0)
+    x, y = point_of(8, 1, WINDING, cells_per_letter=4)
+    start = VehicleSnapshot(Pose2(x, y, 0.0))
+    planner = Planner(settings)
+    plan = planner.plan(grid, 0.0, {'robot1': start}).plans['robot1']
+    place = plan.waypoints
+    at = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(place, axis=0).T))])
+    for k in range(1, int(at[-1] / 0.4) - 1):
+        here = [float(np.interp(0.4 * k, at, place[:, i])) for i in (0, 1)]
+        moved = {'robot1': VehicleSnapshot(Pose2(*here, 0.0))}
+        assert planner.plan(grid, float(k), moved).plans['robot1'] is plan
+    still = Planner(settings)
+    statuses = [still.plan(grid, 2.0 * k, {'robot1': start}).status for k in range(40)]
+    assert statuses[-1] is ExplorationStatus.COMPLETE
+
+
 def test_what_is_blocked_far_from_the_target_is_the_way():
     planner = Planner(config())
     vehicles = team(HALL, (4, 9))
