@@ -9,9 +9,9 @@ import argparse
 import time
 from pathlib import Path
 
+import mrclam
 import numpy as np
 
-import mrclam
 from explore_slam.geometry import Array, Pose2
 from explore_slam.settings import with_values
 from explore_slam.slam import FastSlamConfig, OdometryNoise, TeamBelief

@@ -138,6 +138,7 @@ def restore_map(landmarks: LandmarkMap, state: State) -> None:
     if isinstance(index, KdForestIndex):
         for name in _FOREST:
             setattr(index, name, state[f'forest_{name}'].copy())
+        index.round_table(np.arange(len(index.table)))
     if isinstance(index, KdTreeIndex):
         index.restore(state['bulk'], state['tail'])
     restore_store(landmarks.rows, part('rows', state))

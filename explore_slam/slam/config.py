@@ -113,7 +113,7 @@ class FastSlamConfig(Section):
         high=1.0,
     )
     outlier_threshold: float = setting(
-        3.0,
+        4.0,
         'Engine fastslam2: residuals beyond this lose influence',
         unit='sigma',
         low=1.0,

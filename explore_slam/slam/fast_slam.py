@@ -279,7 +279,7 @@ class FastSlam:
             return True
         if effective >= self.config.resampling_threshold * self.config.particles:
             return False
-        self._resample()
+        self.resample_now()
         return True
 
     def _resample_round(self) -> None:
@@ -287,10 +287,13 @@ class FastSlam:
         self._contributed.clear()
         self._score[:] = 0.0
         self._score[int(np.argmax(self._log_weights))] = 1.0
-        self._resample()
+        self.resample_now()
 
-    def _resample(self) -> None:
-        weights = np.exp(self._log_weights)
+    def resample_now(self, weights: Array | None = None) -> None:
+        """Resample by the present weights, or by given normalized weights (M,)."""
+        self._resample(np.exp(self._log_weights) if weights is None else weights)
+
+    def _resample(self, weights: Array) -> None:
         ancestors = systematic_ancestors(weights, float(self._random.random()))
         self._descend(ancestors)
         self._log_weights[:] = -math.log(self.config.particles)

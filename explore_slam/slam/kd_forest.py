@@ -19,6 +19,11 @@ _TOP = 5
 
 Nodes = NDArray[np.int32]
 Values = NDArray[np.float32]
+Coarse = NDArray[np.int8]
+
+# Descriptors are compared in bytes first: an eighth of the memory traffic of the exact distance.
+_STEPS = 127.0
+_COARSE_MARGIN = 0.02
 
 
 @njit(cache=True, nogil=True, error_model='numpy', fastmath={'reassoc', 'nsz', 'contract'})
@@ -33,6 +38,21 @@ def _distance(
             difference = a[i] - b[i]
             part += difference * difference
         total += part
+        if total > bound:
+            break
+    return total
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
+def _coarse_distance(
+    a: Coarse, b: Coarse, bound: int
+) -> np.int32:  # pragma: no cover - compiled
+    """Squared distance of rounded descriptors, left off at the half that exceeds the bound."""
+    total = np.int32(0)
+    for begin in (0, 64):
+        for i in range(begin, begin + 64):
+            difference = np.int32(a[i]) - np.int32(b[i])
+            total += difference * difference
         if total > bound:
             break
     return total
@@ -203,6 +223,7 @@ def _pop(keys: Values, places: Nodes, size: int) -> int:  # pragma: no cover - c
 @njit(cache=True, nogil=True, error_model='numpy')
 def _search(
     table: Values,
+    coarse: Coarse,
     queries: Values,
     nodes: Nodes,
     values: Values,
@@ -216,8 +237,11 @@ def _search(
     keys = np.empty(_HEAP, np.float32)
     places = np.empty((_HEAP, 2), np.int32)
     count = ids.shape[1]
+    rounded = np.empty(DESCRIPTOR_LENGTH, np.int8)
     for q in range(len(queries)):
         query = queries[q]
+        for i in range(DESCRIPTOR_LENGTH):
+            rounded[i] = np.int8(round(query[i] * _STEPS))
         size = 0
         for tree in range(len(nodes)):
             size = _push(keys, places, size, 0.0, tree, 0)
@@ -244,6 +268,9 @@ def _search(
                     stamps[item] = q + 1
                     left -= 1
                     bound = min(np.float32(radius), distances[q, count - 1])
+                    limit = min((bound + _COARSE_MARGIN) * (_STEPS * _STEPS), 1e9)
+                    if _coarse_distance(rounded, coarse[item], int(limit)) > limit:
+                        continue
                     distance = _distance(query, table[item], bound)
                     if distance > bound or distance >= distances[q, count - 1]:
                         continue
@@ -263,6 +290,7 @@ class KdForestIndex(DescriptorTable):
     def __init__(self, trees: int = 4, checks: int = 384, seed: int = 1) -> None:
         super().__init__()
         self.checks = checks
+        self.coarse = np.zeros((0, DESCRIPTOR_LENGTH), np.int8)
         self.nodes = np.full((trees, 1, 2), -1, np.int32)
         self.values = np.zeros((trees, 1), np.float32)
         self.buckets = np.zeros((trees, 2 + BUCKET), np.int32)
@@ -274,6 +302,7 @@ class KdForestIndex(DescriptorTable):
     def add(self, ids: Ids, descriptors: Descriptors) -> None:
         """See DescriptorIndex."""
         self.store(ids, descriptors)
+        self.round_table(ids)
         trees = len(self.nodes)
         nodes = int(self.used[:trees].max()) + 2 * len(ids)
         if nodes > self.nodes.shape[1]:
@@ -285,6 +314,14 @@ class KdForestIndex(DescriptorTable):
             extra = buckets + buckets // 2 - len(self.buckets)
             self.buckets = np.pad(self.buckets, ((0, extra), (0, 0)))
         _insert(self.table, ids, self.nodes, self.values, self.buckets, self.used, self.state)
+
+    def round_table(self, ids: Ids) -> None:
+        """Set the rounded descriptors of ids from the exact ones."""
+        if len(self.coarse) < len(self.table):
+            grown = np.zeros(self.table.shape, np.int8)
+            grown[: len(self.coarse)] = self.coarse
+            self.coarse = grown
+        self.coarse[ids] = np.rint(self.table[ids] * _STEPS).astype(np.int8)
 
     def remove(self, ids: Ids) -> None:
         """See DescriptorIndex."""
@@ -301,7 +338,7 @@ class KdForestIndex(DescriptorTable):
             stamps = np.zeros(len(self.table), np.int32)
             queries = np.ascontiguousarray(descriptors, np.float32)
             _search(
-                self.table, queries, self.nodes, self.values, self.buckets, stamps,
+                self.table, self.coarse, queries, self.nodes, self.values, self.buckets, stamps,
                 radius + ROUNDING, self.checks, ids, distances,
             )  # fmt: skip
         return ids, distances

@@ -1,0 +1,350 @@
+"""Speed and memory of the belief, each as a ratio to something run beside it.
+
+python benchmarks/slam_speed.py update      one update beside one extraction of SIFT
+python benchmarks/slam_speed.py map         updates with 1,000 to 100,000 landmarks in the map
+python benchmarks/slam_speed.py paper       beside a transcription of the paper's pseudocode
+python benchmarks/slam_speed.py vehicles    1, 2, 4, 8 vehicles: time and effective particles
+python benchmarks/slam_speed.py memory      1000 particles, 100,000 landmarks, 500 resamplings
+python benchmarks/slam_speed.py index       descriptor lookups: recall and time beside brute force
+Times are the median over updates; cpu is the processor time of the process (all threads), wall
+the clock. On a machine with other work only cpu can be compared.
+"""
+
+import argparse
+import resource
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from explore_slam.data import Intrinsics, LandmarkObservations, RgbdFrame
+from explore_slam.geometry import Array, Pose2, to_world
+from explore_slam.settings import with_values
+from explore_slam.slam import FastSlam, FastSlamConfig, warm_up
+from explore_slam.slam.descriptor_index import BruteForceIndex, DescriptorIndex, KdTreeIndex
+from explore_slam.slam.kd_forest import KdForestIndex
+
+STEP = Pose2(0.1, 0.0, 0.05)
+NOISE = np.diag([0.01, 0.005, 0.01]) ** 2
+SEEN = 200
+COVARIANCE = np.diag([0.03, 0.02, 0.02]) ** 2
+
+
+def like_sift(random: np.random.Generator, count: int) -> NDArray[np.float32]:
+    """Return unit vectors with the clipping and sparseness of SIFT descriptors."""
+    rows = random.gamma(0.3, 1.0, (count, 128)).astype(np.float32)
+    rows = np.minimum(rows / np.linalg.norm(rows, axis=1, keepdims=True), 0.2)
+    return rows / np.linalg.norm(rows, axis=1, keepdims=True)
+
+
+def timed(call: Callable[[], object]) -> tuple[float, float]:
+    """Return wall and processor milliseconds of a call."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    call()
+    return 1e3 * (time.perf_counter() - wall), 1e3 * (time.process_time() - cpu)
+
+
+def median(rows: list[tuple[float, float]]) -> tuple[float, float]:
+    """Return the medians of wall and processor times."""
+    wall, cpu = np.median(np.array(rows), axis=0)
+    return float(wall), float(cpu)
+
+
+class Corridor:
+    """Landmarks in a band ahead of vehicles that circle: SEEN of them are observed each time."""
+
+    def __init__(self, seed: int = 0, seen: int = SEEN) -> None:
+        self.random = np.random.default_rng(seed)
+        self.seen = seen
+        ring = np.sort(self.random.uniform(0.0, 2.0 * np.pi, 6 * seen))
+        radius = 2.0 + self.random.uniform(1.0, 3.0, len(ring))
+        height = self.random.uniform(0.0, 1.5, len(ring))
+        self.points = np.c_[radius * np.cos(ring), radius * np.sin(ring), height]
+        self.descriptors = like_sift(self.random, len(ring))
+        self.true: dict[str, Pose2] = {}
+
+    def start(self, vehicles: int) -> dict[str, Pose2]:
+        """Return start poses evenly on a circle of 2 m, and let the vehicles stand there."""
+        angles = 2.0 * np.pi * np.arange(vehicles) / vehicles
+        self.true = {
+            f'robot{i + 1}': Pose2(2.0 * np.cos(a), 2.0 * np.sin(a), a + 0.5 * np.pi)
+            for i, a in enumerate(angles)
+        }
+        return dict(self.true)
+
+    def step(self, vehicle: str, stamp: float) -> LandmarkObservations:
+        """Drive one step and observe the nearest landmarks, descriptors as if seen again."""
+        noise = self.random.standard_normal(3) * np.sqrt(np.diag(NOISE))
+        self.true[vehicle] = self.true[vehicle].compose(Pose2(*(np.asarray(STEP) + noise)))
+        local = to_world(np.asarray(self.true[vehicle].inverse()), self.points)
+        near = np.argsort(np.hypot(local[:, 0], local[:, 1]))[: self.seen]
+        noisy = local[near] + self.random.standard_normal((self.seen, 3)) @ np.sqrt(COVARIANCE)
+        like = self.descriptors[near] + 0.03 * self.random.standard_normal((self.seen, 128))
+        like /= np.linalg.norm(like, axis=1, keepdims=True)
+        covariances = np.tile(COVARIANCE, (self.seen, 1, 1))
+        return LandmarkObservations(stamp, noisy, covariances, like.astype(np.float32))
+
+
+def make(vehicles: int, corridor: Corridor, **values: object) -> FastSlam:
+    """Make a filter with settings."""
+    config = with_values(FastSlamConfig(), {'particles': 1000} | values)
+    return FastSlam(corridor.start(vehicles), config, seed=1)
+
+
+def run_updates(
+    slam: FastSlam, corridor: Corridor, steps: int, first: int = 0
+) -> tuple[list[tuple[float, float]], list[float]]:
+    """Drive all vehicles; return the times of the updates and the effective particles."""
+    times, effective = [], []
+    for number in range(first, first + steps):
+        for vehicle in slam.vehicles:
+            seen = corridor.step(vehicle, float(number))
+            slam.predict(vehicle, STEP, NOISE)
+            times.append(timed(lambda v=vehicle, s=seen: effective.append(
+                slam.update(v, s).effective_particles
+            )))  # fmt: skip
+    return times, effective
+
+
+def extraction(folder: Path | None) -> tuple[list[RgbdFrame], str]:
+    """Return frames: recorded ones (TUM layout), or drawn ones of random shapes."""
+    import cv2
+
+    intrinsics = Intrinsics(640, 480, 517.3, 516.5, 318.6, 255.3)
+    if folder is not None:
+        rows = [line.split() for line in (folder / 'associations.txt').read_text().splitlines()]
+        rows = [row for row in rows if row and not row[0].startswith('#')][:40:2]
+        frames = []
+        for number, row in enumerate(rows):
+            names = [name for name in row if name.endswith('.png')]
+            rgb = cv2.imread(str(folder / next(n for n in names if 'rgb' in n)))[:, :, ::-1].copy()
+            depth = cv2.imread(str(folder / next(n for n in names if 'depth' in n)), -1)
+            metres = depth.astype(np.float32) / 5000.0
+            frames.append(RgbdFrame(float(number), rgb, metres, intrinsics))
+        return frames, str(folder.name)
+    random = np.random.default_rng(0)
+    frames = []
+    for number in range(10):
+        small = random.integers(0, 255, (60, 80, 3), dtype=np.uint8)
+        rgb = cv2.resize(small, (640, 480), interpolation=cv2.INTER_CUBIC)
+        depth = np.full((480, 640), 2.0, np.float32)
+        frames.append(RgbdFrame(float(number), rgb, depth, intrinsics))
+    return frames, 'drawn images'
+
+
+def compare_update(folder: Path | None) -> None:
+    """One update with 1000 particles and 200 observations beside one frame's extraction."""
+    from explore_slam.vision import CameraMount, FeatureExtractor, VisionConfig
+
+    frames, name = extraction(folder)
+    extractor = FeatureExtractor(VisionConfig(), CameraMount())
+    extractor.extract(frames[0])
+    corridor = Corridor()
+    slam = make(1, corridor)
+    run_updates(slam, corridor, 30)
+    sift, update = [], []
+    for number, frame in enumerate(frames):  # in turn, so that both meet the same load
+        sift.append(timed(lambda f=frame: extractor.extract(f)))
+        update += run_updates(slam, corridor, 1, 30 + number)[0]
+    (sw, sc), (uw, uc) = median(sift), median(update)
+    print(f'extraction of a 640 x 480 frame ({name}): wall {sw:.1f} ms, cpu {sc:.1f} ms')
+    print(f'update, 1000 particles, {SEEN} observations: wall {uw:.1f} ms, cpu {uc:.1f} ms')
+    print(f'update / extraction: wall {uw / sw:.2f}, cpu {uc / sc:.2f} (asked: at most 0.5)')
+
+
+def fill(slam: FastSlam, landmarks: int, random: np.random.Generator) -> None:
+    """Put landmarks far away into the map, as ones of an older part of the exploration."""
+    while len(slam.map) < landmarks:
+        count = min(500, landmarks - len(slam.map))
+        slots = slam.map.rows.new_slots(count)
+        data = slam.map.rows.present_data
+        points = random.uniform(20.0, 120.0, (count, 3))
+        data[slots] = 0.0
+        data[slots, :3] = points[:, :, None]
+        data[slots, 3] = data[slots, 6] = data[slots, 8] = 0.01
+        slam.map.add(slots, like_sift(random, count), 0, points)
+        for _ in range(4):
+            slam.resample_now()
+
+
+def compare_map() -> None:
+    """Updates with more and more landmarks that are not in view."""
+    base = 0.0
+    for landmarks in (1_000, 10_000, 100_000):
+        corridor = Corridor()
+        slam = make(1, corridor)
+        fill(slam, landmarks, np.random.default_rng(5))
+        run_updates(slam, corridor, 30)
+        times, _ = run_updates(slam, corridor, 40, 30)
+        wall, cpu = median(times)
+        base = base or cpu
+        print(
+            f'{len(slam.map):7d} landmarks: wall {wall:.1f} ms, cpu {cpu:.1f} ms, '
+            f'{cpu / base:.2f} of the first (asked: at most 1.3)',
+            flush=True,
+        )
+
+
+def compare_paper(landmarks: int) -> None:
+    """One step of both on the same data: 1000 particles, 2,000 landmarks, 20 observations."""
+    from paper_transcription import PaperFastSlam
+
+    corridor = Corridor(seen=20)
+    slam = make(1, corridor, engine='paper', minimum_match_quality=0.5)
+    fill(slam, landmarks, np.random.default_rng(5))
+    start = np.asarray(corridor.true['robot1'])
+    run_updates(slam, corridor, 10)
+    ours, _ = run_updates(slam, corridor, 20, 10)
+    corridor = Corridor(seen=20)
+    corridor.start(1)
+    particles = 100
+    plain = PaperFastSlam(start, particles, 1, 0.5, 0.4)
+    random = np.random.default_rng(5)
+    far, descriptors = random.uniform(20.0, 120.0, (landmarks, 3)), like_sift(random, landmarks)
+    for particle in plain.particles:
+        particle.means = far.copy()
+        particle.covariances = np.tile(0.01 * np.eye(3), (landmarks, 1, 1))
+        particle.descriptors = descriptors.astype(np.float64)
+        particle.grow_tree()
+    theirs = []
+    for number in range(3):
+        seen = corridor.step('robot1', float(number))
+        theirs.append(timed(lambda s=seen: plain.step(np.asarray(STEP), NOISE, s)))
+    (ow, oc), (tw, tc) = median(ours), median(theirs)
+    tw, tc = tw * 1000 / particles, tc * 1000 / particles
+    print(f'ours, engine paper: wall {ow:.2f} ms, cpu {oc:.2f} ms per step')
+    print(
+        f'transcription ({particles} particles run, times 1000 / {particles}): wall {tw:.0f} ms, '
+        f'cpu {tc:.0f} ms: {tc / oc:.0f} times ours (asked: at least 100)'
+    )
+
+
+def compare_vehicles() -> None:
+    """Cost per update and effective particles for more and more vehicles in one filter."""
+    base = 0.0
+    for vehicles in (1, 2, 4, 8):
+        corridor = Corridor()
+        slam = make(vehicles, corridor)
+        run_updates(slam, corridor, 10)
+        times, effective = run_updates(slam, corridor, 40 // vehicles + 5, 10)
+        wall, cpu = median(times)
+        base = base or cpu
+        print(
+            f'{vehicles} vehicles: wall {wall:.1f} ms, cpu {cpu:.1f} ms per update, '
+            f'{cpu * vehicles / base:.2f} x per round of all, effective particles '
+            f'{np.mean(effective):.0f} of 1000 (least {np.min(effective):.0f})',
+            flush=True,
+        )
+
+
+def show_memory() -> None:
+    """200 new landmarks before each of 500 resamplings of 1000 particles."""
+    corridor = Corridor()
+    slam = make(1, corridor)
+    random = np.random.default_rng(3)
+    weights = random.exponential(size=1000)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    for _ in range(500):
+        count = 200
+        slots = slam.map.rows.new_slots(count)
+        data = slam.map.rows.present_data
+        points = random.uniform(-50.0, 50.0, (count, 3))
+        data[slots] = 0.01
+        data[slots, :3] = points[:, :, None]
+        slam.map.add(slots, like_sift(random, count), 0, points)
+        weights = random.exponential(size=1000)
+        slam.resample_now(weights / weights.sum())
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    rows = slam.map.rows
+    print(
+        f'{len(slam.map)} landmarks, 1000 particles, 500 resamplings: rows '
+        f'{rows.rows_held() / len(slam.map):.1f} per landmark, slabs {rows.memory() / 2**20:.0f} '
+        f'MiB; process: peak {peak:.0f} MiB, {before:.0f} MiB of it before (asked: at most 1024)'
+    )
+
+
+class FlannIndex:
+    """FLANN's randomized kd-forest of OpenCV, built once over all."""
+
+    def __init__(self, rows: NDArray[np.float32]) -> None:
+        import cv2
+
+        cv2.setRNGSeed(1)
+        self.matcher = cv2.FlannBasedMatcher({'algorithm': 1, 'trees': 4}, {'checks': 64})
+        self.matcher.add([rows])
+        self.matcher.train()
+
+    def query(self, rows: NDArray[np.float32], count: int) -> NDArray[np.int64]:
+        """Return the nearest ids (K, count)."""
+        found = self.matcher.knnMatch(rows, k=count)
+        return np.array([[match.trainIdx for match in row] for row in found])
+
+
+def compare_index() -> None:
+    """Recall of the nearest within E0 against brute force, time of 200 queries, of building."""
+    for landmarks in (1_000, 10_000, 100_000):
+        random = np.random.default_rng(2)
+        rows = like_sift(random, landmarks)
+        queries = rows[random.choice(landmarks, 200)] + 0.04 * random.standard_normal((200, 128))
+        queries = (queries / np.linalg.norm(queries, axis=1, keepdims=True)).astype(np.float32)
+        brute = BruteForceIndex()
+        brute.add(np.arange(landmarks), rows)
+        exact, _ = brute.query(queries, 0.4, 1)
+        kinds: list[tuple[str, DescriptorIndex]] = [
+            ('forest', KdForestIndex()),
+            ('brute force', BruteForceIndex()),
+        ]
+        if landmarks <= 10_000:
+            kinds.append(('scipy kd-tree', KdTreeIndex()))
+        for name, index in kinds:
+            step = 200 if name == 'forest' else landmarks
+
+            def build(index: DescriptorIndex = index, step: int = step) -> None:
+                for begin in range(0, landmarks, step):
+                    ids = np.arange(begin, begin + step)
+                    index.add(ids, rows[ids])
+
+            _, built = timed(build)
+            index.query(queries, 0.4, 1)
+            spent = median([timed(lambda i=index: i.query(queries, 0.4, 1)) for _ in range(5)])
+            recall = np.mean(index.query(queries, 0.4, 1)[0] == exact)
+            print(
+                f'{landmarks:6d} landmarks, {name}: recall {recall:.3f}, 200 queries cpu '
+                f'{spent[1]:.1f} ms, building cpu {built:.0f} ms',
+                flush=True,
+            )
+        flann = FlannIndex(rows)
+        spent = median([timed(lambda f=flann: f.query(queries, 1)) for _ in range(5)])
+        recall = np.mean(flann.query(queries, 1) == exact)
+        print(f'{landmarks:6d} landmarks, FLANN (64 checks): recall {recall:.3f}, 200 queries cpu '
+              f'{spent[1]:.1f} ms', flush=True)  # fmt: skip
+
+
+def main() -> None:
+    """Run one comparison."""
+    parser = argparse.ArgumentParser(description=__doc__.split('\n')[0])
+    parser.add_argument(
+        'what', choices=('update', 'map', 'paper', 'vehicles', 'memory', 'index', 'all')
+    )
+    parser.add_argument('--frames', type=Path, help='folder of frames in the layout of TUM RGB-D')
+    parser.add_argument('--landmarks', type=int, default=2000, help='for paper')
+    arguments = parser.parse_args()
+    warm_up()
+    what = arguments.what
+    calls: dict[str, Callable[[], None]] = {
+        'update': lambda: compare_update(arguments.frames),
+        'map': compare_map,
+        'paper': lambda: compare_paper(arguments.landmarks),
+        'vehicles': compare_vehicles,
+        'index': compare_index,
+        'memory': show_memory,
+    }
+    for name, call in calls.items():
+        if what in (name, 'all'):
+            call()
+
+
+if __name__ == '__main__':
+    main()
