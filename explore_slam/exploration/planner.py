@@ -213,7 +213,8 @@ class Planner:
             task = self._tasks.get(name)
             if task is not None and index < 0:
                 self._blockings[name] = 0
-                if math.dist(scene.vehicles[name].pose[:2], task.target) <= NEAR:
+                near = math.dist(scene.vehicles[name].pose[:2], task.target) <= NEAR
+                if near and not self._blacklist.blocks(task.target, scene.now):
                     self._blacklist.clear(task.target)
 
     def _kept_targets(self, names: tuple[str, ...], targets: Array) -> list[int]:
