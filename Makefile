@@ -43,6 +43,8 @@ $(VENV)/.ready: requirements.txt requirements-ros.txt setup.py package.xml $(CON
 	@$(PIP) install -q -r requirements.txt -r requirements-ros.txt $(if $(CONSTRAINTS),-c $(CONSTRAINTS)) 'setuptools<80' 2> >(grep -v 'is ignored: it is neither' >&2)
 	@$(PIP) install -q --no-deps --no-build-isolation -e .
 	@tools/check_libraries $(PY)
+	@echo "Compiling kernels (once) ..."
+	@$(PY) -c 'from explore_slam.agent import warm_up; warm_up()'
 	@touch $@
 
 $(VENV)/.ready-dev: requirements-dev.txt $(VENV)/.ready

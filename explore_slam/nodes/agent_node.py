@@ -70,7 +70,8 @@ class AgentNode(Node):
         self._offer_services()
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._heartbeat = Heartbeat(self, self.config.vehicles)
-        self._due = dict.fromkeys(('plan', 'map', 'landmarks', 'pose'), -np.inf)
+        self._due = dict.fromkeys(('plan', 'map', 'landmarks'), -np.inf)
+        self._posed = dict.fromkeys(self.config.vehicles, -np.inf)
         self._reported = time.monotonic()
         self._silence_timer = self.create_timer(
             SILENCE, self._explain_silence, clock=Clock(clock_type=ClockType.STEADY_TIME)
@@ -193,6 +194,7 @@ class AgentNode(Node):
                     with self.statistics.timed(item.kind):
                         item.take(item.payload)
                 self._publish_keyframes(item)
+                self._publish_newer_poses(item is None)
                 self._do_what_is_due()
                 self._publish_diagnostics()
             except ExploreSlamError as error:
@@ -213,11 +215,23 @@ class AgentNode(Node):
             )
             self.statistics.add_keyframe(event, now, received)
 
+    def _publish_newer_poses(self, idle: bool) -> None:
+        """Publish poses that moved on by pose_period of odometry, or at all when nothing waits.
+
+        By odometry and not by the clock: a simulator that waits for poses holds the clock.
+        """
+        period = 0.0 if idle else self.config.pose_period
+        for vehicle, track in self.agent.tracks.items():
+            moved_on = track.odometry.last - self._posed[vehicle]
+            if moved_on > period or moved_on < 0.0:  # below zero: the clock jumped back
+                self._publish_pose(vehicle)
+
     def _publish_pose(self, vehicle: str) -> None:
         track = self.agent.tracks[vehicle]
         stamp = track.odometry.last
         if not np.isfinite(stamp):
             return
+        self._posed[vehicle] = stamp
         pose, covariance = self.agent.estimate(vehicle)
         self.outputs.pose(vehicle, stamp, pose, covariance)
         self.outputs.transform(vehicle, stamp, pose, track.odometry.pose)
@@ -232,10 +246,7 @@ class AgentNode(Node):
         now = now_seconds(self)
         if now == 0.0:  # simulated time has not begun
             return
-        if self._is_due('pose', self.config.pose_period, now):
-            self.agent.advance(now)
-            for vehicle in self.agent.vehicles:
-                self._publish_pose(vehicle)
+        self.agent.advance(now)
         if self._is_due('plan', 1.0 / self.config.planner_frequency, now):
             self._plan(now)
         if self._is_due('map', self.config.map_period, now):

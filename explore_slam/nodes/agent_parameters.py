@@ -34,7 +34,7 @@ class AgentNodeConfig(Section):
         5.0, 'time between published landmarks and trajectories', unit='s', low=0.1, high=3600.0
     )
     pose_period: float = setting(
-        0.2, 'time between poses while no keyframe comes', unit='s', low=0.02, high=10.0
+        0.2, 'odometry time between poses while no keyframe comes', unit='s', low=0.02, high=10.0
     )
     frame_queue: int = setting(
         4, 'frames per vehicle that may wait for the agent; the oldest gives way', low=1, high=1000

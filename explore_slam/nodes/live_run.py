@@ -45,7 +45,7 @@ NUMBERS = (
 # emulated devices send the newest record at their own pace: it must be fresh
 HARDWARE_RATES = {'simulated_scan_rate': 25.0, 'simulated_odometry_rate': 50.0}
 SIM_TIME = {'use_sim_time': True}
-START_LIMIT = 90.0  # wall s in which all nodes must have begun to talk
+START_LIMIT = 240.0  # wall s in which all nodes must have begun to talk
 
 
 @dataclass(frozen=True)
