@@ -49,6 +49,8 @@ setup(
             'path_follower = explore_slam.nodes.path_follower:main',
             'feature_extractor = explore_slam.nodes.feature_extractor:main',
             'simulator = explore_slam.nodes.simulator:main',
+            'recorder = explore_slam.nodes.recorder:main',
+            'player = explore_slam.nodes.player:main',
         ],
     },
 )

@@ -11,6 +11,7 @@ import pytest
 REPOSITORY = Path(__file__).resolve().parents[1]
 EXECUTABLES = {
     'explore_slam', 'agent', 'pioneer_driver', 'path_follower', 'feature_extractor', 'simulator',
+    'recorder', 'player',
 }  # fmt: skip
 COLCON = Path(sys.executable).with_name('colcon')
 
