@@ -69,10 +69,11 @@ def cast_beams(
         px, py = (pose[0] - origin[0]) / resolution, (pose[1] - origin[1]) / resolution
         col, row = math.floor(px), math.floor(py)
         step_x, step_y = (1 if dx > 0.0 else -1), (1 if dy > 0.0 else -1)
-        delta_x = resolution / abs(dx) if dx != 0.0 else np.inf
-        delta_y = resolution / abs(dy) if dy != 0.0 else np.inf
-        next_x = ((col + 1 - px) if dx > 0.0 else (px - col)) * delta_x if dx != 0.0 else np.inf
-        next_y = ((row + 1 - py) if dy > 0.0 else (py - row)) * delta_y if dy != 0.0 else np.inf
+        along_x, along_y = abs(dx) > 1e-12, abs(dy) > 1e-12
+        delta_x = resolution / abs(dx) if along_x else np.inf
+        delta_y = resolution / abs(dy) if along_y else np.inf
+        next_x = ((col + 1 - px) if dx > 0.0 else (px - col)) * delta_x if along_x else np.inf
+        next_y = ((row + 1 - py) if dy > 0.0 else (py - row)) * delta_y if along_y else np.inf
         entered = 0.0
         ranges[beam] = limit if hit_body else np.inf
         while entered <= limit:

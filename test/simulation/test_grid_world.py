@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from explore_slam.data import Plan
@@ -37,6 +37,7 @@ def distance_to_walls(pose, angle):
 
 @settings(max_examples=50, deadline=None)
 @given(st.floats(0.6, 4.4), st.floats(0.6, 3.4), st.floats(-math.pi, math.pi))
+@example(1.0, 1.0, -5e-324)
 def test_beams_in_an_empty_room_end_in_its_walls(x, y, theta):
     pose = Pose2(x, y, theta)
     simulator = GridSimulator(GridWorld.from_drawing(ROOM), {'a': pose}, EXACT)
