@@ -46,8 +46,8 @@ def plan_tours(
     for vehicle in range(vehicles):
         if fixed[vehicle] in fixed[:vehicle]:
             once[vehicle] = -1  # two cannot go there first
-    first = np.where(np.isfinite(starts), starts, UNREACHABLE)
-    pairs = np.where(np.isfinite(between), between, UNREACHABLE)
+    first = np.ascontiguousarray(np.where(np.isfinite(starts), starts, UNREACHABLE))
+    pairs = np.ascontiguousarray(np.where(np.isfinite(between), between, UNREACHABLE))
     cost = _make_tours(first, pairs, work, bonus, once, longest_weight, orders, lengths)
     result = []
     for vehicle in range(vehicles):
