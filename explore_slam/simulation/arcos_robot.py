@@ -25,6 +25,31 @@ _BAUD_OF_CODE = {0: 9600, 1: 19200, 2: 38400, 3: 57600, 4: 115200}
 _RATE_PROBATION = 0.9  # s in which the host must talk at a new rate
 
 
+def _stock_configuration() -> bytes:
+    """Return what follows the name in a CONFIG packet, as a stock P3-DX has it."""
+    layout: tuple[tuple[int, tuple[int, ...]], ...] = (
+        # status period (ms), rates of host and aux, gripper and front sonar, rear sonar
+        (1, (round(1000 * STATUS_PERIOD), 0, 0)), (2, (0, 1)), (1, (0,)),
+        # low battery (0.1 V), counts per turn, watchdog (ms), motor packets
+        (2, (110, 16570, round(1000 * WATCHDOG))), (1, (0,)),
+        # stall value and count, joystick speeds, maximum turn and speed
+        (2, (200, 200, 750, 100, 150, 1000)),
+        # turn acceleration, deceleration (°/s²), gains; the same of translation (mm/s²)
+        (2, (100, 100, 40, 20, 0, 300, 300, 40, 20, 0)),
+        # front and rear bumpers, charger, sonar cycle (2 ms), reset of the rate, gyro
+        (1, (0, 0, 0, 20, 0, 0)),
+        # drift, rates of aux 2 and 3, ticks per mm, shutdown voltage (0.1 V)
+        (2, (0,)), (1, (0, 0)), (2, (128, 100)),
+    )  # fmt: skip
+    numbers = b''.join(
+        value.to_bytes(size, 'little') for size, values in layout for value in values
+    )
+    return numbers + b'3.0\0' + bytes(4)  # firmware, gyro factors
+
+
+_CONFIGURATION = _stock_configuration()
+
+
 class Body(Protocol):
     """What the controller moves: a simulated vehicle, or anything with these."""
 
@@ -297,10 +322,8 @@ class ArcosRobot:
         _, robot_class, subclass = self.identity
         texts = b'\0'.join((robot_class.encode(), subclass.encode(), b'SIM_0001')) + b'\0'
         tops = b''.join(value.to_bytes(2, 'little') for value in (500, 2200, 300, 2000, 500))
-        periods = bytes([round(1000 * STATUS_PERIOD), 0, 0]) + bytes(5) + bytes([110, 0])
-        rest = (16570).to_bytes(2, 'little') + round(1000 * WATCHDOG).to_bytes(2, 'little')
         name = self.identity[0].encode() + b'\0'
-        return bytes([CONFIG_PACKET]) + texts + bytes(1) + tops + name + periods + rest
+        return bytes([CONFIG_PACKET]) + texts + bytes(1) + tops + name + _CONFIGURATION
 
 
 def _int16(value: int) -> bytes:
