@@ -15,7 +15,7 @@ ROBOTS = 5
 
 @dataclass(frozen=True)
 class Recording:
-    """One robot: odometry (n, 3) t v ω; measurements (m, 4) t subject range bearing; truth t x y θ."""
+    """One robot: odometry t v ω; measurements t, subject, range, bearing; truth t x y θ (rows)."""
 
     odometry: Array
     measurements: Array
@@ -134,9 +134,9 @@ def covariances(ranges: Array, bearings: Array, sr: float, sr_part: float, sb: f
     return J @ Q @ J.transpose(0, 2, 1)
 
 
-def observations(stamp: float, measured: Array, noise: tuple[float, float, float]) -> tuple[
-    LandmarkObservations, list[VehicleSighting]
-]:
+def observations(
+    stamp: float, measured: Array, noise: tuple[float, float, float]
+) -> tuple[LandmarkObservations, list[VehicleSighting]]:
     """Turn measurements into landmark observations (bar code = descriptor) and sightings."""
     subject, distance, bearing = measured.T
     xy = np.stack([distance * np.cos(bearing), distance * np.sin(bearing)], axis=1)

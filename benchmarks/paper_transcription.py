@@ -39,7 +39,7 @@ class PaperFastSlam:
         self.P0, self.E0 = P0, E0
 
     def step(self, increment: Array, covariance: Array, seen: LandmarkObservations) -> None:
-        """Steps 1 to 6 of the pseudocode."""
+        """Run steps 1 to 6 of the pseudocode."""
         for particle in self.particles:
             noisy = increment + self.random.multivariate_normal(np.zeros(3), covariance)
             x, y, theta = particle.pose
@@ -52,10 +52,7 @@ class PaperFastSlam:
                 ]
             )
             particle.weight = 1.0
-            new = []
-            for k in range(len(seen)):
-                if not self._associate(particle, seen, k):
-                    new.append(k)
+            new = [k for k in range(len(seen)) if not self._associate(particle, seen, k)]
             self._insert(particle, seen, new)
         weights = np.array([particle.weight for particle in self.particles])
         chosen = self.random.choice(len(weights), len(weights), p=weights / weights.sum())

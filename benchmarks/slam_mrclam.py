@@ -1,6 +1,6 @@
 """Real data: five robots of MR.CLAM set 6, online, common and dedicated maps, several seeds.
 
-python benchmarks/slam_mrclam.py FOLDER [--seeds 10] [--particles 300] [--maps common] [--sightings]
+python benchmarks/slam_mrclam.py FOLDER [--seeds 10] [--particles 500] [--sightings]
 Prints per seed the RMS position of each robot (m, mean over robots last), the greatest error and
 the RMS of the landmarks, in the frame of the true start poses, without any alignment.
 """
@@ -68,7 +68,7 @@ def main() -> None:
     parser.add_argument('folder', type=Path)
     parser.add_argument('--seeds', type=int, default=10)
     parser.add_argument('--first', type=int, default=0)
-    parser.add_argument('--particles', type=int, default=300)
+    parser.add_argument('--particles', type=int, default=500)
     parser.add_argument('--maps', default='common', choices=('common', 'dedicated'))
     parser.add_argument('--sightings', action='store_true')
     parser.add_argument('--set', nargs='*', default=[], metavar='NAME=VALUE')

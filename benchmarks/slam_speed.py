@@ -20,10 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.data import Intrinsics, LandmarkObservations, RgbdFrame
-from explore_slam.geometry import Array, Pose2, to_world
+from explore_slam.geometry import Pose2, to_world
 from explore_slam.settings import with_values
 from explore_slam.slam import FastSlam, FastSlamConfig, warm_up
-from explore_slam.slam.descriptor_index import BruteForceIndex, DescriptorIndex, KdTreeIndex
+from explore_slam.slam.descriptor_index import (
+    BruteForceIndex,
+    DescriptorIndex,
+    Descriptors,
+    KdTreeIndex,
+)
 from explore_slam.slam.kd_forest import KdForestIndex
 
 STEP = Pose2(0.1, 0.0, 0.05)
@@ -170,7 +175,7 @@ def fill(slam: FastSlam, landmarks: int, random: np.random.Generator) -> None:
 
 
 def compare_map() -> None:
-    """Updates with more and more landmarks that are not in view."""
+    """Time updates with more and more landmarks that are not in view."""
     base = 0.0
     for landmarks in (1_000, 10_000, 100_000):
         corridor = Corridor()
@@ -282,44 +287,44 @@ class FlannIndex:
         return np.array([[match.trainIdx for match in row] for row in found])
 
 
+def lookup(index: DescriptorIndex, rows: Descriptors, queries: Descriptors, batch: int) -> str:
+    """Fill an index in batches; return recall of the nearest within E0, and times, as text."""
+
+    def build() -> None:
+        for begin in range(0, len(rows), batch):
+            ids = np.arange(begin, begin + batch)
+            index.add(ids, rows[ids])
+
+    _, built = timed(build)
+    index.query(queries, 0.4, 1)
+    spent = median([timed(lambda: index.query(queries, 0.4, 1)) for _ in range(5)])
+    recall = recall_of(index.query(queries, 0.4, 1)[0], rows, queries)
+    return f'recall {recall:.3f}, 200 queries cpu {spent[1]:.1f} ms, building cpu {built:.0f} ms'
+
+
+def recall_of(found: NDArray[np.int64], rows: Descriptors, queries: Descriptors) -> float:
+    """Return the part of queries whose nearest of all rows was found."""
+    brute = BruteForceIndex()
+    brute.add(np.arange(len(rows)), rows)
+    return float(np.mean(found == brute.query(queries, 0.4, 1)[0]))
+
+
 def compare_index() -> None:
     """Recall of the nearest within E0 against brute force, time of 200 queries, of building."""
     for landmarks in (1_000, 10_000, 100_000):
         random = np.random.default_rng(2)
         rows = like_sift(random, landmarks)
-        queries = rows[random.choice(landmarks, 200)] + 0.04 * random.standard_normal((200, 128))
+        queries = rows[random.choice(landmarks, 200)] + 0.03 * random.standard_normal((200, 128))
         queries = (queries / np.linalg.norm(queries, axis=1, keepdims=True)).astype(np.float32)
-        brute = BruteForceIndex()
-        brute.add(np.arange(landmarks), rows)
-        exact, _ = brute.query(queries, 0.4, 1)
-        kinds: list[tuple[str, DescriptorIndex]] = [
-            ('forest', KdForestIndex()),
-            ('brute force', BruteForceIndex()),
-        ]
+        print(f'{landmarks} landmarks')
+        print('  forest:', lookup(KdForestIndex(), rows, queries, 200), flush=True)
+        print('  brute force:', lookup(BruteForceIndex(), rows, queries, landmarks), flush=True)
         if landmarks <= 10_000:
-            kinds.append(('scipy kd-tree', KdTreeIndex()))
-        for name, index in kinds:
-            step = 200 if name == 'forest' else landmarks
-
-            def build(index: DescriptorIndex = index, step: int = step) -> None:
-                for begin in range(0, landmarks, step):
-                    ids = np.arange(begin, begin + step)
-                    index.add(ids, rows[ids])
-
-            _, built = timed(build)
-            index.query(queries, 0.4, 1)
-            spent = median([timed(lambda i=index: i.query(queries, 0.4, 1)) for _ in range(5)])
-            recall = np.mean(index.query(queries, 0.4, 1)[0] == exact)
-            print(
-                f'{landmarks:6d} landmarks, {name}: recall {recall:.3f}, 200 queries cpu '
-                f'{spent[1]:.1f} ms, building cpu {built:.0f} ms',
-                flush=True,
-            )
+            print('  scipy kd-tree:', lookup(KdTreeIndex(), rows, queries, landmarks), flush=True)
         flann = FlannIndex(rows)
-        spent = median([timed(lambda f=flann: f.query(queries, 1)) for _ in range(5)])
-        recall = np.mean(flann.query(queries, 1) == exact)
-        print(f'{landmarks:6d} landmarks, FLANN (64 checks): recall {recall:.3f}, 200 queries cpu '
-              f'{spent[1]:.1f} ms', flush=True)  # fmt: skip
+        spent = median([timed(lambda f=flann, q=queries: f.query(q, 1)) for _ in range(5)])
+        recall = recall_of(flann.query(queries, 1), rows, queries)
+        print(f'  FLANN (64 checks): recall {recall:.3f}, 200 queries cpu {spent[1]:.1f} ms')
 
 
 def main() -> None:

@@ -39,7 +39,7 @@ class AssociationConfig(Section):
     )
     forest_trees: int = setting(4, 'Trees of the randomized kd-forest', low=1, high=16)
     forest_checks: int = setting(
-        384, 'Descriptors compared per query of the forest', low=16, high=100_000
+        256, 'Descriptors compared per query of the forest', low=16, high=100_000
     )
     maximum_observations: int = setting(
         1000, 'Most observations taken in one update', low=1, high=10_000
@@ -107,7 +107,7 @@ class FastSlamConfig(Section):
         high=20.0,
     )
     resampling_threshold: float = setting(
-        0.5,
+        0.25,
         'Resample when the effective particles drop below this part of all (engine fastslam2)',
         low=0.0,
         high=1.0,

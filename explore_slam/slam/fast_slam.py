@@ -21,7 +21,12 @@ from explore_slam.slam.map_keeper import MapKeeper, support
 from explore_slam.slam.motion import PendingMotion, rotated
 from explore_slam.slam.path_store import PathStore
 from explore_slam.slam.recovery import Recovery
-from explore_slam.slam.resampling import effective_particles, normalized, systematic_ancestors
+from explore_slam.slam.resampling import (
+    effective_particles,
+    normalized,
+    stratified_normals,
+    systematic_ancestors,
+)
 from explore_slam.slam.row_store import RowStore
 from explore_slam.slam.sighting import sight
 
@@ -136,7 +141,7 @@ class FastSlam:
         data = self.map.rows.present_data
         random = self._random.bit_generator.state
         poses, P = self._settled(number)
-        normals = self._random.standard_normal((self.config.particles, 3))
+        normals = stratified_normals(self._random, self.config.particles, 3)
         engine = engines.paper if self.config.engine == 'paper' else engines.fastslam2
         log_weights = engine(sighted, data, poses, P, normals, self.config)
         if not (np.isfinite(poses).all() and np.isfinite(log_weights).all()):
@@ -190,7 +195,7 @@ class FastSlam:
         seer, seer_P = self._settled(number)
         motion = self._pending[other]
         seen = compose(self._poses[other], np.asarray(motion.mean))
-        normals = self._random.standard_normal((self.config.particles, 3))
+        normals = stratified_normals(self._random, self.config.particles, 3)
         log_weights, left = np.zeros(self.config.particles), np.empty((3, 3))
         sight(
             seer, seer_P, seen, motion.end_covariance(), sighting.position, sighting.covariance,

@@ -44,9 +44,7 @@ def _distance(
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
-def _coarse_distance(
-    a: Coarse, b: Coarse, bound: int
-) -> np.int32:  # pragma: no cover - compiled
+def _coarse_distance(a: Coarse, b: Coarse, bound: int) -> np.int32:  # pragma: no cover - compiled
     """Squared distance of rounded descriptors, left off at the half that exceeds the bound."""
     total = np.int32(0)
     for begin in (0, 64):
@@ -287,7 +285,7 @@ def _search(
 class KdForestIndex(DescriptorTable):
     """Randomized kd-forest: log N per query, recall near one; see DescriptorIndex."""
 
-    def __init__(self, trees: int = 4, checks: int = 384, seed: int = 1) -> None:
+    def __init__(self, trees: int = 4, checks: int = 256, seed: int = 1) -> None:
         super().__init__()
         self.checks = checks
         self.coarse = np.zeros((0, DESCRIPTOR_LENGTH), np.int8)

@@ -11,6 +11,7 @@ import numpy as np
 
 from explore_slam.geometry import IDENTITY, Array, Pose2, compose
 from explore_slam.settings import Section, setting
+from explore_slam.slam.resampling import stratified_normals
 
 
 @dataclass(frozen=True)
@@ -135,7 +136,7 @@ class PendingMotion:
             if uncertain:
                 deviation = 0.5 * heading_limit if number == last else 0.0
                 direction, rest = split_heading(noise, deviation)
-                factors = random.standard_normal(len(poses))
+                factors = stratified_normals(random, len(poses), 1)[:, 0]
                 moves = moves + factors[:, None] * direction
             poses = compose(poses, moves)
             total, left = compound(total, left, mean, rest)

@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from explore_slam.geometry import Array
 
@@ -17,6 +18,17 @@ def normalized(log_weights: Array) -> tuple[Array, Array]:
 def effective_particles(weights: Array) -> float:
     """Return 1 / Σ w² of normalized weights (M,): between 1 and M."""
     return float(1.0 / np.sum(weights * weights))
+
+
+def stratified_normals(random: np.random.Generator, particles: int, dimensions: int) -> Array:
+    """Return standard normal samples (M, D), a Latin hypercube: each dimension evenly covered.
+
+    Less of the estimate's variance comes from the draw than with independent samples.
+    """
+    strata = np.tile(np.arange(particles), (dimensions, 1))
+    uniform = (random.permuted(strata, axis=1) + random.random(strata.shape)) / particles
+    normals: Array = np.ascontiguousarray(ndtri(np.clip(uniform, 1e-12, 1.0 - 1e-12)).T)
+    return normals
 
 
 def systematic_ancestors(weights: Array, offset: float) -> NDArray[np.int32]:

@@ -24,7 +24,7 @@ def test_fastslam2_keeps_two_vehicles_on_course(make_world, make_slam, drive_cir
     landmarks = slam.landmarks()
     assert 10 < len(landmarks) <= 60
     true = world.points[np.argmax(landmarks.descriptors @ world.descriptors.T, axis=1)]
-    assert np.linalg.norm(landmarks.means - true, axis=1).mean() < 0.08
+    assert np.linalg.norm(landmarks.means - true, axis=1).mean() < 0.12
     assert (landmarks.covariances[:, 0, 0] > 0.0).all()
     assert set(landmarks.owners) == {0, 1}
 

@@ -3,7 +3,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from explore_slam.slam.resampling import effective_particles, normalized, systematic_ancestors
+from explore_slam.slam.resampling import (
+    effective_particles,
+    normalized,
+    stratified_normals,
+    systematic_ancestors,
+)
 
 
 @given(st.lists(st.floats(0.0, 10.0), min_size=1, max_size=60), st.floats(0.0, 0.999))
@@ -25,3 +30,12 @@ def test_normalized_survives_weights_beyond_the_range_of_floats():
     logs, weights = normalized(np.array([-5000.0, -5001.0, -6000.0]))
     assert weights.sum() == pytest.approx(1.0)
     np.testing.assert_allclose(np.exp(logs), weights)
+
+
+def test_stratified_normals_cover_every_dimension_evenly():
+    normals = stratified_normals(np.random.default_rng(0), 400, 3)
+    assert normals.shape == (400, 3)
+    assert np.abs(normals.mean(axis=0)).max() < 0.01
+    np.testing.assert_allclose(normals.std(axis=0), 1.0, atol=0.02)
+    assert np.abs(np.corrcoef(normals.T) - np.eye(3)).max() < 0.15
+    assert np.isfinite(stratified_normals(np.random.default_rng(0), 1, 2)).all()
