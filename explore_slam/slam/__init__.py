@@ -22,17 +22,27 @@ def warm_up() -> None:
     """Compile all kernels of the room (seconds the first time, then read from the cache)."""
     import numpy as np
 
-    from explore_slam.data import LandmarkObservations
+    from explore_slam.data import LandmarkObservations, VehicleSighting
     from explore_slam.geometry import Pose2
 
-    descriptors = np.eye(4, 128, dtype=np.float32)
-    positions = np.array([[2.0, 0.5, 0.1], [2.0, -0.5, 0.2], [3.0, 0.0, 0.3], [1.0, 0.0, 0.0]])
-    seen = LandmarkObservations(0.0, positions, np.tile(0.01 * np.eye(3), (4, 1, 1)), descriptors)
+    random = np.random.default_rng(0)
+    count = 10
+    positions = random.uniform(1.0, 3.0, (count, 3))
+    covariances = np.tile(0.01 * np.eye(3), (count, 1, 1))
+    seen = LandmarkObservations(0.0, positions, covariances, np.eye(count, 128, dtype=np.float32))
+    still, noise = Pose2(0.0, 0.0, 0.0), 1e-4 * np.eye(3)
+    starts = {'a': still, 'b': Pose2(1.0, 0.0, 0.0)}
     for engine in ('fastslam2', 'paper'):
-        slam = FastSlam({'a': Pose2(0.0, 0.0, 0.0)}, FastSlamConfig(particles=8, engine=engine))
+        slam = FastSlam(starts, FastSlamConfig(particles=16, engine=engine))
         for _ in range(3):
-            slam.predict('a', Pose2(0.01, 0.0, 0.0), 0.01 * np.eye(3))
+            slam.predict('a', still, noise)
             slam.update('a', seen)
             slam.add_keyframe('a', 0.0)
+            sighting = VehicleSighting(0.0, 'b', np.array([1.0, 0.0]), 0.01 * np.eye(2))
+            slam.update_sightings('a', [sighting])
+            for _ in range(8):
+                weights = random.exponential(size=16) ** 3
+                slam.resample_now(weights / weights.sum())
         slam.best_path()
         slam.landmarks()
+        slam.map.remove(slam.map.items()[:1])

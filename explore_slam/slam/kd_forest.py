@@ -219,7 +219,7 @@ def _pop(keys: Values, places: Nodes, size: int) -> int:  # pragma: no cover - c
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
-def _search(
+def _search(  # noqa: C901 - a kernel
     table: Values,
     coarse: Coarse,
     queries: Values,
