@@ -20,6 +20,9 @@ BAR_RADIUS = 0.25  # m of what is barred around a place that could not be passed
 BYPASS = 8.0  # a cell beside a standing vehicle costs so many times more
 
 
+STOPPED_SHORT = 0.2  # m by which a follower may stand before the place it retreats to
+
+
 class Scene:
     """The map at one time, where each vehicle can get, and what that costs."""
 
@@ -226,7 +229,7 @@ class Scene:
             return None, math.inf
         values = self._spread(padded, start)
         barred = np.zeros(values.shape, np.bool_)
-        reach = separation / self.grid.resolution + 1.0
+        reach = (separation + STOPPED_SHORT) / self.grid.resolution + 1.0
         for winner in winners:
             at = np.append(np.arange(0.0, winner.lengths[-1], 0.2), winner.lengths[-1])
             cells = self.grid.to_cell(along(winner.points, winner.lengths, at))
