@@ -158,7 +158,9 @@ def _map_figure(walks: Sequence[Walk], last: dict[Key, FilterEstimator]) -> Any:
         )
         for walk in walks:
             path = np.array([stop.pose for stop in walk.stops])
-            axis.plot(*path[:, :2].T, color=COLORS[walk.vehicle], label=f'{walk.vehicle}, truth')
+            style = '-' if walk is walks[0] else '--'  # both may drive the same way
+            label = f'{walk.vehicle}, truth'
+            axis.plot(*path[:, :2].T, style, color=COLORS[walk.vehicle], label=label)
             axis.plot(*path[0, :2], 'o', color=COLORS[walk.vehicle])
         axis.set(title=f'{key[0]}, {key[2]}', xlabel='x (m)', ylabel='y (m)')
         axis.set_aspect('equal')
