@@ -79,6 +79,7 @@ class LiveRun:
         self.folder = RunFolder.create(runs)
         self.monitor: RunMonitor | None = None
         self.complete = False
+        self._last_status = ''  # of the end: an agent that is left running may find more
 
     def _starts(self) -> dict[str, Pose2]:
         known = dict(self.world.starts)
@@ -203,6 +204,7 @@ class LiveRun:
             yield monitor.state
             if monitor.state.status in ENDS:
                 self.complete = True
+                self._last_status = monitor.state.status
                 return
             elapsed = time.monotonic() - began
             if elapsed > START_LIMIT and not monitor.state.poses:
@@ -254,7 +256,7 @@ class LiveRun:
         }
         health = {name: self._values(f'agent: vehicle {name}')[1] for name in self.starts}
         return {
-            'status': state.status or 'never started',
+            'status': self._last_status or state.status or 'never started',
             'complete': self.complete,
             'duration': state.stamp,
             'real_time_factor': float(clock.get('real_time_factor', 'nan')),
