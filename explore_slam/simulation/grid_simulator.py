@@ -257,12 +257,13 @@ class GridSimulator:
     def _steer(self, index: int) -> None:
         config, drive = self.config, self._drives[index]
         wanted_speed, wanted_turn = 0.0, 0.0
-        if not drive.arrived and self.time - drive.last_tried >= config.patience:
+        driving = drive.plan is not None and not drive.arrived
+        if driving and self.time - drive.last_tried >= config.patience:
             drive.last_tried, drive.backing = self.time, config.back_off
         if drive.backing > 0.0:
             self._back_off(index)
             return
-        if drive.plan is not None and not drive.arrived:
+        if driving and drive.plan is not None:
             wanted_speed, wanted_turn, drive.segment, drive.arrived = kernels.pursue(
                 np.ascontiguousarray(drive.plan.waypoints, dtype=np.float64),
                 drive.segment,

@@ -187,6 +187,15 @@ def test_a_plan_through_a_wall_ends_before_it_without_contact():
     assert not simulator.is_idle('a')
 
 
+def test_a_vehicle_without_a_plan_stays_where_it_is():
+    start = Pose2(2.0, 2.0, 0.5)
+    simulator = GridSimulator(GridWorld.from_drawing(ROOM), {'a': start}, EXACT)
+    simulator.set_plan('a', plan('a', (2.0, 2.0), (3.0, 2.0)))
+    simulator.set_plan('a', None)
+    drive(simulator, 30)
+    assert simulator.true_pose('a') == start
+
+
 def test_glass_stops_a_vehicle_too():
     rows = ['##########', *['#.....g..#'] * 6, '##########']
     simulator = GridSimulator(GridWorld.from_drawing(rows), {'a': Pose2(1.0, 2.0, 0.0)}, EXACT)
