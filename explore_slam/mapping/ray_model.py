@@ -38,7 +38,8 @@ def classify_beams(
         if math.isnan(r) or r < range_min:
             continue
         if r > range_max:
-            lengths[i] = min(no_return_range, max_laser_range)
+            # silence proves nothing beyond what the scanner can measure
+            lengths[i] = min(no_return_range, min(max_laser_range, range_max))
             kinds[i] = FREE_ONLY if lengths[i] > 0.0 else NOTHING
         elif r > max_laser_range:
             lengths[i] = max_laser_range
