@@ -39,7 +39,7 @@ def classify_beams(
             continue
         if r > range_max:
             # silence proves nothing beyond what the scanner can measure
-            lengths[i] = min(no_return_range, min(max_laser_range, range_max))
+            lengths[i] = min(no_return_range, max_laser_range, range_max)
             kinds[i] = FREE_ONLY if lengths[i] > 0.0 else NOTHING
         elif r > max_laser_range:
             lengths[i] = max_laser_range
