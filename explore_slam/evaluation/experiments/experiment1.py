@@ -248,13 +248,15 @@ def _effective_figure(trials: dict[Key, list[Trial]]) -> Any:
         for method in ('paper', 'fastslam2'):
             for maps, style in (('dedicated', '--'), ('common', '-')):
                 series = np.array([run.effective for run in trials[scene, method, maps]])
-                median = np.nanmedian(series, axis=0)
-                axis.plot(median, style, color=COLORS[method], label=f'{method}, {maps} maps')
+                # a step at which nothing is seen is no update and has no weights
+                steps = np.flatnonzero(~np.isnan(series).all(axis=0))
+                median = np.nanmedian(series[:, steps], axis=0)
+                axis.plot(
+                    steps, median, style, color=COLORS[method], label=f'{method}, {maps} maps'
+                )
                 if maps == 'common':
-                    low, high = np.nanpercentile(series, [10, 90], axis=0)
-                    axis.fill_between(
-                        range(len(median)), low, high, color=COLORS[method], alpha=0.15
-                    )
+                    low, high = np.nanpercentile(series[:, steps], [10, 90], axis=0)
+                    axis.fill_between(steps, low, high, color=COLORS[method], alpha=0.15)
         axis.set(
             title=f'{scene} paths', xlabel='update (both vehicles in turn)',
             ylabel='effective particles', yscale='log', ylim=(0.8, 3000.0),
