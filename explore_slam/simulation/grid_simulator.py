@@ -20,6 +20,7 @@ from explore_slam.simulation.grid_world import GridWorld
 
 MAX_VEHICLES = 31
 BACKING_SPEED = 0.15
+LOOKS_THERE = 0.2  # rad
 
 
 @dataclass(frozen=True)
@@ -274,6 +275,12 @@ class GridSimulator:
                 config.turn_rate,
                 config.braking,
             )
+            if drive.arrived:
+                # There, but perhaps not yet looking where the plan wants it to look.
+                known = float(self._poses[index, 2] + drive.error[2])
+                aside = wrap_angle(drive.plan.goal.theta - known)
+                drive.arrived = abs(aside) <= LOOKS_THERE
+                wanted_turn = min(max(2.5 * aside, -config.turn_rate), config.turn_rate)
         change = config.turn_acceleration * config.tick
         drive.turn = min(max(wanted_turn, drive.turn - change), drive.turn + change)
         wanted_speed = min(wanted_speed, self._safe_speed(index)) if wanted_speed > 0.0 else 0.0
