@@ -2,7 +2,7 @@
 
 import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -39,6 +39,7 @@ ARRIVALS = 3  # plannings at a target after which it has nothing new to show
 NEAR = 2.0  # m: a vehicle that is blocked this near to its target has failed to reach it
 BLOCKINGS = 3  # so many times blocked on the way mean the same
 BAR_AHEAD, BAR_TIME = 0.5, 60.0  # m, s: what is barred when blocked on the way, how long
+SHUT_IN, UNBARRINGS = 2.0, 5  # m: bars this near to one who is shut in are dropped so often
 BAR_TRAFFIC = 1.5  # m: with another vehicle this near it was that vehicle that was in the way
 TRAIL = 300  # places where a vehicle has been that are remembered
 JUMP = 3.0  # m between two plannings: the pose was corrected, the trail means nothing any more
@@ -60,6 +61,7 @@ class Planner:
         self._bars: list[tuple[Point, float]] = []
         self._dropped: list[tuple[Point, float]] = []
         self._blockings: dict[str, int] = {}
+        self._unbarred: dict[str, int] = {}
         self._poses: dict[str, Pose2] = {}
         self._empty = 0
         self._cycles = 0
@@ -160,6 +162,9 @@ class Planner:
             self._dropped += passing
             reason = 'no target beside barred places, which are tried again'
             return self._finish(scene, ExplorationStatus.IN_PROGRESS, reason, {}, {}, tuple(found))
+        if not found and self._unbar(scene.starts):
+            reason = 'no target beside barred places, which are tried once more'
+            return self._finish(scene, ExplorationStatus.IN_PROGRESS, reason, {}, {}, tuple(found))
         self._empty += 1
         if self._empty < self.config.empty_searches:
             reason = f'no target in search {self._empty} of {self.config.empty_searches}'
@@ -182,6 +187,7 @@ class Planner:
         costs = scene.costs_to(names, frontiers)
         kept = self._kept_targets(names, np.array([f.target for f in frontiers]))
         self._forgive(scene, names, kept)
+        self._unbar(n for n, row in zip(names, costs, strict=True) if not np.isfinite(row).any())
         changes = [
             self._tasks[n].changes if k >= 0 else 0 for n, k in zip(names, kept, strict=True)
         ]
@@ -206,6 +212,18 @@ class Planner:
         status = ExplorationStatus.STARTED if self._cycles == 1 else ExplorationStatus.IN_PROGRESS
         reason = f'{len(frontiers)} frontiers'
         return self._finish(scene, status, reason, tasks, waiting, tuple(frontiers), costs)
+
+    def _unbar(self, names: Iterable[str]) -> bool:
+        """Drop what is barred around vehicles that reach nothing: it may be their only way out."""
+        dropped = False
+        for name in names:
+            place = self._poses[name][:2]
+            near = [bar for bar in self._bars if math.dist(bar[0], place) <= SHUT_IN]
+            if near and self._unbarred.get(name, 0) < UNBARRINGS:
+                self._unbarred[name] = self._unbarred.get(name, 0) + 1
+                self._bars = [bar for bar in self._bars if bar not in near]
+                dropped = True
+        return dropped
 
     def _forgive(self, scene: Scene, names: tuple[str, ...], kept: list[int]) -> None:
         """Clear the blacklist where a vehicle got to its target and left nothing to be seen."""
