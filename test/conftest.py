@@ -5,10 +5,17 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+
+# the same examples in every run (HYPOTHESIS_PROFILE=search looks for new ones), and results are
+# asserted, never seconds: a busy machine must not fail them
+settings.register_profile('same', derandomize=True, deadline=None)
+settings.register_profile('search', deadline=None)
+settings.load_profile(os.environ.get('HYPOTHESIS_PROFILE', 'same'))
 
 
 @pytest.fixture(scope='session')

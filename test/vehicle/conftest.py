@@ -5,15 +5,10 @@ from collections import deque
 
 import numpy as np
 import pytest
-from hypothesis import settings
 
 from explore_slam.data import LaserScan, OdometryReading, Plan
 from explore_slam.geometry import IDENTITY, Pose2
 from explore_slam.vehicle import PathFollower, VelocityCommand
-
-# tests assert results, never seconds: a busy machine must not fail them
-settings.register_profile('vehicle', deadline=None)
-settings.load_profile('vehicle')
 
 TICK = 0.01
 
