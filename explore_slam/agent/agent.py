@@ -16,6 +16,7 @@ import numpy as np
 from explore_slam.agent import checkpoint
 from explore_slam.agent.config import AgentConfig
 from explore_slam.agent.odometry import OdometryBuffer
+from explore_slam.agent.scan_odometry import refine_by_scan
 from explore_slam.agent.vehicle_track import Keyframe, Observation, VehicleTrack
 from explore_slam.data import (
     LandmarkObservations,
@@ -28,7 +29,7 @@ from explore_slam.data import (
 )
 from explore_slam.errors import AgentError
 from explore_slam.geometry import Array, Pose2
-from explore_slam.mapping import Body, LaserMap, OccupancyGrid, save_map
+from explore_slam.mapping import Body, LaserMap, OccupancyGrid, ScanMatcher, save_map
 from explore_slam.slam import Landmarks, TeamBelief, UpdateSummary, compound
 from explore_slam.vision import FeatureExtractor, KeyframeSelector
 
@@ -79,6 +80,7 @@ class Agent:
                     name, inputs.odometry_span, inputs.maximum_speed, inputs.clock_jump
                 ),
                 KeyframeSelector(self.config.vision),
+                ScanMatcher(self.config.scan_matching),
             )
             for name, pose in self.start_poses.items()
         }
@@ -163,7 +165,8 @@ class Agent:
         """Go on in the new time from where the vehicle is."""
         track.forget_waiting()
         track.selector.reset()
-        track.last_scan, track.last_seen = None, -math.inf
+        track.last_scan, track.last_seen, track.last_match = None, -math.inf, -math.inf
+        track.matcher.reset()
         if track.keyframe is not None:
             moved = track.keyframe.odometry
             track.keyframe = Keyframe(track.keyframe.number, track.odometry.last, moved)
@@ -231,7 +234,7 @@ class Agent:
         """Hand the motion since the newest keyframe to the belief, which compounds the steps."""
         noise = self.config.slam.odometry_noise
         for step in track.steps_since_keyframe(stamp):
-            self.belief.predict(track.name, step, noise.covariance(step))
+            self.belief.predict(track.name, step.increment, step.covariance_or(noise))
 
     def _add_keyframe(
         self, track: VehicleTrack, stamp: float, update: UpdateSummary | None = None
@@ -247,6 +250,8 @@ class Agent:
         if track.keyframe is None:
             track.count('late_observations')
             return
+        if self.config.scan_matching.scan_matching and not self._too_late(track, scan.stamp):
+            refine_by_scan(track, scan, self._laser, self.config.slam.odometry_noise)
         pose = track.odometry.at(scan.stamp)
         if not self._scan_wanted(track, scan.stamp, pose):
             return
@@ -323,7 +328,9 @@ class Agent:
         pose, covariance = self.belief.estimate(vehicle)
         noise = self.config.slam.odometry_noise
         for step in track.steps_since_keyframe(track.odometry.last):
-            pose, covariance = compound(pose, covariance, step, noise.covariance(step))
+            pose, covariance = compound(
+                pose, covariance, step.increment, step.covariance_or(noise)
+            )
         return pose, covariance
 
     def map_pose(self, vehicle: str) -> Pose2:

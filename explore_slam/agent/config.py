@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from explore_slam.exploration import ExplorationConfig
-from explore_slam.mapping import GridConfig
+from explore_slam.mapping import GridConfig, ScanMatchingConfig
 from explore_slam.settings import Section, section, setting
 from explore_slam.slam import FastSlamConfig
 from explore_slam.vision import VisionConfig
@@ -80,5 +80,6 @@ class AgentConfig(Section):
     scans: ScanConfig = section(ScanConfig)
     vision: VisionConfig = section(VisionConfig)
     slam: FastSlamConfig = section(FastSlamConfig)
+    scan_matching: ScanMatchingConfig = section(ScanMatchingConfig)
     mapping: GridConfig = section(GridConfig)
     exploration: ExplorationConfig = section(ExplorationConfig)

@@ -3,12 +3,26 @@
 import logging
 import math
 from bisect import bisect_left, bisect_right
-from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
 
 from explore_slam.data import OdometryReading
-from explore_slam.geometry import Pose2, wrap_angle
+from explore_slam.geometry import IDENTITY, Array, Pose2, wrap_angle
+from explore_slam.slam import OdometryNoise
 
 logger = logging.getLogger(__name__)
+
+
+class Step(NamedTuple):
+    """A motion in the frame where it begins, and its covariance (3, 3); None: that of wheels."""
+
+    increment: Pose2
+    covariance: Array | None
+
+    def covariance_or(self, noise: OdometryNoise) -> Array:
+        """Return the covariance (3, 3): the step's own, or else that of the wheels."""
+        return noise.covariance(self.increment) if self.covariance is None else self.covariance
 
 
 def interpolate(a: Pose2, b: Pose2, share: float) -> Pose2:
@@ -25,6 +39,7 @@ class OdometryBuffer:
 
     A base that is reset or a clock that jumps back breaks the chain of the readings: the buffer
     then goes on from the last pose it had, as if the vehicle had stood still in between.
+    Where something better than wheels has measured a pose, `correct` bends the chain onto it.
     """
 
     def __init__(self, vehicle: str, span: float, maximum_speed: float, clock_jump: float) -> None:
@@ -34,6 +49,7 @@ class OdometryBuffer:
         self._clock_jump = clock_jump
         self._stamps: list[float] = []
         self._poses: list[Pose2] = []
+        self._covariances: list[Array | None] = []  # of the step that ends there
         self._correction: Pose2 | None = None  # chain = correction ⊕ reading, once it broke
         self.late = 0
         self.breaks = 0
@@ -70,7 +86,7 @@ class OdometryBuffer:
             )
             self._break(reading)
             pose = self.pose
-            self._stamps, self._poses = [], []
+            self._stamps, self._poses, self._covariances = [], [], []
             self._append(reading.stamp, pose)
             return True
         pose = reading.pose
@@ -103,18 +119,50 @@ class OdometryBuffer:
         share = (stamp - before) / (after - before)
         return interpolate(self._poses[index - 1], self._poses[index], share)
 
-    def steps(self, start: float, end: float) -> list[Pose2]:
-        """Return the increments between readings from one stamp to another, ends interpolated."""
+    def steps(self, start: float, end: float) -> list[Step]:
+        """Return the steps between readings from one stamp to another, ends interpolated."""
+        steps, last = [], self.at(start)
         low, high = bisect_right(self._stamps, start), bisect_left(self._stamps, end)
-        poses = [self.at(start), *self._poses[low:high], self.at(end)]
-        return [a.between(b) for a, b in pairwise(poses)]
+        for index in range(low, high + 1):
+            stop = min(end, self._stamps[index]) if index < len(self._stamps) else end
+            pose = self.at(stop)
+            covariance = self._covariances[index] if index < len(self._stamps) else None
+            if covariance is not None and index > 0:
+                before = self._stamps[index - 1]
+                part = (stop - max(start, before)) / (self._stamps[index] - before)
+                covariance = max(part, 0.0) * covariance
+            steps.append(Step(last.between(pose), covariance))
+            last = pose
+        return steps or [Step(IDENTITY, None)]
+
+    def correct(self, since: float, stamp: float, pose: Pose2, covariance: Array) -> None:
+        """Put the chain on a measured pose at a stamp, and all that follows with it.
+
+        covariance (3, 3) is that of the motion from the stamp `since` to here, in the frame of
+        the pose; it is given to the last step, and those before it are exact.
+        """
+        moved = pose.compose(self.at(stamp).inverse())
+        index = bisect_left(self._stamps, stamp)
+        if index == len(self._stamps):
+            return
+        if self._stamps[index] != stamp:
+            self._stamps.insert(index, stamp)
+            self._poses.insert(index, pose)
+            self._covariances.insert(index, None)
+        self._poses[index:] = [moved.compose(later) for later in self._poses[index:]]
+        self._poses[index] = pose
+        for before in range(bisect_right(self._stamps, since), index):
+            self._covariances[before] = np.zeros((3, 3))
+        self._covariances[index] = covariance
+        self._correction = moved if self._correction is None else moved.compose(self._correction)
 
     def _append(self, stamp: float, pose: Pose2) -> None:
         self._stamps.append(stamp)
         self._poses.append(pose)
+        self._covariances.append(None)
         if len(self._stamps) > 64 and self._stamps[0] < stamp - 2.0 * self._span:
             keep = bisect_left(self._stamps, stamp - self._span)
-            del self._stamps[:keep], self._poses[:keep]
+            del self._stamps[:keep], self._poses[:keep], self._covariances[:keep]
 
     def _jumps(self, stamp: float, pose: Pose2) -> bool:
         moved = math.hypot(pose.x - self.pose.x, pose.y - self.pose.y)

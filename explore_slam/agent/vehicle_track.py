@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from explore_slam.agent.odometry import OdometryBuffer
+from explore_slam.agent.odometry import OdometryBuffer, Step
 from explore_slam.data import (
     LandmarkObservations,
     LaserScan,
@@ -15,8 +15,10 @@ from explore_slam.data import (
     VehicleState,
 )
 from explore_slam.geometry import IDENTITY, Pose2
+from explore_slam.mapping import ScanMatcher
 from explore_slam.vision import KeyframeSelector
 
+_SCANS_FIRST = 1 << 40
 Observation = LaserScan | RgbdFrame | LandmarkObservations | VehicleSighting
 
 
@@ -37,8 +39,10 @@ class VehicleTrack:
     start: Pose2
     odometry: OdometryBuffer
     selector: KeyframeSelector
+    matcher: ScanMatcher
     keyframe: Keyframe | None = None
     last_scan: tuple[float, Pose2] | None = None  # stamp and odometry of the last scan kept
+    last_match: float = -np.inf  # stamp of the last scan that was matched with earlier ones
     last_heard: float = -np.inf  # the agent's time (s) when odometry came last
     last_seen: float = -np.inf  # stamp of the last frame or landmarks that were used
     plan: Plan | None = None
@@ -55,7 +59,9 @@ class VehicleTrack:
     def wait(self, observation: Observation, most: int) -> None:
         """Keep an observation until odometry reaches its stamp; the oldest goes when too many."""
         self._order += 1
-        heapq.heappush(self._waiting, (observation.stamp, self._order, observation))
+        # of one stamp scans come first: they refine the motion that the others are used with
+        order = self._order if isinstance(observation, LaserScan) else self._order + _SCANS_FIRST
+        heapq.heappush(self._waiting, (observation.stamp, order, observation))
         if len(self._waiting) > most:
             heapq.heappop(self._waiting)
             self.count('dropped_without_odometry')
@@ -78,11 +84,12 @@ class VehicleTrack:
             return IDENTITY
         return self.keyframe.odometry.between(self.odometry.at(stamp))
 
-    def steps_since_keyframe(self, stamp: float) -> list[Pose2]:
-        """Return the increments from the newest keyframe to a stamp, reading by reading."""
+    def steps_since_keyframe(self, stamp: float) -> list[Step]:
+        """Return the steps from the newest keyframe to a stamp, reading by reading."""
         if self.keyframe is None:
             return []
         steps = self.odometry.steps(self.keyframe.stamp, stamp)
         if self.odometry.first > self.keyframe.stamp:  # older readings are gone: one step for them
-            steps.insert(0, self.keyframe.odometry.between(self.odometry.at(0.0)))
+            older = self.keyframe.odometry.between(self.odometry.at(0.0))
+            steps.insert(0, Step(older, None))
         return steps

@@ -4,10 +4,11 @@ import numpy as np
 
 from explore_slam.data import LaserScan
 from explore_slam.geometry import IDENTITY
-from explore_slam.mapping.config import GridConfig
+from explore_slam.mapping.config import GridConfig, ScanMatchingConfig
 from explore_slam.mapping.laser_map import Body, KeyframeScan, LaserMap, RedrawSummary
 from explore_slam.mapping.map_files import load_map, read_pgm, save_map
 from explore_slam.mapping.occupancy_grid import OccupancyGrid
+from explore_slam.mapping.scan_matcher import ScanMatch, ScanMatcher
 
 __all__ = [
     'Body',
@@ -16,6 +17,9 @@ __all__ = [
     'LaserMap',
     'OccupancyGrid',
     'RedrawSummary',
+    'ScanMatch',
+    'ScanMatcher',
+    'ScanMatchingConfig',
     'load_map',
     'read_pgm',
     'save_map',
@@ -28,3 +32,8 @@ def warm_up() -> None:
     grid = OccupancyGrid()
     scan = LaserScan(0.0, 0.0, 0.1, np.array([1.0, 2.0], np.float32), 0.0, 10.0)
     grid.insert_scan(IDENTITY, scan, [(1.0, 0.0, 0.2)])
+    matcher = ScanMatcher(ScanMatchingConfig())
+    wall = np.full(361, 2.0, np.float32)
+    around = LaserScan(0.0, -1.5, 0.01, wall, 0.0, 10.0)
+    for _ in range(2):
+        matcher.match(around, IDENTITY, IDENTITY, 1e-4 * np.eye(3))

@@ -52,3 +52,39 @@ class GridConfig(Section):
         low=0.0,
         high=16384.0,
     )
+
+
+@dataclass(frozen=True)
+class ScanMatchingConfig(Section):
+    """How a vehicle's motion is refined by laying its scans onto each other."""
+
+    scan_matching: bool = setting(
+        True, 'Refine odometry by matching each scan with those of the way just driven'
+    )
+    matching_range: float = setting(
+        10.0, 'returns farther than this are left out', unit='m', low=0.5, high=200.0
+    )
+    matching_window: int = setting(
+        120, 'scans that a new one is matched with', unit='scans', low=1, high=1000
+    )
+    window_distance: float = setting(
+        0.25, 'a scan enters the window after this way', unit='m', low=0.01, high=10.0
+    )
+    window_heading: float = setting(
+        0.25, 'a scan enters the window after this turn', unit='rad', low=0.01, high=6.3
+    )
+    matching_reach: float = setting(
+        0.3, 'farthest that a return may lie from its wall at first', unit='m', low=0.05, high=5.0
+    )
+    matching_deviation: float = setting(
+        0.02, 'standard deviation of a return from its wall', unit='m', low=0.001, high=0.5
+    )
+    matching_overlap: float = setting(
+        0.4, 'least part of a scan that must lie on known walls', low=0.0, high=1.0
+    )
+    matching_gate: float = setting(
+        5.0, 'most that a match may differ from the wheels', unit='sigma', low=1.0, high=100.0
+    )
+    matching_drift: float = setting(
+        0.003, "part of the wheels' variance that stays after a match", low=0.0, high=1.0
+    )

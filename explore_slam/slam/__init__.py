@@ -3,7 +3,7 @@
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.fast_slam import FastSlam, UpdateSummary
 from explore_slam.slam.landmark_map import Landmarks
-from explore_slam.slam.motion import OdometryNoise, compound
+from explore_slam.slam.motion import OdometryNoise, compound, rotated
 from explore_slam.slam.team_belief import TeamBelief
 
 __all__ = [
@@ -14,6 +14,7 @@ __all__ = [
     'TeamBelief',
     'UpdateSummary',
     'compound',
+    'rotated',
     'warm_up',
 ]
 

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 
 from explore_slam.agent.odometry import OdometryBuffer
@@ -33,7 +34,7 @@ def test_headings_turn_the_short_way():
 def test_steps_compose_to_the_whole_way(buffer):
     pose = buffer.at(0.13)
     for step in buffer.steps(0.13, 0.87):
-        pose = pose.compose(step)
+        pose = pose.compose(step.increment)
     assert tuple(pose) == pytest.approx(tuple(buffer.at(0.87)))
     assert len(buffer.steps(0.13, 0.87)) == 8
 
@@ -71,3 +72,40 @@ def test_the_buffer_is_bounded():
         made.add(OdometryReading(0.01 * tick, IDENTITY))
     assert len(made) < 2500
     assert made.first < made.last - 9.9
+
+
+def test_a_correction_bends_the_chain_and_all_that_follows(buffer):
+    since, stamp = 0.2, 0.55
+    before, after = buffer.at(0.2), buffer.at(0.6)
+    measured = buffer.at(stamp).compose(Pose2(0.02, -0.01, 0.1))
+    moved = buffer.at(stamp).between(after)
+    covariance = 1e-4 * np.eye(3)
+    buffer.correct(since, stamp, measured, covariance)
+    assert buffer.at(0.2) == before
+    np.testing.assert_allclose(buffer.at(stamp), measured)
+    np.testing.assert_allclose(buffer.at(0.6), measured.compose(moved))
+
+    steps = buffer.steps(since, stamp)
+    pose = before
+    for step in steps:
+        pose = pose.compose(step.increment)
+    np.testing.assert_allclose(pose, measured)
+    np.testing.assert_allclose(sum(step.covariance for step in steps), covariance)
+    half = buffer.steps(0.525, stamp)
+    np.testing.assert_allclose(half[-1].covariance, 0.5 * covariance)
+    assert buffer.steps(stamp, 0.9)[-1].covariance is None
+
+    last = buffer.pose
+    raw = OdometryReading(1.1, Pose2(0.55, 0.0, 0.0))
+    straight = OdometryReading(1.2, Pose2(0.6, 0.0, 0.0))
+    assert buffer.add(raw)
+    assert buffer.add(straight)
+    step = buffer.at(1.1).between(buffer.at(1.2))
+    np.testing.assert_allclose(step, (0.05, 0.0, 0.0), atol=1e-9)
+    assert buffer.at(1.2).theta == pytest.approx(last.theta)
+
+
+def test_a_correction_beyond_the_newest_reading_is_left_out(buffer):
+    poses = [buffer.at(t) for t in (0.2, 0.9)]
+    buffer.correct(0.0, 5.0, Pose2(9.0, 9.0, 0.0), np.eye(3))
+    assert [buffer.at(t) for t in (0.2, 0.9)] == poses

@@ -1,0 +1,143 @@
+"""Laser odometry: a scan is put where it lies on the scans before it; the wheels fill the gaps."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from explore_slam.data import LaserScan
+from explore_slam.geometry import IDENTITY, Pose2
+from explore_slam.mapping import ScanMatcher, ScanMatchingConfig
+from explore_slam.mapping.scan_matcher import scan_cloud
+
+BEAMS = 361
+WHEELS = np.diag([0.05, 0.05, 0.05]) ** 2
+ROOM = [(-3.0, -2.0), (3.0, -2.0), (3.0, 1.0), (1.0, 1.0), (1.0, 3.0), (-3.0, 3.0), (-3.0, -2.0)]
+CORRIDOR = [[(-50.0, -1.0), (50.0, -1.0)], [(-50.0, 1.0), (50.0, 1.0)]]
+
+
+def scan_of(lines, pose, noise=0.0, seed=0, stamp=0.0):
+    """A 180 degree scan of polylines from a pose of the laser."""
+    angles = np.linspace(-math.pi / 2, math.pi / 2, BEAMS)
+    rays = np.column_stack([np.cos(angles + pose.theta), np.sin(angles + pose.theta)])
+    ranges = np.full(BEAMS, np.inf)
+    for line in lines:
+        for a, b in itertools.pairwise(line):
+            edge, start = np.subtract(b, a), np.subtract(a, (pose.x, pose.y))
+            across = rays[:, 0] * edge[1] - rays[:, 1] * edge[0]
+            with np.errstate(divide='ignore', invalid='ignore'):
+                far = (start[0] * edge[1] - start[1] * edge[0]) / across
+                part = (start[0] * rays[:, 1] - start[1] * rays[:, 0]) / across
+            hit = (far > 0.0) & (part >= 0.0) & (part <= 1.0)
+            ranges = np.where(hit, np.minimum(ranges, far), ranges)
+    ranges += noise * np.random.default_rng(seed).normal(size=BEAMS)
+    ranges[ranges > 8.0] = np.inf
+    return LaserScan(stamp, -math.pi / 2, math.pi / (BEAMS - 1), ranges.astype(np.float32), 0, 8.0)
+
+
+def started(lines, pose=IDENTITY, **settings):
+    matcher = ScanMatcher(ScanMatchingConfig(**settings))
+    assert matcher.match(scan_of(lines, pose), IDENTITY, pose, WHEELS) is None
+    assert matcher.started
+    return matcher
+
+
+@pytest.mark.parametrize('error', [(0.1, 0.05, 0.06), (-0.08, 0.1, -0.08), (0.0, -0.12, 0.1)])
+def test_a_wrong_prior_is_put_right(error):
+    matcher = started([ROOM])
+    true = Pose2(0.2, -0.1, 0.15)
+    prior = true.compose(Pose2(*error))
+    match = matcher.match(scan_of([ROOM], true, 0.01), IDENTITY, prior, WHEELS)
+    off = np.array(true.between(match.pose))
+    assert np.abs(off[:2]).max() < 0.01
+    assert abs(off[2]) < 0.004
+    assert match.overlap > 0.8
+    deviations = np.sqrt(np.diag(match.covariance))
+    assert (deviations < 0.2 * np.sqrt(np.diag(WHEELS))).all()
+
+
+def test_the_mounting_of_the_laser_counts():
+    laser = Pose2(0.2, 0.0, 0.3)
+    matcher = ScanMatcher(ScanMatchingConfig())
+    matcher.match(scan_of([ROOM], laser), laser, IDENTITY, WHEELS)
+    true = Pose2(0.1, 0.1, -0.2)
+    prior = Pose2(0.0, 0.0, -0.1)
+    match = matcher.match(scan_of([ROOM], true.compose(laser)), laser, prior, WHEELS)
+    np.testing.assert_allclose(match.pose, true, atol=0.005)
+
+
+def test_along_a_corridor_the_wheels_are_believed():
+    matcher = started(CORRIDOR)
+    prior = Pose2(0.5, 0.08, 0.05)
+    match = matcher.match(scan_of(CORRIDOR, Pose2(0.6, 0.0, 0.0), 0.005), IDENTITY, prior, WHEELS)
+    assert match.pose.x == pytest.approx(0.5, abs=0.02)
+    assert match.pose.y == pytest.approx(0.0, abs=0.005)
+    assert match.pose.theta == pytest.approx(0.0, abs=0.003)
+    along, across, heading = np.sqrt(np.diag(match.covariance))
+    assert along > 0.5 * 0.05
+    assert across < 0.2 * 0.05
+    assert heading < 0.2 * 0.05
+
+
+def test_the_two_faces_of_a_thin_wall_are_not_taken_for_each_other():
+    wall = [[(-3.0, 0.0), (3.0, 0.0)], [(-3.0, 0.1), (3.0, 0.1)]]
+    around = [[(-3.0, -4.0), (-3.0, 4.0)], [(3.0, -4.0), (3.0, 4.0)]]
+    matcher = started([*wall, *around], Pose2(0.0, -1.5, math.pi / 2))
+    behind = Pose2(0.0, 1.5, -math.pi / 2)
+    match = matcher.match(scan_of([*wall, *around], behind), IDENTITY, behind, WHEELS)
+    assert match is None or abs(match.pose.y - 1.5) < 0.02
+
+
+def test_what_lies_on_nothing_known_is_no_match():
+    matcher = started([ROOM])
+    far = Pose2(40.0, 0.0, 0.0)
+    assert matcher.match(scan_of([ROOM], IDENTITY), IDENTITY, far, WHEELS) is None
+    sure = 1e-6 * np.eye(3)
+    lifted = scan_of([ROOM], Pose2(0.25, 0.2, 0.0))
+    assert matcher.match(lifted, IDENTITY, Pose2(0.0, 0.0, 0.0), sure) is None
+
+
+@pytest.mark.parametrize('value', [np.inf, -np.inf, np.nan, 0.0])
+def test_scans_without_returns_change_nothing(value):
+    matcher = started([ROOM])
+    empty = LaserScan(
+        1.0, -math.pi / 2, math.pi / 360, np.full(BEAMS, value, np.float32), 0.0, 8.0
+    )
+    assert matcher.match(empty, IDENTITY, IDENTITY, WHEELS) is None
+    few = LaserScan(1.0, 0.0, 0.1, np.ones(3, np.float32), 0.0, 8.0)
+    assert matcher.match(few, IDENTITY, IDENTITY, WHEELS) is None
+    after = matcher.match(scan_of([ROOM], IDENTITY), IDENTITY, Pose2(0.05, 0.0, 0.0), WHEELS)
+    np.testing.assert_allclose(after.pose, IDENTITY, atol=0.003)
+
+
+def test_a_drive_drifts_far_less_than_the_wheels():
+    rng = np.random.default_rng(4)
+    matcher = ScanMatcher(ScanMatchingConfig())
+    true = wheels = chain = IDENTITY
+    for step in range(200):
+        turn = 0.06 if step % 80 < 40 else -0.06
+        move = Pose2(0.03 if step % 40 < 20 else -0.03, 0.0, turn)
+        told = Pose2(*(np.array(move) + rng.normal(0.0, [0.01, 0.003, 0.015])))
+        true, wheels, prior = true.compose(move), wheels.compose(told), chain.compose(told)
+        noise = np.diag([0.01, 0.003, 0.015]) ** 2
+        match = matcher.match(scan_of([ROOM], true, 0.01, step), IDENTITY, prior, noise)
+        chain = prior if match is None else match.pose
+    drift, alone = true.between(chain), true.between(wheels)
+    assert math.hypot(drift.x, drift.y) < min(0.05, 0.3 * math.hypot(alone.x, alone.y))
+    assert abs(drift.theta) < min(0.05, 0.3 * abs(alone.theta))
+
+
+def test_forgotten_scans_are_not_matched_with():
+    matcher = started([ROOM])
+    matcher.reset()
+    assert not matcher.started
+    assert matcher.match(scan_of([ROOM], IDENTITY), IDENTITY, IDENTITY, WHEELS) is None
+
+
+def test_a_cloud_has_its_normals_towards_the_laser():
+    cloud = scan_cloud(scan_of([ROOM], Pose2(0.0, 0.0, 0.5)), IDENTITY, 10.0)
+    assert len(cloud.points) > 100
+    np.testing.assert_allclose(np.hypot(*cloud.normals.T), 1.0)
+    assert ((cloud.points * cloud.normals).sum(axis=1) < 0.0).all()
+    assert np.hypot(*np.diff(cloud.points, axis=0).T).min() > 0.005
