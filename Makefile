@@ -44,7 +44,7 @@ $(VENV)/.ready: requirements.txt requirements-ros.txt setup.py package.xml $(CON
 	@$(PIP) install -q --no-deps --no-build-isolation -e .
 	@tools/check_libraries $(PY)
 	@echo "Compiling kernels (once) ..."
-	@$(PY) -c 'from explore_slam.agent import warm_up; warm_up()'
+	@$(PY) -c 'from explore_slam import agent, simulation; agent.warm_up(); simulation.warm_up()'
 	@touch $@
 
 $(VENV)/.ready-dev: requirements-dev.txt $(VENV)/.ready

@@ -10,6 +10,7 @@ from typing import Any
 
 import yaml
 
+from explore_slam import exploration, mapping, simulation
 from explore_slam.errors import EvaluationError
 from explore_slam.evaluation.exploration_run import (
     STRATEGIES,
@@ -96,6 +97,12 @@ def _world(path: Path) -> GridWorld:
     return _WORLDS[path]
 
 
+def warm_up() -> None:
+    """Compile all kernels of a run, so that the first one is timed like the others."""
+    for room in (simulation, mapping, exploration):
+        room.warm_up()
+
+
 def _run_task(task: tuple[Study, str, int, int]) -> ExplorationRun:
     study, strategy, size, seed = task
     return study.run_one(strategy, size, seed)
@@ -106,8 +113,9 @@ def run_study(study: Study, workers: int = 2) -> Iterator[ExplorationRun]:
     _world(study.map_path)  # a file that cannot be read is told at once
     tasks: Iterable[tuple[Study, str, int, int]] = [(study, *task) for task in study.tasks()]
     if workers <= 1:
+        warm_up()
         yield from map(_run_task, tasks)
         return
     context = multiprocessing.get_context('spawn')
-    with ProcessPoolExecutor(workers, mp_context=context) as pool:
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=warm_up) as pool:
         yield from pool.map(_run_task, tasks)

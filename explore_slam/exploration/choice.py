@@ -11,13 +11,14 @@ from explore_slam.exploration.assignment import (
     assign_random,
     assign_targets,
 )
-from explore_slam.exploration.config import AssignmentConfig, ExplorationConfig
+from explore_slam.exploration.config import ExplorationConfig
 from explore_slam.exploration.records import Frontier
 from explore_slam.exploration.routes import RouteCache
 from explore_slam.exploration.scene import Scene
 from explore_slam.exploration.tours import Tours, plan_tours
 from explore_slam.geometry import Array
 
+SAME_NODE = 2.0  # m: a stop of a tour that moved by no more is the same one
 MERGE_SHARE = 0.15  # of its distance: so near to each other far frontiers are one stop
 
 
@@ -28,6 +29,7 @@ class Chooser:
         self.config = config
         self._random = np.random.default_rng(config.assignment.exploration_seed)
         self._cache = RouteCache()
+        self._tours: dict[str, Array] = {}
 
     def choose(
         self,
@@ -50,7 +52,7 @@ class Chooser:
             drawn = assign_random(costs, self._random)
             return [k if k >= 0 else d for k, d in zip(kept, drawn, strict=True)]
         if config.strategy == 'default':
-            margin = config.hysteresis * 2.0 ** max(changes, default=0)
+            margin = config.tour_hysteresis * 2.0 ** max(changes, default=0)
             return self._by_tours(scene, frontiers, costs, kept, margin)
         biased = costs.copy()
         for i, target in enumerate(kept):
@@ -82,13 +84,26 @@ class Chooser:
         node_gains = np.array([gains[group].sum() for group in groups])
         work = config.work_per_area * np.minimum(node_gains, config.largest_gain)
         bonus = config.last_bonus * np.minimum(node_gains, config.largest_gain)
+        urgency = self._urgency(node_gains, len(costs))
         starts = costs[:, members]
         fixed = np.array([members.index(k) if k in members else -1 for k in kept], np.int64)
         worth = self._worth_their_detour(starts, between, node_gains, fixed)
         starts = np.where(worth[None], starts, np.inf)
-        tours = self._solve(starts, between, work, bonus, fixed, margin)
+        points = np.array([frontiers[i].target for i in members])
+        prior = self._prior(tuple(scene.starts), points)
+        tours = self._solve(starts, between, work, urgency, bonus, fixed, prior, margin)
+        self._tours = {
+            name: points[order] for name, order in zip(scene.starts, tours.orders, strict=True)
+        }
         chosen = [members[order[0]] if order else -1 for order in tours.orders]
         return self._employ_idle(chosen, frontiers, costs)
+
+    def _urgency(self, gains: Array, vehicles: int) -> Array:
+        """Return what waiting for each node (F,) costs per metre, shared out by what they gain."""
+        config = self.config.assignment
+        weights = config.urgency_floor + np.minimum(gains, config.urgent_gain)
+        share: Array = config.waiting_weight * vehicles * weights / weights.sum()
+        return share
 
     def _worth_their_detour(
         self, starts: Array, between: Array, gains: Array, fixed: NDArray[np.int64]
@@ -102,7 +117,7 @@ class Chooser:
         zero = np.zeros(len(gains))
         worth = np.ones(len(gains), np.bool_)
         weight = self.config.assignment.longest_weight
-        tours = plan_tours(starts, between, zero, zero, fixed, weight)
+        tours = plan_tours(starts, between, zero, zero, zero, fixed, weight)
         for vehicle, order in enumerate(tours.orders):
             while order:
                 steps = [starts[vehicle, order[0]]]
@@ -125,18 +140,33 @@ class Chooser:
         starts: Array,
         between: Array,
         work: Array,
+        urgency: Array,
         bonus: Array,
         fixed: NDArray[np.int64],
+        prior: list[list[int]],
         margin: float,
     ) -> Tours:
-        config: AssignmentConfig = self.config.assignment
-        open_tours = plan_tours(
-            starts, between, work, bonus, np.full_like(fixed, -1), config.longest_weight
-        )
-        if (fixed < 0).all():
-            return open_tours
-        bound = plan_tours(starts, between, work, bonus, fixed, config.longest_weight)
-        return open_tours if open_tours.cost < bound.cost - margin else bound
+        """Return the tours of the cycle before, improved, or others if these are much better."""
+        weight = self.config.assignment.longest_weight
+        free = np.full_like(fixed, -1)
+        kept = plan_tours(starts, between, work, urgency, bonus, fixed, weight, prior)
+        anew = plan_tours(starts, between, work, urgency, bonus, free, weight)
+        return anew if anew.cost < kept.cost - margin else kept
+
+    def _prior(self, names: tuple[str, ...], points: Array) -> list[list[int]]:
+        """Return the tours of the cycle before in terms of the nodes (F, 2) m there are now."""
+        prior = []
+        taken: set[int] = set()
+        for name in names:
+            order: list[int] = []
+            for place in self._tours.get(name, ()):
+                gaps = np.hypot(*(points - place).T)
+                nearest = int(np.argmin(gaps))
+                if gaps[nearest] <= SAME_NODE and nearest not in taken:
+                    taken.add(nearest)
+                    order.append(nearest)
+            prior.append(order)
+        return prior
 
     def _nodes(
         self, frontiers: list[Frontier], costs: Array, kept: list[int]

@@ -1,7 +1,7 @@
 """Distance to obstacles, and the cost map that vehicles of some width plan on."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from explore_slam.exploration.config import PathConfig
 from explore_slam.exploration.records import Grid
 
 TIGHT = 20.0  # a cell that vehicle_radius does not clear costs so many times more on tight maps
+SQUEEZE = 2.0  # and where an obstacle touches, by so much more again: the middle of a gap is best
 
 
 class CostMap(NamedTuple):
@@ -30,11 +31,26 @@ class CostMap(NamedTuple):
 
 
 @kernel
+def _nearest_along(line: NDArray[np.int32], col: int, limit: int) -> int:
+    """Return the least squared distance over the columns within the limit of one."""
+    best = line[col] * line[col]
+    reach = 1
+    while reach <= limit and reach * reach < best:
+        if col >= reach:
+            best = min(best, reach * reach + line[col - reach] * line[col - reach])
+        if col + reach < line.size:
+            best = min(best, reach * reach + line[col + reach] * line[col + reach])
+        reach += 1
+    return int(best)
+
+
+@kernel
 def squared_distance(obstacles: NDArray[np.bool_], limit: int) -> NDArray[np.int32]:
     """Return the squared distance (H, W) in cells to the next obstacle, exact up to `limit` cells.
 
     Beyond the limit (limit + 1)² is returned. First along columns, then along rows within the
-    limit only, which is less work than the full transform.
+    limit only, which is less work than the full transform; rows are skipped where no column
+    within the limit knows of an obstacle.
     """
     height, width = obstacles.shape
     far = limit + 1
@@ -47,41 +63,58 @@ def squared_distance(obstacles: NDArray[np.bool_], limit: int) -> NDArray[np.int
     for row in range(height - 2, -1, -1):
         for col in range(width):
             column[row, col] = min(column[row, col], column[row + 1, col] + 1)
-    result = np.empty((height, width), np.int32)
+    result = np.full((height, width), far * far, np.int32)
     for row in range(height):
-        line = column[row]
-        for col in range(width):
-            best = line[col] * line[col]
-            reach = 1
-            while reach <= limit and reach * reach < best:
-                if col >= reach:
-                    best = min(best, reach * reach + line[col - reach] * line[col - reach])
-                if col + reach < width:
-                    best = min(best, reach * reach + line[col + reach] * line[col + reach])
-                reach += 1
-            result[row, col] = best
+        line, out = column[row], result[row]
+        last = -1  # columns before this one are done
+        for at in range(width):
+            if line[at] == far:
+                continue
+            for col in range(max(last + 1, at - limit), min(width, at + limit + 1)):
+                out[col] = min(_nearest_along(line, col, limit), far * far)
+                last = col
     return result
+
+
+@kernel
+def _classify(
+    probability: NDArray[np.float32], known: NDArray[np.bool_], occ_max: float
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return which cells (H, W) are obstacles, free, unknown; a NaN that is known blocks."""
+    obstacles = np.empty(known.shape, np.bool_)
+    free = np.empty(known.shape, np.bool_)
+    unknown = np.empty(known.shape, np.bool_)
+    for row in range(known.shape[0]):
+        for col in range(known.shape[1]):
+            seen, low = known[row, col], probability[row, col] <= occ_max
+            obstacles[row, col] = seen and not low
+            free[row, col] = seen and low
+            unknown[row, col] = not seen
+    return obstacles, free, unknown
 
 
 @kernel
 def _charge(
     probability: NDArray[np.float32],
-    known: NDArray[np.bool_],
+    free: NDArray[np.bool_],
     squared: NDArray[np.int32],
     factors: NDArray[np.float32],
-    occ_max: float,
+    tight: NDArray[np.float32],
     floor: float,
     scale: float,
-) -> NDArray[np.float32]:
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return what free cells cost by the one and by the other factors; inf elsewhere."""
     cost = np.full(probability.shape, np.inf, np.float32)
+    tight_cost = np.full(probability.shape, np.inf, np.float32)
     last = factors.size - 1
     for row in range(cost.shape[0]):
         for col in range(cost.shape[1]):
-            p = probability[row, col]
-            if known[row, col] and p <= occ_max:
-                factor = factors[min(squared[row, col], last)]
-                cost[row, col] = max(p, floor) * scale * factor
-    return cost
+            if free[row, col]:
+                base = max(probability[row, col], floor) * scale
+                near = min(squared[row, col], last)
+                cost[row, col] = base * factors[near]
+                tight_cost[row, col] = base * tight[near]
+    return cost, tight_cost
 
 
 def make_cost_map(grid: Grid, config: PathConfig, *, paper_costs: bool = False) -> CostMap:
@@ -91,17 +124,20 @@ def make_cost_map(grid: Grid, config: PathConfig, *, paper_costs: bool = False) 
     its probability; otherwise max(probability, cost_floor) / cost_floor, and more near obstacles.
     """
     probability, known = grid.probability(), grid.known()
-    with np.errstate(invalid='ignore'):
-        obstacles = known & ~(probability <= config.occ_max)
-    free = known & ~obstacles
+    obstacles, free, unknown = _classify(probability, known, config.occ_max)
     factors, tight = clearance_factors(config, grid.resolution, soft=not paper_costs)
     limit = math.isqrt(factors.size) + 1
     squared = squared_distance(obstacles, limit)
     floor = 0.0 if paper_costs else config.cost_floor
     scale = 1.0 if paper_costs else 1.0 / config.cost_floor
-    cost = _charge(probability, known, squared, factors, config.occ_max, floor, scale)
-    tight_cost = _charge(probability, known, squared, tight, config.occ_max, floor, scale)
-    return CostMap(cost, tight_cost, free, ~known, squared)
+    cost, tight_cost = _charge(probability, free, squared, factors, tight, floor, scale)
+    return CostMap(cost, tight_cost, free, unknown, squared)
+
+
+def tight_factor(distances: NDArray[Any], radius: float) -> NDArray[np.float32]:
+    """Return by how much cells at these distances to an obstacle, below the radius, are dearer."""
+    nearness = 1.0 - np.asarray(distances, np.float32) / np.float32(radius)
+    return (TIGHT * (1.0 + SQUEEZE * nearness)).astype(np.float32)
 
 
 def clearance_factors(
@@ -120,7 +156,7 @@ def clearance_factors(
         factors += np.float32(config.clearance_weight) * nearness.astype(np.float32) ** 2
     tight = factors.copy()
     factors[distances <= radius] = np.inf
-    tight[distances <= radius] *= np.float32(TIGHT)
+    tight[distances <= radius] *= tight_factor(distances[distances <= radius], radius)
     tight[distances <= min(config.tight_radius, config.vehicle_radius) / resolution] = np.inf
     for array in (factors, tight):
         array[0], array[-1] = np.inf, 1.0

@@ -106,6 +106,9 @@ class AssignmentConfig(Section):
     hysteresis: float = setting(
         2.0, 'another target must be better by this much travel', unit='m', low=0.0, high=100.0
     )
+    tour_hysteresis: float = setting(
+        10.0, 'other tours must cost the team less by this much', unit='m', low=0.0, high=1000.0
+    )
     work_per_area: float = setting(
         0.3,
         'travel that seeing an unknown area is expected to take',
@@ -116,6 +119,22 @@ class AssignmentConfig(Section):
     last_bonus: float = setting(
         0.0, 'travel saved if a tour ends at an unknown area', unit='m per m²', low=0.0, high=100.0
     )
+    waiting_weight: float = setting(
+        0.5,
+        'weight of the travel until targets are reached, on average, against that of all tours',
+        low=0.0,
+        high=1000.0,
+    )
+    urgency_floor: float = setting(
+        2.0,
+        'every target is as urgent as if it showed so much more',
+        unit='m²',
+        low=0.01,
+        high=1000.0,
+    )
+    urgent_gain: float = setting(
+        20.0, 'larger unknown areas are no more urgent than this', unit='m²', low=0.0, high=1000.0
+    )
     largest_gain: float = setting(
         60.0, 'larger unknown areas count as so large', unit='m²', low=0.0, high=10000.0
     )
@@ -123,7 +142,7 @@ class AssignmentConfig(Section):
         3.0, 'weight of the longest tour against the sum of all', low=0.0, high=1000.0
     )
     gain_per_detour: float = setting(
-        0.1,
+        0.2,
         'unknown area per length of detour that makes a target worth it now',
         unit='m² per m',
         low=0.0,

@@ -136,8 +136,11 @@ def nearest_stand(
 @kernel
 def pocket_size(
     unknown: Mask, marks: NDArray[np.int32], mark: int, cells: Cells, limit: int
-) -> int:
-    """Return the number of unknown cells that hang together behind a frontier, up to a limit."""
+) -> tuple[int, float, float]:
+    """Return the number of unknown cells that hang together behind a frontier, and their middle.
+
+    Counted up to a limit, nearest first; the middle (row, col) is of those that were counted.
+    """
     queue = np.empty((limit + 4, 2), np.int64)
     end = 0
     for i in range(cells.shape[0]):
@@ -152,7 +155,9 @@ def pocket_size(
     while at < end < limit:
         end = _grow(unknown, marks, mark, queue, at, end)
         at += 1
-    return min(end, limit)
+    if end == 0:
+        return 0, cells[0, 0], cells[0, 1]
+    return min(end, limit), queue[:end, 0].mean(), queue[:end, 1].mean()
 
 
 @kernel

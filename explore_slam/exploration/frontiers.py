@@ -22,8 +22,21 @@ from explore_slam.exploration.frontier_kernels import (
 from explore_slam.exploration.records import Frontier, Grid
 from explore_slam.geometry import Array
 
-RAYS = 64
+RAYS = 40
+NARROW = 0.6  # of that where no vehicle fits through the frontier itself
 POCKET = 6.0  # m²: unknown areas that are smaller than this are measured, not estimated
+
+
+def expected_area(unknown: float, reach: float) -> float:
+    """Return the free area (m²) that comes to light where rays cross an unknown area (m²).
+
+    Walls and what lies behind them are unknown too, so the less is unknown all around, the
+    smaller the share that proves to be free. Fitted to 4320 frontiers of an office building
+    (mean of the new reachable area seen from their targets).
+    """
+    full = math.pi * reach * reach
+    share = unknown / full
+    return full * min(0.44 * share * share, 0.15 * share)
 
 
 def find_frontiers(
@@ -54,49 +67,60 @@ def _frontiers_of(
     largest = max(1, round(config.max_frontier_size / scale))
     reach = round(config.frontier_reach / scale)
     sensor, area = int(config.sensor_range / scale), scale * scale
+    limit = round(POCKET / area)
     marks = np.zeros(costs.free.shape, np.int32)
     parts: list[NDArray[np.int64]] = []
     places: list[tuple[int, int]] = []
+    middles: list[tuple[float, float]] = []
     gains: list[float] = []
-    end = 0
+    end, mark = 0, 1
     for length in lengths.tolist():
         start, end = end, end + length
         if length < smallest:
             continue
         for part in _split(cells[start:end], largest):
-            mark = 2 * len(parts) + 1
+            mark += 2
             row, col = nearest_stand(costs.free, stands, marks, mark, part, reach)
-            pocket = pocket_size(costs.unknown, marks, mark + 1, part, int(POCKET / area))
-            if row < 0 or pocket * area < config.min_frontier_gain:
+            if row < 0:
                 continue
-            seen = visible_unknown(costs.free, costs.unknown, row, col, sensor, RAYS)
-            gain = area * (pocket if pocket * area < POCKET else max(seen, pocket))
+            pocket, *middle = pocket_size(costs.unknown, marks, mark + 1, part, limit)
+            if pocket * area < config.min_frontier_gain:
+                continue
+            gain = area * pocket
+            if pocket >= limit:
+                # What is seen from the stand is a rough guess: it ranks a frontier, it drops none.
+                seen = visible_unknown(costs.free, costs.unknown, row, col, sensor, RAYS)
+                gain = expected_area(area * seen, config.sensor_range)
+                gain *= 1.0 if stands[part[:, 0], part[:, 1]].any() else NARROW
+                gain = max(gain, config.min_frontier_gain)
             parts.append(part)
             places.append((row, col))
+            middles.append((middle[0], middle[1]))
             gains.append(gain)
-    return _records(grid, parts, places, gains)
+    return _records(grid, parts, places, middles, gains)
 
 
 def _records(
     grid: Grid,
     parts: list[NDArray[np.int64]],
     places: list[tuple[int, int]],
+    middles: list[tuple[float, float]],
     gains: list[float],
 ) -> list[Frontier]:
     if not parts:
         return []
-    points = grid.to_point(np.array(places))
-    x, y = grid.origin
+    points = grid.to_point(np.array(places)).tolist()
+    scale, (x, y) = grid.resolution, grid.origin
     frontiers = []
-    for part, place, point, gain in zip(parts, places, points.tolist(), gains, strict=True):
-        middle_row, middle_col = part.mean(axis=0).tolist()
-        centroid = (
-            x + (middle_col + 0.5) * grid.resolution,
-            y + (middle_row + 0.5) * grid.resolution,
+    for i, part in enumerate(parts):
+        row, col = part.mean(axis=0).tolist()
+        centroid = (x + (col + 0.5) * scale, y + (row + 0.5) * scale)
+        look_at = (x + (middles[i][1] + 0.5) * scale, y + (middles[i][0] + 0.5) * scale)
+        cell = (int(places[i][0]), int(places[i][1]))
+        target = (points[i][0], points[i][1])
+        frontiers.append(
+            Frontier(part, centroid, target, cell, len(part) * scale, gains[i], look_at)
         )
-        size = len(part) * grid.resolution
-        cell = (int(place[0]), int(place[1]))
-        frontiers.append(Frontier(part, centroid, (point[0], point[1]), cell, size, gain))
     return frontiers
 
 

@@ -1,5 +1,6 @@
 """The stateful planner: frontiers, costs, assignment, paths and right of way, cycle by cycle."""
 
+import itertools
 import logging
 import math
 from collections.abc import Iterable, Mapping
@@ -40,6 +41,7 @@ NEAR = 2.0  # m: a vehicle that is blocked this near to its target has failed to
 BLOCKINGS = 3  # so many times blocked on the way mean the same
 BAR_AHEAD, BAR_TIME = 0.5, 60.0  # m, s: what is barred when blocked on the way, how long
 SHUT_IN, UNBARRINGS = 2.0, 5  # m: bars this near to one who is shut in are dropped so often
+WALL, WALL_STEP = 1.0, 0.3  # m: places barred for good so near to each other are one wall
 BAR_TRAFFIC = 1.5  # m: with another vehicle this near it was that vehicle that was in the way
 TRAIL = 300  # places where a vehicle has been that are remembered
 JUMP = 3.0  # m between two plannings: the pose was corrected, the trail means nothing any more
@@ -93,6 +95,18 @@ class Planner:
         again = any(math.dist(bar, place) < SAME_PLACE for bar, _ in self._bars + self._dropped)
         self._bars.append((place, math.inf if again else now + BAR_TIME))
 
+    def _barred(self) -> list[Point]:
+        """Return all barred places; between two that stay barred there is a wall, say glass."""
+        places = [place for place, _ in self._bars]
+        walls = [place for place, until in self._bars if math.isinf(until)]
+        for first, second in itertools.combinations(walls, 2):
+            length = math.dist(first, second)
+            if length <= WALL:
+                shares = np.arange(WALL_STEP, length, WALL_STEP) / length
+                between = np.array(first) + shares[:, None] * (np.array(second) - first)
+                places += [(x, y) for x, y in between.tolist()]
+        return places
+
     def plan(
         self,
         grid: Grid,
@@ -109,8 +123,7 @@ class Planner:
             return PlanningResult(ExplorationStatus.PAUSED, 'paused', searched=False)
         if 0 in grid.shape:
             return self._cannot_search('the map is empty')
-        bars = [place for place, _ in self._bars]
-        scene = Scene(grid, now, self.config, vehicles, self._trails.values(), bars)
+        scene = Scene(grid, now, self.config, vehicles, self._trails, self._barred())
         if not scene.vehicles:
             return self._cannot_search('no vehicle with a valid pose')
         if not scene.starts:
@@ -174,10 +187,9 @@ class Planner:
         reason = f'nothing left to explore, {len(found)} frontiers given up'
         return self._finish(scene, ExplorationStatus.COMPLETE, reason, {}, {}, tuple(found))
 
-    @staticmethod
-    def _widen_shut_in(scene: Scene, frontiers: list[Frontier]) -> bool:
+    def _widen_shut_in(self, scene: Scene, frontiers: list[Frontier]) -> bool:
         """Let vehicles that reach no frontier through tight places; tell whether that helps."""
-        cells = [f.target_cell for f in frontiers]
+        cells = [f.target_cell for f in frontiers if not self._blacklist.gave_up(f.target)]
         shut_in = [n for n, mask in scene.reach.items() if not any(mask[cell] for cell in cells)]
         widened = [scene.widen(name) for name in shut_in]
         return any(widened)
@@ -200,8 +212,9 @@ class Planner:
                 waiting[name] = 'no target left for this vehicle'
                 continue
             frontier = frontiers[index]
+            look_at = frontier.look_at or frontier.centroid
             task = self._task_for(
-                scene, name, frontier.target, frontier.target_cell, frontier.centroid, standing
+                scene, name, frontier.target, frontier.target_cell, look_at, standing
             )
             if task is None:
                 waiting[name] = 'no path to its target'

@@ -73,7 +73,8 @@ class VehicleSnapshot(NamedTuple):
 class Frontier:
     """Free cells beside unknown ones: cells (N, 2), centroid (m), where to go, length (m).
 
-    gain: the unknown area (m²) that is expected to be seen from the target.
+    gain: the unknown area (m²) that is expected to be seen from the target. look_at: the middle
+    (m) of the unknown cells behind it.
     """
 
     cells: NDArray[np.int64]
@@ -82,6 +83,7 @@ class Frontier:
     target_cell: Cell
     size: float
     gain: float = 0.0
+    look_at: Point | None = None
 
 
 @dataclass(frozen=True)

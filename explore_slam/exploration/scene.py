@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.compiled import kernel
-from explore_slam.exploration.clearance import TIGHT, CostMap, make_cost_map
+from explore_slam.exploration.clearance import CostMap, make_cost_map, tight_factor
 from explore_slam.exploration.config import ExplorationConfig
 from explore_slam.exploration.paths import search_path, shortcut
 from explore_slam.exploration.records import Cell, Frontier, Grid, Point, VehicleSnapshot
@@ -17,6 +17,7 @@ from explore_slam.exploration.value_iteration import Costs, padded_costs, spread
 from explore_slam.geometry import Array, Pose2
 
 BAR_RADIUS = 0.25  # m of what is barred around a place that could not be passed
+TRAIL_WIDTH = 0.15  # m beside a trail that are open too, so that a path can keep to the middle
 BYPASS = 8.0  # a cell beside a standing vehicle costs so many times more
 
 
@@ -32,7 +33,7 @@ class Scene:
         now: float,
         config: ExplorationConfig,
         vehicles: Mapping[str, VehicleSnapshot],
-        trails: Iterable[list[Point]] = (),
+        trails: Mapping[str, list[Point]] | None = None,
         bars: Iterable[Point] = (),
     ) -> None:
         """Look at a grid; trails lead where vehicles drove, bars are where they could not."""
@@ -44,9 +45,11 @@ class Scene:
             if name not in self.vehicles and vehicle.pose.is_finite():
                 for cost in (self.costs.cost, self.costs.tight_cost):
                     self.bar(cost, vehicle.pose, 2.0 * config.paths.vehicle_radius)
-        for trail in trails:
-            self._open_trail(trail)
-        for place in bars:
+        self._trails = trails or {}
+        self._bars = list(bars)
+        for trail in self._trails.values():
+            self._open_trail(trail, self.costs.free, (self.costs.cost, self.costs.tight_cost))
+        for place in self._bars:
             for cost in (self.costs.cost, self.costs.tight_cost):
                 self.bar(cost, place, BAR_RADIUS)
         self.starts: dict[str, Cell] = {}
@@ -74,32 +77,47 @@ class Scene:
                 return
         self.reach[name] = flood(self.cost_of(name), cell[0], cell[1])
 
-    def _open_trail(self, trail: list[Point]) -> None:
-        """Make free cells where a vehicle drove passable, at a price: it can get out there."""
-        points = np.array(trail)
+    def _open_trail(
+        self, trail: list[Point], free: NDArray[np.bool_], costs: tuple[Costs, ...]
+    ) -> None:
+        """Make free cells where a vehicle drove, and beside, passable at a price: a way out."""
+        if not trail:
+            return
+        points, scale = np.array(trail), self.grid.resolution
         lengths = arc_lengths(points)
-        at = np.append(np.arange(0.0, lengths[-1], 0.5 * self.grid.resolution), lengths[-1])
+        at = np.append(np.arange(0.0, lengths[-1], 0.5 * scale), lengths[-1])
         cells = self.grid.to_cell(along(points, lengths, at))
-        cells = cells[((cells >= 0) & (cells < self.grid.shape)).all(axis=1)]
-        rows, cols = cells[self.costs.free[cells[:, 0], cells[:, 1]]].T
-        for cost in (self.costs.cost, self.costs.tight_cost):
-            shut = ~np.isfinite(cost[rows, cols])
-            cost[rows[shut], cols[shut]] = TIGHT
+        radius = self.config.paths.vehicle_radius / scale
+        distances = np.sqrt(np.arange(math.ceil(radius * radius) + 1))
+        prices = tight_factor(np.minimum(distances, radius), radius)
+        half = math.floor(TRAIL_WIDTH / scale)
+        for cost in costs:
+            open_around(cost, free, self.costs.squared, cells, half, prices)
 
     def widen(self, name: str) -> bool:
         """Let a vehicle through tight places too; tell whether that takes it any further."""
         if name in self.tight:
             return False
         mask = flood(self.costs.tight_cost, *self.starts[name])
-        if np.count_nonzero(mask & np.isfinite(self.costs.cost)) <= np.count_nonzero(
-            self.reach[name]
-        ):
-            return False
+        if not self._leads_on(mask, name):
+            # What closes the way by which it came is perhaps not there: it goes and looks.
+            anywhere = ~self.costs.unknown
+            self._open_trail(self._trails.get(name, []), anywhere, (self.costs.tight_cost,))
+            for place in self._bars:
+                self.bar(self.costs.tight_cost, place, BAR_RADIUS)
+            mask = flood(self.costs.tight_cost, *self.starts[name])
+            if not self._leads_on(mask, name):
+                return False
         self.tight.add(name)
         self.reach[name] = mask
         self._routes = None
         self._fields.clear()
         return True
+
+    def _leads_on(self, mask: NDArray[np.bool_], name: str) -> bool:
+        """Tell whether cells (H, W) hold more places with room than a vehicle reaches now."""
+        more = np.count_nonzero(mask & np.isfinite(self.costs.cost))
+        return bool(more > np.count_nonzero(self.reach[name]))
 
     def cost_of(self, name: str) -> Costs:
         """Return the costs (H, W) that a vehicle plans on."""
@@ -240,6 +258,31 @@ class Scene:
         if not math.isfinite(values[best]):
             return None, math.inf
         return self.path(one.name, best, padded), float(values[best])
+
+
+@kernel
+def open_around(
+    cost: Costs,
+    free: NDArray[np.bool_],
+    squared: NDArray[np.int32],
+    cells: NDArray[np.int64],
+    half: int,
+    prices: NDArray[np.float32],
+) -> None:
+    """Give free cells up to `half` cells beside some cells (N, 2) a price where they have none.
+
+    prices: by squared distance to the next obstacle, the last one beyond.
+    """
+    last_row, last_col = -1, -1
+    for i in range(cells.shape[0]):
+        row, col = cells[i, 0], cells[i, 1]
+        if row == last_row and col == last_col:
+            continue
+        last_row, last_col = row, col
+        for r in range(max(0, row - half), min(cost.shape[0], row + half + 1)):
+            for c in range(max(0, col - half), min(cost.shape[1], col + half + 1)):
+                if free[r, c] and cost[r, c] == np.inf:
+                    cost[r, c] = prices[min(squared[r, c], prices.size - 1)]
 
 
 @kernel

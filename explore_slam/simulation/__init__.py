@@ -13,7 +13,15 @@ from explore_slam.simulation.world import World
 if TYPE_CHECKING:
     from explore_slam.simulation.simulator import Simulator
 
-__all__ = ['Collision', 'SimEvent', 'SimulationConfig', 'Simulator', 'TruePose', 'World']
+__all__ = [
+    'Collision',
+    'SimEvent',
+    'SimulationConfig',
+    'Simulator',
+    'TruePose',
+    'World',
+    'warm_up',
+]
 
 
 def __getattr__(name: str) -> Any:
@@ -22,3 +30,10 @@ def __getattr__(name: str) -> Any:
 
         return Simulator
     raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+
+
+def warm_up() -> None:
+    """Compile the kernels of the grid world, or read them from the cache."""
+    from explore_slam.simulation import grid_simulator
+
+    grid_simulator.warm_up()

@@ -10,6 +10,7 @@ from scipy.ndimage import distance_transform_edt
 from explore_slam.exploration import ExplorationConfig, find_frontiers, make_cost_map
 from explore_slam.exploration.clearance import squared_distance
 from explore_slam.exploration.config import PathConfig
+from explore_slam.exploration.frontiers import expected_area
 from explore_slam.mapping import OccupancyGrid
 from explore_slam.settings import with_values
 
@@ -136,3 +137,19 @@ def test_unreachable_sides_do_not_count():
     grid = grid_of(ROOMS, cells_per_letter=4)
     nowhere = np.zeros(grid.shape, bool)
     assert find_frontiers(grid, config(), reachable=nowhere) == []
+
+
+def test_a_vehicle_is_told_to_look_at_what_is_unknown():
+    grid = grid_of(ROOMS, cells_per_letter=4)
+    (frontier,) = find_frontiers(grid, config(max_frontier_size=10.0))
+    row, col = grid.to_cell([frontier.look_at])[0]
+    away = math.dist(frontier.look_at, frontier.target)
+    assert not grid.known()[row, col]
+    assert away > 0.5
+
+
+def test_expected_area_grows_faster_than_what_is_unknown_and_stays_below_it():
+    assert expected_area(0.0, 8.0) == 0.0
+    few, many, all_around = (expected_area(area, 8.0) for area in (20.0, 60.0, 200.0))
+    assert few < 20.0 / 15.0 < many / 3.0
+    assert many < all_around < 0.2 * 200.0

@@ -242,6 +242,30 @@ def test_a_shut_in_vehicle_gets_out_through_a_tight_place():
     assert 'robot1' not in Planner(wall).plan(grid, 0.0, start).plans
 
 
+def test_a_vehicle_leaves_by_the_way_it_came_though_the_map_shows_a_wall_there():
+    # Something stood behind the vehicle when it was seen: it cannot see that it has gone.
+    before = """
+    ?????????????
+    ###########.?
+    #....#......?
+    #...........?
+    #....#......?
+    ###########.?
+    ?????????????
+    """
+    after = before.replace('#...........?', '#....#......?')
+    planner = Planner(config())
+    for col in (7, 6, 5, 4, 3):
+        planner.plan(
+            grid_of(before, cells_per_letter=SIDE), 0.0, {'robot1': snapshot(before, 3, col)}
+        )
+    inside = {'robot1': snapshot(after, 3, 3)}
+    grid = grid_of(after, cells_per_letter=SIDE)
+    plan = planner.plan(grid, 10.0, inside).plans['robot1']
+    assert plan.goal.x > inside['robot1'].pose.x + 4.0
+    assert 'robot1' not in Planner(config()).plan(grid, 10.0, inside).plans
+
+
 def test_a_target_reported_as_blocked_near_by_is_left_alone_and_tried_again_at_the_end():
     planner = Planner(config(blacklist_radius=1.0))
     vehicles = team(HALL, (4, 9))
