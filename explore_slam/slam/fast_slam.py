@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -14,7 +13,7 @@ from explore_slam.errors import SlamError
 from explore_slam.geometry import Array, Pose2, compose, wrap_angles
 from explore_slam.slam import belief_state, checkpoint, checks, engines
 from explore_slam.slam.config import FastSlamConfig
-from explore_slam.slam.engines import Sighted
+from explore_slam.slam.engines import Proposal, Sighted
 from explore_slam.slam.genealogy import Genealogy, Index
 from explore_slam.slam.landmark_map import LandmarkMap, Landmarks, make_index
 from explore_slam.slam.map_keeper import MapKeeper, support
@@ -29,29 +28,9 @@ from explore_slam.slam.resampling import (
 )
 from explore_slam.slam.row_store import RowStore
 from explore_slam.slam.sighting import sight
+from explore_slam.slam.summary import UpdateSummary
 
-
-@dataclass(frozen=True)
-class UpdateSummary:
-    """What one update did.
-
-    observed: landmarks observed; matched: of these, with a like descriptor in the map;
-    associated: updated in the best particle; inserted: new landmarks; removed: forgotten ones;
-    effective_particles before a resampling; lost: matches disagree with the pose in nearly all
-    particles; relocated: the vehicle has been moved to where its matches say.
-    """
-
-    stamp: float
-    vehicle: str
-    observed: int
-    matched: int
-    associated: int
-    inserted: int
-    removed: int
-    effective_particles: float
-    resampled: bool
-    lost: bool
-    relocated: bool
+__all__ = ['FastSlam', 'UpdateSummary']
 
 
 class FastSlam:
@@ -142,37 +121,53 @@ class FastSlam:
         random = self._random.bit_generator.state
         poses, P = self._settled(number)
         normals = stratified_normals(self._random, self.config.particles, 3)
-        engine = engines.paper if self.config.engine == 'paper' else engines.fastslam2
-        log_weights = engine(sighted, data, poses, P, normals, self.config)
-        if not (np.isfinite(poses).all() and np.isfinite(log_weights).all()):
+        if self.config.engine == 'paper':
+            proposal = engines.paper(sighted, data, poses, P, normals, self.config)
+        else:
+            proposal = engines.fastslam2(sighted, data, poses, P, self.config)
+        if not proposal.is_finite():
             self.map.rows.revert(sighted.items, sighted.slots)
             self._refuse(random, f'update({vehicle!r}) at stamp {observations.stamp}')
-        self._place(number, poses)
         self._stamps[number] = observations.stamp
-        engines.update_matched(sighted, data, poses, self.config.filter_threads)
-        self._weigh(log_weights)
-        best = self.best_particle()
-        support_of = support(
-            sighted.choice, np.exp(self._log_weights), sighted.candidates.shape[1]
+        self._weigh(proposal.log_weights)
+        weights = np.exp(self._log_weights)
+        support_of = support(sighted.choice, weights, sighted.candidates.shape[1])
+        resampled = self._follow_the_fit(sighted, proposal, weights)
+        poses = proposal.sampled(normals)
+        self._place(number, poses)
+        engines.update_matched(
+            sighted, self.map.rows.present_data, poses, self.config.filter_threads
         )
-        agreed = support_of.sum(axis=1) > 0.5
+        best = self.best_particle()
+        matches = sighted.matches(best, self.map.ids)
         inserted, removed = self._keeper.write(number, sighted, poses, support_of, best)
-        effective = effective_particles(np.exp(self._log_weights))
-        resampled = self._resample_if_due(number, effective)
-        lost, relocated = self._recover(number, sighted, agreed)
+        if self.config.engine == 'paper':
+            resampled = self._end_round(number)
+        lost, relocated = self._recover(number, sighted, support_of.sum(axis=1) > 0.5)
         return UpdateSummary(
             stamp=observations.stamp,
             vehicle=vehicle,
             observed=len(observations),
             matched=int(np.count_nonzero((sighted.alike >= 0).any(axis=1))),
-            associated=int(np.count_nonzero(sighted.choice[:, best] >= 0)),
+            associated=int(np.count_nonzero(matches >= 0)),
             inserted=inserted,
             removed=removed,
-            effective_particles=effective,
+            effective_particles=effective_particles(weights),
             resampled=resampled,
             lost=lost,
             relocated=relocated,
+            matches=matches,
         )
+
+    def _follow_the_fit(self, sighted: Sighted, proposal: Proposal, weights: Array) -> bool:
+        """Resample if it is due, before poses are sampled: descendants then differ at once."""
+        if self.config.engine == 'paper' or not self._is_due(effective_particles(weights)):
+            return False
+        self.map.rows.revert(sighted.items, sighted.slots)
+        ancestors = self._resample(weights)
+        sighted.follow(ancestors, self.map.rows)
+        proposal.follow(ancestors)
+        return True
 
     def update_sightings(self, vehicle: str, sightings: Sequence[VehicleSighting]) -> None:
         """Take in where a vehicle sees other vehicles of the team, whose motion is told up to now.
@@ -208,8 +203,8 @@ class FastSlam:
         self._place(number, seer)
         self._place(other, seen)
         self._pending[other] = PendingMotion.of(0.5 * (left + left.T))
-        if self.config.engine == 'fastslam2':
-            self._resample_if_due(number, self.effective_particles())
+        if self.config.engine == 'fastslam2' and self._is_due(self.effective_particles()):
+            self.resample_now()
 
     def _refuse(self, random: Any, what: str) -> NoReturn:
         """Take random numbers back and refuse a call whose numbers run out of range."""
@@ -275,16 +270,15 @@ class FastSlam:
 
     # -- resampling -----------------------------------------------------------------------------
 
-    def _resample_if_due(self, number: int, effective: float) -> bool:
-        if self.config.engine == 'paper':
-            self._contributed.add(number)
-            if len(self._contributed) < len(self.vehicles):
-                return False
-            self._resample_round()
-            return True
-        if effective >= self.config.resampling_threshold * self.config.particles:
+    def _is_due(self, effective: float) -> bool:
+        return effective < self.config.resampling_threshold * self.config.particles
+
+    def _end_round(self, number: int) -> bool:
+        """Engine paper: resample when all vehicles have weighed the particles."""
+        self._contributed.add(number)
+        if len(self._contributed) < len(self.vehicles):
             return False
-        self.resample_now()
+        self._resample_round()
         return True
 
     def _resample_round(self) -> None:
@@ -298,10 +292,11 @@ class FastSlam:
         """Resample by the present weights, or by given normalized weights (M,)."""
         self._resample(np.exp(self._log_weights) if weights is None else weights)
 
-    def _resample(self, weights: Array) -> None:
+    def _resample(self, weights: Array) -> Index:
         ancestors = systematic_ancestors(weights, float(self._random.random()))
         self._descend(ancestors)
         self._log_weights[:] = -math.log(self.config.particles)
+        return ancestors
 
     def _descend(self, ancestors: Index) -> None:
         self._poses = self._poses[:, ancestors]

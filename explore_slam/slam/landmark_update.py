@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from explore_slam.geometry import Array
 from explore_slam.slam.association import Choice, Locals, seen_covariance
-from explore_slam.slam.proposal import (
+from explore_slam.slam.blocks import (
     BLOCK,
     COS,
     LM,
@@ -23,9 +23,9 @@ from explore_slam.slam.proposal import (
     WEIGHT,
     S,
     W,
-    _expect,
-    _invert,
-    _load,
+    expect,
+    invert,
+    load,
 )  # fmt: skip
 
 
@@ -118,12 +118,12 @@ def update_landmarks(
         r0, r1, r2, r3, r4, r5 = R[k, 0], R[k, 1], R[k, 2], R[k, 3], R[k, 4], R[k, 5]
         for m0 in range(begin, end, BLOCK):
             n = min(BLOCK, end - m0)
-            if not _load(w, slab, slots, candidates, choice, k, m0, n):
+            if not load(w, slab, slots, candidates, choice, k, m0, n):
                 continue
             for i in range(n):
                 w[PX, i], w[PY, i] = placed[0, m0 - begin + i], placed[1, m0 - begin + i]
                 w[COS, i], w[SIN, i] = placed[2, m0 - begin + i], placed[3, m0 - begin + i]
-            _expect(w, z, R, k)
+            expect(w, z, R, k)
             for i in range(n):
                 w[WEIGHT, i] = 1.0 / max(influence[k, m0 + i], 1e-12)
             for i in range(BLOCK):
@@ -134,7 +134,7 @@ def update_landmarks(
                 w[S + 3, i] += more * r3
                 w[S + 4, i] += more * r4
                 w[S + 5, i] += more * r5
-            _invert(w)
+            invert(w)
             _correct(w, R, k)
             _store(w, slab, slots, candidates, choice, k, m0, n)
 

@@ -119,11 +119,11 @@ class MapKeeper:
         """
         free: NDArray[np.bool_] = sighted.choice < 0
         if self.config.engine == 'fastslam2':
-            likes = np.count_nonzero((sighted.alike >= 0).any(axis=1))
+            likes = np.count_nonzero((sighted.alike >= 0).any(axis=1) & sighted.telling)
             agreeing = np.count_nonzero(agreed)
             new = ~agreed
-            if agreeing < max(3, 0.5 * np.count_nonzero(sighted.known)):
-                new &= ~sighted.known
+            if agreeing < max(3, 0.5 * np.count_nonzero(sighted.telling)):
+                new &= ~sighted.telling
             if likes >= 0.4 * len(agreed) and agreeing < 0.25 * likes:
                 new[:] = False
             free &= new[:, None]

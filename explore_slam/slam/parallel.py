@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from itertools import pairwise
 
-from explore_slam.slam.proposal import BLOCK
+from explore_slam.slam.blocks import BLOCK
 
 
 @cache

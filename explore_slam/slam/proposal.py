@@ -1,4 +1,4 @@
-"""FastSLAM 2.0 for blocks of particles: association, pose proposal, likelihood, landmark filters.
+"""FastSLAM 2.0 for blocks of particles: association, pose proposal, likelihood.
 
 For one particle, with δ the pose error in the predicted vehicle frame, δ ~ N(0, P), and the
 observations z = h + H δ + noise of covariance S = Σ + R: Λ = Σ Hᵀ S⁻¹ H, η = Σ Hᵀ S⁻¹ ν,
@@ -7,10 +7,10 @@ The solution is iterated once: residuals are judged where the first solution lie
 studentized length d, and lose influence beyond the outlier threshold t, w = t² / d²: the
 likelihood has a heavy tail and no single observation decides over a particle.
 
-Particles are worked off in blocks whose numbers lie in one scratch array, a row per quantity and
-a column per particle: the compiler turns loops over columns into vector instructions, and the
-landmark rows of a block stay in the cache from the association to the update. Particles do not
-depend on each other, so any split into blocks and threads gives the same bits.
+The likelihood does not depend on the sample that is drawn from the proposal. So a resampling comes
+before the sampling: the descendants of one particle go on from poses of their own.
+
+Particles do not depend on each other, so any split into blocks and threads gives the same bits.
 """
 
 import math
@@ -21,108 +21,44 @@ from numpy.typing import NDArray
 
 from explore_slam.geometry import Array
 from explore_slam.slam.association import Choice, Locals
+from explore_slam.slam.blocks import (
+    BEST,
+    BLOCK,
+    CD,
+    COS,
+    COST,
+    D0,
+    D1,
+    D2,
+    DET,
+    ETA,
+    LAMBDA,
+    LM,
+    MASK,
+    PICK,
+    PRODUCT,
+    PX,
+    PY,
+    SCRATCH,
+    SD,
+    SIN,
+    SQ,
+    VX,
+    VY,
+    VZ,
+    WEIGHT,
+    WEIGHTS,
+    ZX,
+    ZY,
+    Q,
+    S,
+    W,
+    expect,
+    invert,
+    load,
+    measure,
+)  # fmt: skip
 from explore_slam.slam.gaussian import sample_gaussian, solve
-
-BLOCK = 64
-
-# Rows of the scratch array.
-PX, PY, COS, SIN = 0, 1, 2, 3  # pose at which to linearize
-CD, SD, D0, D1, D2 = 4, 5, 6, 7, 8  # cos, sin of its turn, and δ, since the prediction
-LM = 9  # landmark mean 9…11, covariance 12…17
-ZX, ZY, VX, VY, VZ = 18, 19, 20, 21, 22  # expected x, y; residual
-S = 23  # covariance of the residual, 23…28
-W = 29  # its inverse, 29…34
-DET = 35  # its determinant
-SQ = 36  # squared length of the residual
-MASK = 37  # 1 where the particle has a landmark for the observation, else 0
-ETA = 38  # η, 38…40
-LAMBDA = 41  # Λ: 00 01 02 11 12 22, 41…46
-COST = 47  # Σ w νᵀ S⁻¹ ν + what is unmatched
-PRODUCT, WEIGHTS = 48, 49  # Π |S| / |2R| and Π w, taken to COST before they run out of range
-Q = 50  # posterior covariance 00 01 02 11 12 22, 50…55
-WEIGHT = 56  # w
-BEST, PICK = 57, 58  # least score so far and its candidate
-SCRATCH = 59
-
-
-@njit(cache=True, nogil=True, error_model='numpy', inline='always')
-def _load(w, slab, slots, candidates, choice, k, m0, n):  # type: ignore[no-untyped-def]
-    """Load the landmark that each particle has chosen for observation k, and the mask."""
-    first, having, taking = -1, 0, 0
-    for i in range(n):
-        first = max(first, choice[k, m0 + i])
-    for i in range(n):
-        j = choice[k, m0 + i]
-        having += 1 if j >= 0 else 0
-        taking += 1 if j == first else 0
-        w[MASK, i] = 1.0 if j >= 0 else 0.0
-    if first >= 0:
-        row = slab[slots[candidates[k, first]]]
-        for v in range(9):
-            for i in range(n):
-                w[LM + v, i] = row[v, m0 + i]
-        if taking < having:
-            for i in range(n):
-                j = choice[k, m0 + i]
-                if j >= 0:
-                    for v in range(9):
-                        w[LM + v, i] = slab[slots[candidates[k, j]], v, m0 + i]
-    return first >= 0
-
-
-@njit(cache=True, nogil=True, error_model='numpy', inline='always')
-def _expect(w, z, R, k):  # type: ignore[no-untyped-def]
-    """Set expected observation, residual and S = Σ + R in the vehicle frame."""
-    z0, z1, z2 = z[k, 0], z[k, 1], z[k, 2]
-    r0, r1, r2, r3, r4, r5 = R[k, 0], R[k, 1], R[k, 2], R[k, 3], R[k, 4], R[k, 5]
-    for i in range(BLOCK):
-        c, s = w[COS, i], w[SIN, i]
-        dx, dy = w[LM, i] - w[PX, i], w[LM + 1, i] - w[PY, i]
-        zx, zy = c * dx + s * dy, c * dy - s * dx
-        w[ZX, i], w[ZY, i] = zx, zy
-        w[VX, i], w[VY, i], w[VZ, i] = z0 - zx, z1 - zy, z2 - w[LM + 2, i]
-        xx, xy, xz = w[LM + 3, i], w[LM + 4, i], w[LM + 5, i]
-        yy, yz = w[LM + 6, i], w[LM + 7, i]
-        cc, cs, ss = c * c, c * s, s * s
-        w[S, i] = cc * xx + 2.0 * cs * xy + ss * yy + r0
-        w[S + 1, i] = cs * (yy - xx) + (cc - ss) * xy + r1
-        w[S + 2, i] = c * xz + s * yz + r2
-        w[S + 3, i] = ss * xx - 2.0 * cs * xy + cc * yy + r3
-        w[S + 4, i] = c * yz - s * xz + r4
-        w[S + 5, i] = w[LM + 8, i] + r5
-
-
-@njit(cache=True, nogil=True, error_model='numpy', inline='always')
-def _measure(w, hxx, hxy, hyy, i):  # type: ignore[no-untyped-def]
-    """Return νᵀ (S + h)⁻¹ ν and |S + h| of column i, h added to the x, y part of S."""
-    xx, xy, xz = w[S, i] + hxx, w[S + 1, i] + hxy, w[S + 2, i]
-    yy, yz, zz = w[S + 3, i] + hyy, w[S + 4, i], w[S + 5, i]
-    a, b, d = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
-    determinant = xx * a + xy * b + xz * d
-    vx, vy, vz = w[VX, i], w[VY, i], w[VZ, i]
-    square = (
-        a * vx * vx
-        + (xx * zz - xz * xz) * vy * vy
-        + (xx * yy - xy * xy) * vz * vz
-        + 2.0 * (b * vx * vy + d * vx * vz + (xy * xz - xx * yz) * vy * vz)
-    )
-    return square / determinant, determinant
-
-
-@njit(cache=True, nogil=True, error_model='numpy', inline='always')
-def _invert(w):  # type: ignore[no-untyped-def]
-    """Set W = S⁻¹ and |S|."""
-    for i in range(BLOCK):
-        xx, xy, xz = w[S, i], w[S + 1, i], w[S + 2, i]
-        yy, yz, zz = w[S + 3, i], w[S + 4, i], w[S + 5, i]
-        a, b, d = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
-        determinant = xx * a + xy * b + xz * d
-        r = 1.0 / determinant
-        w[DET, i] = determinant
-        w[W, i], w[W + 1, i], w[W + 2, i] = r * a, r * b, r * d
-        w[W + 3, i] = r * (xx * zz - xz * xz)
-        w[W + 4, i] = r * (xy * xz - xx * yz)
-        w[W + 5, i] = r * (xx * yy - xy * xy)
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
@@ -162,14 +98,14 @@ def _associate(  # noqa: PLR0912, C901 - a kernel
             for v in range(9):
                 for i in range(n):
                     w[LM + v, i] = row[v, m0 + i]
-            _expect(w, z, R, k)
+            expect(w, z, R, k)
             for i in range(BLOCK):
                 # H P Hᵀ with H = [[-1, 0, zy], [0, -1, -zx], [0, 0, 0]]
                 zx, zy = w[ZX, i], w[ZY, i]
                 hxx = p00 - 2.0 * zy * p02 + zy * zy * p22
                 hxy = p01 + zx * p02 - zy * p12 - zx * zy * p22
                 hyy = p11 + 2.0 * zx * p12 + zx * zx * p22
-                w[SQ, i], w[DET, i] = _measure(w, hxx, hxy, hyy, i)
+                w[SQ, i], w[DET, i] = measure(w, hxx, hxy, hyy, i)
             for i in range(n):
                 if not (w[LM + 3, i] > 0.0 and w[SQ, i] <= gate):
                     continue
@@ -204,8 +140,8 @@ def _judge(w, t2):  # type: ignore[no-untyped-def]
         hxx = min(-cd * a0 - sd * a1 + zy * a2, 0.999 * w[S, i])
         hxy = sd * a0 - cd * a1 - zx * a2
         hyy = min(sd * b0 - cd * b1 - zx * b2, 0.999 * w[S + 3, i])
-        studentized, determinant = _measure(w, -hxx, -hxy, -hyy, i)
-        plain, _ = _measure(w, 0.0, 0.0, 0.0, i)
+        studentized, determinant = measure(w, -hxx, -hxy, -hyy, i)
+        plain, _ = measure(w, 0.0, 0.0, 0.0, i)
         square = studentized if determinant > 0.0 and studentized > plain else plain
         w[WEIGHT, i] = t2 / square if square > t2 else 1.0
 
@@ -270,12 +206,12 @@ def _fold(
         w[COST, i] = 0.0
         w[PRODUCT, i] = w[WEIGHTS, i] = w[WEIGHT, i] = 1.0
     for k in range(len(candidates)):
-        if not _load(w, slab, slots, candidates, choice, k, m0, n):
+        if not load(w, slab, slots, candidates, choice, k, m0, n):
             for i in range(BLOCK):
                 w[COST, i] += unmatched
             continue
-        _expect(w, z, R, k)
-        _invert(w)
+        expect(w, z, R, k)
+        invert(w)
         if judged:
             _judge(w, t2)
             for i in range(n):
@@ -328,21 +264,25 @@ def _linearize(
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
-def _sample_block(
-    w: Array, poses: Array, normals: Array, log_weights: Array, m0: int, n: int, Qm: Array
+def sample_proposals(
+    centers: Array, spreads: Array, normals: Array, begin: int, end: int, poses: Array
 ) -> None:  # pragma: no cover - compiled
-    """Replace the predicted poses by samples of the proposals; add the log likelihoods."""
-    delta = np.empty(3)
-    for i in range(n):
-        Qm[0, 0], Qm[0, 1], Qm[0, 2] = w[Q, i], w[Q + 1, i], w[Q + 2, i]
-        Qm[1, 0], Qm[1, 1], Qm[1, 2] = w[Q + 1, i], w[Q + 3, i], w[Q + 4, i]
-        Qm[2, 0], Qm[2, 1], Qm[2, 2] = w[Q + 2, i], w[Q + 4, i], w[Q + 5, i]
-        delta[0], delta[1], delta[2] = w[D0, i], w[D1, i], w[D2, i]
-        sample_gaussian(Qm, normals[m0 + i], delta)
-        _linearize(w, poses, delta, m0, i)
-        heading = poses[m0 + i, 2] + delta[2]
-        poses[m0 + i, 0], poses[m0 + i, 1], poses[m0 + i, 2] = w[PX, i], w[PY, i], heading
-        log_weights[m0 + i] -= 0.5 * w[COST, i]
+    """Move predicted poses begin … end of (M, 3) in place to samples of their proposals.
+
+    centers (M, 3) and spreads (M, 6), the covariances, in the predicted vehicle frames; normals
+    (M, 3).
+    """
+    delta, spread = np.empty(3), np.empty((3, 3))
+    for m in range(begin, end):
+        delta[:] = centers[m]
+        spread[0, 0], spread[0, 1], spread[0, 2] = spreads[m, 0], spreads[m, 1], spreads[m, 2]
+        spread[1, 0], spread[1, 1], spread[1, 2] = spreads[m, 1], spreads[m, 3], spreads[m, 4]
+        spread[2, 0], spread[2, 1], spread[2, 2] = spreads[m, 2], spreads[m, 4], spreads[m, 5]
+        sample_gaussian(spread, normals[m], delta)
+        c, s = math.cos(poses[m, 2]), math.sin(poses[m, 2])
+        poses[m, 0] += c * delta[0] - s * delta[1]
+        poses[m, 1] += s * delta[0] + c * delta[1]
+        poses[m, 2] += delta[2]
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
@@ -359,21 +299,23 @@ def propose(
     likeness: float,
     threshold: float,
     share: float,
-    normals: Array,
     begin: int,
     end: int,
     poses: Array,
+    centers: Array,
+    spreads: Array,
     log_weights: Array,
     choice: Choice,
     influence: Array,
 ) -> None:  # pragma: no cover - compiled
-    """Associate, and move particles begin … end of poses (M, 3) to samples of their proposals.
+    """Associate, and find the proposals of particles begin … end, whose predictions are poses.
 
     slab, slots, candidates (K, J), distances (K, J), z (K, 3), R (K, 6) as in `association`;
     shared (L,) landmarks that are candidates of several observations; P (3, 3) of the predicted
     poses in the vehicle frame. What is observed counts with the share (0 to 1) of its
     information. log_weights (M,) gains the likelihoods; choice and influence
-    (K, M) receive candidate and w. Unmatched counts like a residual at the gate.
+    (K, M) receive candidate and w. Unmatched counts like a residual at the gate. centers (M, 3)
+    and spreads (M, 6) receive mean and covariance of the pose error, see `sample_proposals`.
     """
     t2 = threshold * threshold
     unmatched = t2 * (1.0 + math.log(max(gate / t2, 1.0)))
@@ -401,4 +343,9 @@ def propose(
                 influence,
             )  # fmt: skip
             _solve_block(w, poses, P, m0, n, L, Qm, share)
-        _sample_block(w, poses, normals, log_weights, m0, n, Qm)
+        for i in range(n):
+            centers[m0 + i, 0], centers[m0 + i, 1] = w[D0, i], w[D1, i]
+            centers[m0 + i, 2] = w[D2, i]
+            for v in range(6):
+                spreads[m0 + i, v] = w[Q + v, i]
+            log_weights[m0 + i] -= 0.5 * w[COST, i]

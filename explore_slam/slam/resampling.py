@@ -6,6 +6,8 @@ from scipy.special import ndtri
 
 from explore_slam.geometry import Array
 
+_KIN = 8  # particles in a row that share the strata of a draw
+
 
 def normalized(log_weights: Array) -> tuple[Array, Array]:
     """Return log weights shifted so that the weights sum to one, and these weights, both (M,)."""
@@ -21,13 +23,22 @@ def effective_particles(weights: Array) -> float:
 
 
 def stratified_normals(random: np.random.Generator, particles: int, dimensions: int) -> Array:
-    """Return standard normal samples (M, D), a Latin hypercube: each dimension evenly covered.
+    """Return standard normal samples (M, D), each dimension evenly covered: a Latin hypercube.
 
-    Less of the estimate's variance comes from the draw than with independent samples.
+    So are any _KIN particles in a row, from coarse strata: particles that descend from one are
+    neighbours, and spread out. Less of the estimate's variance comes from the draw than with
+    independent samples.
     """
-    strata = np.tile(np.arange(particles), (dimensions, 1))
-    uniform = (random.permuted(strata, axis=1) + random.random(strata.shape)) / particles
-    normals: Array = np.ascontiguousarray(ndtri(np.clip(uniform, 1e-12, 1.0 - 1e-12)).T)
+    groups = -(-particles // _KIN)
+    uniform = np.empty((groups * _KIN, dimensions))
+    coarse_first = np.tile(np.arange(_KIN), (groups, 1))
+    fine_first = np.tile(np.arange(groups), (_KIN, 1))
+    for dimension in range(dimensions):
+        coarse = random.permuted(coarse_first, axis=1)
+        fine = random.permuted(fine_first, axis=1)[coarse, np.arange(groups)[:, None]]
+        uniform[:, dimension] = (coarse * groups + fine).ravel()
+    uniform = (uniform + random.random(uniform.shape)) / len(uniform)
+    normals: Array = ndtri(np.clip(uniform[:particles], 1e-12, 1.0 - 1e-12))
     return normals
 
 

@@ -10,8 +10,9 @@ from explore_slam.errors import SlamError
 from explore_slam.geometry import Array, Pose2
 from explore_slam.slam import checkpoint
 from explore_slam.slam.config import FastSlamConfig
-from explore_slam.slam.fast_slam import FastSlam, UpdateSummary
+from explore_slam.slam.fast_slam import FastSlam
 from explore_slam.slam.landmark_map import Landmarks
+from explore_slam.slam.summary import UpdateSummary
 
 
 class TeamBelief:

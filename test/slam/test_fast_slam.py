@@ -271,3 +271,62 @@ def test_the_number_of_threads_does_not_matter(make_world, make_slam, drive_circ
         paths.append(slam.best_path())
     np.testing.assert_array_equal(paths[0], paths[1])
     np.testing.assert_array_equal(paths[0], paths[2])
+
+
+def test_descendants_of_one_particle_go_on_from_poses_of_their_own(
+    make_world, make_slam, drive_circles
+):
+    world = make_world()
+    slam = make_slam(world.start(a=STARTS['a']), resampling_threshold=1.0)
+    drive_circles(slam, world, 10)
+    world.drive('a', Pose2(0.4, 0.0, 0.3))
+    slam.predict('a', Pose2(0.4, 0.0, 0.3), np.diag([0.02, 0.01, 0.03]) ** 2)
+    summary = slam.update('a', world.see('a', 10.0))
+    assert summary.resampled
+    assert summary.effective_particles < 190
+    assert len(np.unique(slam.particle_poses('a'), axis=0)) == 200
+    np.testing.assert_allclose(slam.weights(), 1 / 200)
+
+
+def test_matches_name_the_landmarks_of_the_best_particle(make_world, make_slam):
+    world = make_world()
+    slam = make_slam(world.start(a=STARTS['a']))
+    slam.predict('a', Pose2(0.0, 0.0, 0.0), np.zeros((3, 3)))
+    first = slam.update('a', world.see('a', 0.0))
+    assert (first.matches == -1).all()
+    seen = world.see('a', 1.0, reach=4.5)
+    second = slam.update('a', seen)
+    assert (second.matches >= 0).sum() == second.associated == first.inserted
+    assert second.inserted == second.observed - second.associated > 0
+    landmarks = slam.landmarks()
+    for number, descriptor in zip(second.matches, seen.descriptors, strict=True):
+        if number >= 0:
+            row = int(np.flatnonzero(landmarks.ids == number)[0])
+            np.testing.assert_array_equal(landmarks.descriptors[row], descriptor)
+
+
+def test_textures_that_repeat_do_not_keep_new_landmarks_out(make_slam):
+    random = np.random.default_rng(0)
+    kind = np.abs(random.standard_normal((1, 128)))
+    blur = 0.03 * random.standard_normal((40, 128))
+    rows = kind / np.linalg.norm(kind) + blur
+    rows = (rows / np.linalg.norm(rows, axis=1, keepdims=True)).astype(np.float32)
+    places = np.c_[random.uniform(1, 3, 40), random.uniform(-2, 2, 40), random.uniform(0, 2, 40)]
+    covariances = np.tile(1e-4 * np.eye(3), (20, 1, 1))
+    slam = make_slam({'a': Pose2(0.0, 0.0, 0.0)}, maximum_descriptor_distance=0.5)
+    slam.predict('a', Pose2(0.0, 0.0, 0.0), np.zeros((3, 3)))
+    slam.update('a', LandmarkObservations(0.0, places[:20], covariances, rows[:20]))
+    elsewhere = places[20:] + [0.0, 10.0, 0.0]
+    summary = slam.update('a', LandmarkObservations(1.0, elsewhere, covariances, rows[20:]))
+    assert summary.associated == 0
+    assert summary.inserted == 20
+
+
+def test_a_descriptor_that_is_unique_is_no_new_landmark_elsewhere(make_world, make_slam):
+    world = make_world()
+    slam = make_slam(world.start(a=STARTS['a']))
+    slam.predict('a', Pose2(0.0, 0.0, 0.0), np.zeros((3, 3)))
+    seen = world.see('a', 0.0)
+    slam.update('a', seen)
+    moved = dataclasses.replace(seen, positions=seen.positions + [3.0, 3.0, 0.0], stamp=1.0)
+    assert slam.update('a', moved).inserted == 0

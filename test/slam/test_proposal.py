@@ -7,7 +7,7 @@ import pytest
 
 from explore_slam.slam.engines import UPPER
 from explore_slam.slam.landmark_update import insert_landmarks, update_landmarks
-from explore_slam.slam.proposal import propose
+from explore_slam.slam.proposal import propose, sample_proposals
 
 M = 45
 
@@ -50,12 +50,14 @@ class Scene:
 
     def propose(self, normals, threshold=1e3, gate=1e6, end=M):
         poses, log_weights = self.poses.copy(), np.zeros(M)
+        centers, spreads = np.zeros((M, 3)), np.zeros((M, 6))
         propose(
             self.slab, np.arange(self.K), self.candidates, np.zeros((self.K, 1)),
             np.zeros(self.K, bool), self.z, np.ascontiguousarray(self.R[:, *UPPER]), self.P,
-            gate, 0.0, threshold, 1.0, normals, 0, end, poses, log_weights, self.choice,
-            self.influence,
+            gate, 0.0, threshold, 1.0, 0, end, poses, centers, spreads, log_weights,
+            self.choice, self.influence,
         )  # fmt: skip
+        sample_proposals(centers, spreads, normals, 0, end, poses)
         return poses, log_weights
 
 
@@ -157,7 +159,8 @@ def test_each_particle_takes_its_own_candidate_once():
     propose(
         scene.slab, np.arange(2), scene.candidates, np.zeros((2, 2)), np.ones(2, bool), scene.z,
         np.ascontiguousarray(scene.R[:, *UPPER]), 1e-6 * np.eye(3), 1e6, 0.0, 3.0, 1.0,
-        np.zeros((M, 3)), 0, M, poses, log_weights, scene.choice, scene.influence,
+        0, M, poses, np.zeros((M, 3)), np.zeros((M, 6)), log_weights, scene.choice,
+        scene.influence,
     )  # fmt: skip
     assert set(scene.choice[0]) == {0, 1}
     assert (scene.choice[1] == 1 - scene.choice[0]).all()

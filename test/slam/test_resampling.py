@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.special import ndtr
 
 from explore_slam.slam.resampling import (
     effective_particles,
@@ -39,3 +40,12 @@ def test_stratified_normals_cover_every_dimension_evenly():
     np.testing.assert_allclose(normals.std(axis=0), 1.0, atol=0.02)
     assert np.abs(np.corrcoef(normals.T) - np.eye(3)).max() < 0.15
     assert np.isfinite(stratified_normals(np.random.default_rng(0), 1, 2)).all()
+
+
+def test_neighbours_get_normals_from_all_parts_of_the_distribution():
+    normals = stratified_normals(np.random.default_rng(0), 400, 3)
+    octants = np.floor(8 * ndtr(normals)).reshape(50, 8, 3)
+    np.testing.assert_array_equal(
+        np.sort(octants, axis=1)[:, :, 0], np.tile(np.arange(8), (50, 1))
+    )
+    assert stratified_normals(np.random.default_rng(0), 13, 2).shape == (13, 2)
