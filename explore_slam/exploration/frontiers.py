@@ -91,7 +91,10 @@ def _frontiers_of(
                 # What is seen from the stand is a rough guess: it ranks a frontier, it drops none.
                 seen = visible_unknown(costs.free, costs.unknown, row, col, sensor, RAYS)
                 gain = expected_area(area * seen, config.sensor_range)
-                gain *= 1.0 if stands[part[:, 0], part[:, 1]].any() else NARROW
+                if not stands[part[:, 0], part[:, 1]].any():
+                    gain *= NARROW
+                    if gain < config.min_frontier_gain:
+                        continue  # a crack: nobody gets through, and nothing is seen of it
                 gain = max(gain, config.min_frontier_gain)
             parts.append(part)
             places.append((row, col))

@@ -153,3 +153,23 @@ def test_expected_area_grows_faster_than_what_is_unknown_and_stays_below_it():
     few, many, all_around = (expected_area(area, 8.0) for area in (20.0, 60.0, 200.0))
     assert few < 20.0 / 15.0 < many / 3.0
     assert many < all_around < 0.2 * 200.0
+
+
+def test_a_crack_that_little_is_seen_through_is_no_frontier():
+    text = """
+    ??????????????????????
+    ??????????????????????
+    ??????????????????????
+    ######.###############
+    ######.###############
+    #....................#
+    #....................#
+    ######################
+    """
+    grid = grid_of(text, cells_per_letter=2)
+    assert find_frontiers(grid, config(frontier_reach=2.0, min_frontier_gain=0.4)) == []
+    (crack,) = find_frontiers(grid, config(frontier_reach=2.0, min_frontier_gain=0.01))
+    assert 0.01 < crack.gain < 0.4
+    door = grid_of(text.replace('######.###', '######....'), cells_per_letter=2)
+    (way,) = find_frontiers(door, config(frontier_reach=2.0, min_frontier_gain=0.4))
+    assert way.gain > crack.gain
