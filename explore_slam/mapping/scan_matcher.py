@@ -22,8 +22,8 @@ from explore_slam.mapping.config import ScanMatchingConfig
 _ITERATIONS = 12
 _FINEST = np.array([3e-4, 3e-4, 1e-4])  # m, m, rad: a step below this ends the search
 _LEAST_DEVIATIONS = np.array([1e-4, 1e-4, 1e-4])  # m, m, rad, of any motion
-_FEWEST_POINTS = 30
-_NEIGHBOURS = 3  # beams on either side that make a line
+_FEWEST_POINTS = 15
+_NEIGHBOURHOOD = 0.026  # rad on either side of a beam in which returns make a line
 _INDEPENDENT_POINTS = 60.0  # errors of neighbouring beams go together
 _SPACING = 0.03  # m between returns that are used
 _CELL = 0.1  # m
@@ -73,7 +73,8 @@ def scan_cloud(scan: LaserScan, laser: Pose2, farthest: float) -> Cloud:
     angles = scan.angles + laser.theta
     points = np.stack([np.cos(angles), np.sin(angles)], axis=1) * ranges[:, None]
     points += (laser.x, laser.y)
-    count, half = len(points), _NEIGHBOURS
+    count = len(points)
+    half = min(max(round(_NEIGHBOURHOOD / abs(scan.angle_increment)), 1), 5)
     if count < 2 * half + 1:
         return Cloud(np.empty((0, 2)), np.empty((0, 2)))
     window = np.arange(-half, half + 1) + np.arange(half, count - half)[:, None]
