@@ -41,6 +41,7 @@ NEAR = 2.0  # m: a vehicle that is blocked this near to its target has failed to
 BLOCKINGS = 3  # so many times blocked on the way mean the same
 BAR_AHEAD, BAR_TIME = 0.5, 60.0  # m, s: what is barred when blocked on the way, how long
 SHUT_IN, UNBARRINGS = 2.0, 5  # m: bars this near to one who is shut in are dropped so often
+ELSEWHERE = 8.0  # m: so far from there it is counted anew
 WALL, WALL_STEP = 1.0, 0.3  # m: places barred for good so near to each other are one wall
 BAR_TRAFFIC = 1.5  # m: with another vehicle this near it was that vehicle that was in the way
 TRAIL = 300  # places where a vehicle has been that are remembered
@@ -63,7 +64,7 @@ class Planner:
         self._bars: list[tuple[Point, float]] = []
         self._dropped: list[tuple[Point, float]] = []
         self._blockings: dict[str, int] = {}
-        self._unbarred: dict[str, int] = {}
+        self._unbarred: dict[str, tuple[int, Point]] = {}
         self._poses: dict[str, Pose2] = {}
         self._empty = 0
         self._cycles = 0
@@ -230,10 +231,13 @@ class Planner:
         """Drop what is barred around vehicles that reach nothing: it may be their only way out."""
         dropped = False
         for name in names:
-            place = self._poses[name][:2]
+            place = (self._poses[name].x, self._poses[name].y)
             near = [bar for bar in self._bars if math.dist(bar[0], place) <= SHUT_IN]
-            if near and self._unbarred.get(name, 0) < UNBARRINGS:
-                self._unbarred[name] = self._unbarred.get(name, 0) + 1
+            count, there = self._unbarred.get(name, (0, place))
+            if math.dist(place, there) > ELSEWHERE:
+                count = 0
+            if near and count < UNBARRINGS:
+                self._unbarred[name] = count + 1, place
                 self._bars = [bar for bar in self._bars if bar not in near]
                 dropped = True
         return dropped

@@ -21,6 +21,7 @@ from explore_slam.simulation.grid_world import GridWorld
 MAX_VEHICLES = 31
 BACKING_SPEED = 0.15
 LOOKS_THERE = 0.2  # rad
+SHORT_LOOK = 0.12  # m
 
 
 @dataclass(frozen=True)
@@ -269,7 +270,7 @@ class GridSimulator:
                 np.ascontiguousarray(drive.plan.waypoints, dtype=np.float64),
                 drive.segment,
                 self._poses[index] + drive.error,
-                config.pursuit_distance,
+                self._lookahead(index),
                 config.arrival_distance,
                 config.cruise_speed,
                 config.turn_rate,
@@ -286,6 +287,13 @@ class GridSimulator:
         wanted_speed = min(wanted_speed, self._safe_speed(index)) if wanted_speed > 0.0 else 0.0
         rise, fall = config.acceleration * config.tick, config.braking * config.tick
         drive.speed = min(max(wanted_speed, drive.speed - fall), drive.speed + rise)
+
+    def _lookahead(self, index: int) -> float:
+        """Return the lookahead (m): short in narrow places, where corners must not be cut."""
+        x, y, _ = self._poses[index]
+        field_at = (self.world.clearance, self.world.resolution, self._origin)
+        room = kernels.sample_field(*field_at, x, y) - self.config.body_radius
+        return min(max(2.0 * room, SHORT_LOOK), self.config.pursuit_distance)
 
     def _back_off(self, index: int) -> None:
         """Drive straight back, slowly, until far enough or something lies behind."""
