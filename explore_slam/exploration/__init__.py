@@ -79,4 +79,5 @@ def warm_up() -> None:
     from explore_slam.geometry import Pose2
 
     planner = Planner()
-    planner.plan(_TinyGrid(), 0.0, {'a': VehicleSnapshot(Pose2(0.4, 1.2, 0.0))})
+    team = {'a': VehicleSnapshot(Pose2(0.4, 1.8, 0.0)), 'b': VehicleSnapshot(Pose2(0.4, 0.6, 0.0))}
+    planner.plan(_TinyGrid(), 0.0, team)

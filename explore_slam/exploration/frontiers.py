@@ -114,9 +114,12 @@ def _records(
         return []
     points = grid.to_point(np.array(places)).tolist()
     scale, (x, y) = grid.resolution, grid.origin
+    lengths = np.array([len(part) for part in parts])
+    starts = np.concatenate([[0], np.cumsum(lengths)[:-1]])
+    means = (np.add.reduceat(np.concatenate(parts), starts) / lengths[:, None]).tolist()
     frontiers = []
     for i, part in enumerate(parts):
-        row, col = part.mean(axis=0).tolist()
+        row, col = means[i]
         centroid = (x + (col + 0.5) * scale, y + (row + 0.5) * scale)
         look_at = (x + (middles[i][1] + 0.5) * scale, y + (middles[i][0] + 0.5) * scale)
         cell = (int(places[i][0]), int(places[i][1]))

@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from explore_slam.compiled import kernel
 from explore_slam.exploration.config import TrafficConfig
 from explore_slam.geometry import Array
 
@@ -194,16 +195,15 @@ class Traffic:
         """Return the first time step at which the one comes too near to the other."""
         mine = self._rolled_out(one, math.inf)
         theirs = self._rolled_out(other, self._limit(granted))
-        near = self.threshold(one, other)
-        gaps = np.linalg.norm(mine[:, None] - theirs[None], axis=2)
-        times = np.arange(len(mine)) * STEP
-        apart = np.abs(times[:, None] - times[None])
-        headings = np.gradient(mine, axis=0)[:, None] * np.gradient(theirs, axis=0)[None]
-        margin = np.where(headings.sum(axis=2) > 0.0, 0.5 * STEP, self.config.traffic_margin)
-        with np.errstate(invalid='ignore'):
-            hits = ((gaps < near) & (apart <= margin)).any(axis=1)
-        found = np.flatnonzero(hits)
-        return int(found[0]) if found.size else None
+        first = first_meeting(
+            mine,
+            theirs,
+            np.gradient(mine, axis=0),
+            np.gradient(theirs, axis=0),
+            self.threshold(one, other),
+            self.config.traffic_margin,
+        )
+        return first if first >= 0 else None
 
     @staticmethod
     def _limit(grant: Grant) -> float:
@@ -229,6 +229,27 @@ class Traffic:
                     limit = float(at[max(0, hits[0] - 1)])
                     if limit < grants[name].limit:
                         grants[name] = Grant(Right.STOP, limit, other_name)
+
+
+@kernel
+def first_meeting(
+    mine: Array, theirs: Array, own_way: Array, their_way: Array, near: float, margin: float
+) -> int:
+    """Return the first time step at which one comes nearer than `near` (m) to another, or -1.
+
+    Places and headings (T, 2) at time steps; who comes the other way or across has to be a margin
+    (s) before or behind, who goes the same way need not. NaN is nowhere.
+    """
+    count = mine.shape[0]
+    for i in range(count):
+        for j in range(count):
+            same_way = own_way[i, 0] * their_way[j, 0] + own_way[i, 1] * their_way[j, 1] > 0.0
+            if abs(i - j) * STEP > (0.5 * STEP if same_way else margin):
+                continue
+            dx, dy = mine[i, 0] - theirs[j, 0], mine[i, 1] - theirs[j, 1]
+            if math.sqrt(dx * dx + dy * dy) < near:
+                return i
+    return -1
 
 
 def _gaps(points: Array, others: Array) -> Array:
