@@ -25,7 +25,9 @@ def warm_up() -> None:
 
     from explore_slam.data import LandmarkObservations, VehicleSighting
     from explore_slam.geometry import Pose2
+    from explore_slam.slam import recovery
 
+    recovery.warm_up()
     random = np.random.default_rng(0)
     count = 10
     positions = random.uniform(1.0, 3.0, (count, 3))

@@ -107,7 +107,7 @@ class FastSlamConfig(Section):
         high=20.0,
     )
     resampling_threshold: float = setting(
-        0.25,
+        0.6,
         'Resample when the effective particles drop below this part of all (engine fastslam2)',
         low=0.0,
         high=1.0,

@@ -247,19 +247,12 @@ class FastSlam:
         """Note what was matched; relocate the vehicle if it is lost and can be found."""
         recovery = self._recovery[number]
         deviations = np.sqrt(0.5 * (sighted.R[:, 0] + sighted.R[:, 3]))
-        recovery.note(sighted.z, deviations, sighted.alike, agreed)
-        if not self.config.relocation.recovery or not recovery.lost:
+        alike = np.where(sighted.telling[:, None], sighted.alike, -1)
+        recovery.note(sighted.z, deviations, alike, agreed)
+        wanted = self.config.relocation.recovery and self.config.engine == 'fastslam2'
+        if not wanted or not recovery.lost:
             return recovery.lost, False
-        wanted = recovery.matched_ids()
-        known = np.flatnonzero(np.isin(self.map.ids[: self.map.size], wanted))
-        best = self.best_particle()
-        rows = self.map.rows.read_particle(known, best)
-        rows[:, 2] = np.sqrt(0.5 * (rows[:, 3] + rows[:, 6]))
-        positions = {
-            int(uid): row[:3]
-            for uid, row in zip(self.map.ids[known], rows, strict=True)
-            if row[3] > 0.0
-        }
+        positions = self.map.places(recovery.matched_ids(), self.best_particle())
         present = self.best_pose(self.vehicles[number])
         found = recovery.search(positions, present, self._random)
         if found is None:

@@ -114,6 +114,17 @@ class LandmarkMap:
             self.owners[items],
         )
 
+    def places(self, ids: Items, particle: int) -> dict[int, Array]:
+        """Return id -> (3,): x, y and their standard deviation (m), of ids that a particle has."""
+        known = np.flatnonzero(np.isin(self.ids[: self.size], ids))
+        rows = self.rows.read_particle(known, particle)
+        rows[:, 2] = np.sqrt(0.5 * (rows[:, 3] + rows[:, 6]))
+        return {
+            int(uid): row[:3]
+            for uid, row in zip(self.ids[known], rows, strict=True)
+            if row[3] > 0.0
+        }
+
     def _grow(self, size: int) -> None:
         have = len(self.ids)
         if size <= have:

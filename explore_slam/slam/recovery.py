@@ -12,6 +12,7 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from explore_slam.geometry import IDENTITY, Array, Pose2
@@ -22,6 +23,74 @@ _MOST_MATCHES = 400
 _DRIFT_PER_METRE = 0.05
 _BASE_REACH = 1.0
 _REACH_PER_METRE = 0.3
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
+def _votes(
+    frame: Array, points: Array, marks: Array, spreads: Array, owners: NDArray[np.int64]
+) -> int:  # pragma: no cover - compiled
+    """Return how many observations lie on a landmark that they are like.
+
+    frame (3,): the odometry frame in the map; owners (n,) ascending number of the observation.
+    """
+    c, s = math.cos(frame[2]), math.sin(frame[2])
+    votes, last = 0, -1
+    for n in range(len(points)):
+        x = frame[0] + c * points[n, 0] - s * points[n, 1] - marks[n, 0]
+        y = frame[1] + s * points[n, 0] + c * points[n, 1] - marks[n, 1]
+        if owners[n] != last and math.hypot(x, y) < 3.0 * spreads[n]:
+            votes += 1
+            last = owners[n]
+    return votes
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
+def _vote(
+    pairs: NDArray[np.int64],
+    points: Array,
+    marks: Array,
+    spreads: Array,
+    owners: NDArray[np.int64],
+    ids: NDArray[np.int64],
+    odometry: Array,
+    present: Array,
+    reach: float,
+) -> tuple[int, Array]:  # pragma: no cover - compiled
+    """Return the most votes, and the odometry frame (3,) in the map that has them.
+
+    Each of pairs (T, 2) puts two points on two landmarks; frames that take the vehicle, at
+    odometry (3,) in its frame, farther than reach (m) from present (2,) are passed over.
+    """
+    most, best, frame = 0, np.zeros(3), np.zeros(3)
+    for t in range(len(pairs)):
+        a, b = pairs[t]
+        px, py = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
+        mx, my = marks[b, 0] - marks[a, 0], marks[b, 1] - marks[a, 1]
+        length, wanted = math.hypot(px, py), math.hypot(mx, my)
+        tolerance = 3.0 * math.hypot(spreads[a], spreads[b])
+        near = min(length, wanted) < max(0.3, tolerance)
+        if ids[a] == ids[b] or near or abs(length - wanted) > tolerance:
+            continue
+        frame[2] = math.atan2(my, mx) - math.atan2(py, px)
+        c, s = math.cos(frame[2]), math.sin(frame[2])
+        x, y = 0.5 * (points[a] + points[b])
+        frame[0] = 0.5 * (marks[a, 0] + marks[b, 0]) - c * x + s * y
+        frame[1] = 0.5 * (marks[a, 1] + marks[b, 1]) - s * x - c * y
+        x = frame[0] + c * odometry[0] - s * odometry[1] - present[0]
+        y = frame[1] + s * odometry[0] + c * odometry[1] - present[1]
+        if math.hypot(x, y) > reach:
+            continue
+        votes = _votes(frame, points, marks, spreads, owners)
+        if votes > most:
+            most = votes
+            best[:] = frame
+    return most, best
+
+
+def warm_up() -> None:
+    """Compile the search, which otherwise happens when the first vehicle is lost."""
+    two, ids = np.eye(2), np.arange(2)
+    _vote(ids[None], two, two, np.ones(2), ids, ids, np.zeros(3), np.zeros(2), 1.0)
 
 
 @dataclass(frozen=True)
@@ -116,23 +185,18 @@ class Recovery:
         points, marks, spreads, owners, ids = self._pairs(positions)
         if len(points) < self.config.recovery_matches:
             return None
-        votes_present = self._votes(present, points, marks, spreads, owners)
-        best, best_votes = None, 0
-        for _ in range(_TRIALS):
-            a, b = random.integers(0, len(points), 2)
-            pose = self._pose_of_two(points[[a, b]], marks[[a, b]], spreads[[a, b]])
-            if ids[a] == ids[b] or pose is None:
-                continue
-            if math.hypot(pose.x - present.x, pose.y - present.y) > self.reach:
-                continue
-            votes = self._votes(pose, points, marks, spreads, owners)
-            if votes > best_votes:
-                best, best_votes = pose, votes
+        odometry = np.asarray(self.odometry, np.float64)
+        frame = np.asarray(present.compose(self.odometry.inverse()), np.float64)
+        votes_present = _votes(frame, points, marks, spreads, owners)
+        pairs = random.integers(0, len(points), (_TRIALS, 2))
+        goal = np.array([present.x, present.y])
+        votes, best = _vote(
+            pairs, points, marks, spreads, owners, ids, odometry, goal, self.reach
+        )  # fmt: skip
         matches = int(owners.max()) + 1
-        enough = max(self.config.recovery_matches, 0.5 * matches, 1.5 * votes_present)
-        if best is None or best_votes < enough:
+        if votes < max(self.config.recovery_matches, 0.5 * matches, 1.5 * votes_present):
             return None
-        return self._refined(best, points, marks, spreads, ids, best_votes)
+        return self._refined(Pose2.from_array(best), points, marks, spreads, ids, votes)
 
     def _pairs(
         self, positions: dict[int, Array]
@@ -160,16 +224,6 @@ class Recovery:
             np.array(ids, np.int64),
         )
 
-    def _pose_of_two(self, points: Array, marks: Array, spreads: Array) -> Pose2 | None:
-        """Return the vehicle pose that puts two points of the odometry frame on two landmarks."""
-        span, goal = points[1] - points[0], marks[1] - marks[0]
-        length, wanted = math.hypot(*span), math.hypot(*goal)
-        tolerance = 3.0 * math.hypot(*spreads)
-        if min(length, wanted) < max(0.3, tolerance) or abs(length - wanted) > tolerance:
-            return None
-        turn = math.atan2(goal[1], goal[0]) - math.atan2(span[1], span[0])
-        return self._placed(turn, points.mean(axis=0), marks.mean(axis=0))
-
     def _placed(self, turn: float, center: Array, goal: Array) -> Pose2:
         """Return the vehicle pose if the odometry frame is turned, and center moved to goal."""
         c, s = math.cos(turn), math.sin(turn)
@@ -178,32 +232,20 @@ class Recovery:
         )
         return frame.compose(self.odometry)
 
-    def _residuals(self, pose: Pose2, points: Array, marks: Array) -> Array:
-        frame = pose.compose(self.odometry.inverse())
-        c, s = math.cos(frame.theta), math.sin(frame.theta)
-        x = frame.x + c * points[:, 0] - s * points[:, 1] - marks[:, 0]
-        y = frame.y + s * points[:, 0] + c * points[:, 1] - marks[:, 1]
-        lengths: Array = np.hypot(x, y)
-        return lengths
-
-    def _votes(
-        self, pose: Pose2, points: Array, marks: Array, spreads: Array, owners: NDArray[np.int64]
-    ) -> int:
-        """Return how many observations lie on a landmark that they are like."""
-        inside = self._residuals(pose, points, marks) < 3.0 * spreads
-        return len(np.unique(owners[inside]))
-
     def _refined(
         self,
-        pose: Pose2,
+        frame: Pose2,
         points: Array,
         marks: Array,
         spreads: Array,
         ids: NDArray[np.int64],
         votes: int,
     ) -> Relocation | None:
-        """Fit the pose to its inliers; None if fewer than three landmarks are among them."""
-        inside = self._residuals(pose, points, marks) < 3.0 * spreads
+        """Fit the odometry frame to its inliers; None if they are fewer than three landmarks."""
+        c, s = math.cos(frame.theta), math.sin(frame.theta)
+        x = frame.x + c * points[:, 0] - s * points[:, 1] - marks[:, 0]
+        y = frame.y + s * points[:, 0] + c * points[:, 1] - marks[:, 1]
+        inside = np.hypot(x, y) < 3.0 * spreads
         if len(np.unique(ids[inside])) < 3:
             return None
         weights = 1.0 / spreads[inside] ** 2

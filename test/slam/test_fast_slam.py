@@ -7,6 +7,7 @@ from explore_slam.data import LandmarkObservations
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Pose2
 from explore_slam.slam import FastSlamConfig
+from explore_slam.slam.recovery import Recovery
 
 STARTS = {'a': Pose2(1.0, 1.0, 0.0), 'b': Pose2(5.0, 4.0, 1.0)}
 
@@ -138,6 +139,21 @@ def test_a_vehicle_that_all_particles_misplace_is_found_again(
     assert sum(summary.relocated for summary in found) == 1
     assert np.abs(world.error('a', slam.estimate('a')[0]))[:2].max() < 0.15
     assert len(slam.map) <= 60 + 3
+
+
+@pytest.mark.parametrize(('engine', 'searched'), [('paper', 0), ('fastslam2', 1)])
+def test_engine_paper_never_searches_for_a_lost_vehicle(
+    monkeypatch, make_world, make_slam, engine, searched
+):
+    searches = []
+    monkeypatch.setattr(Recovery, 'lost', property(lambda self: len(self.updates) > 0))
+    monkeypatch.setattr(Recovery, 'search', lambda *arguments: searches.append(arguments))
+    world = make_world()
+    slam = make_slam(world.start(a=STARTS['a']), engine=engine)
+    slam.predict('a', Pose2(0.0, 0.0, 0.0), np.zeros((3, 3)))
+    slam.update('a', world.see('a', 0.0))
+    assert slam.update('a', world.see('a', 1.0)).lost
+    assert len(searches) == searched
 
 
 def test_landmarks_that_are_not_there_vanish(make_world, make_slam):
