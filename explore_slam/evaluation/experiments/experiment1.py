@@ -33,6 +33,7 @@ from explore_slam.evaluation.experiments.trials import (
     rms,
     run_trial,
 )
+from explore_slam.geometry import Array
 from explore_slam.settings import with_values
 from explore_slam.slam import FastSlamConfig
 
@@ -45,9 +46,13 @@ UNIQUE = 1e-4
 
 @dataclass(frozen=True)
 class Options:
-    """What to run: seeds, particles of both engines, landmarks in the world, iSAM2 or not."""
+    """What to run: seeds, particles of both engines, landmarks in the world, iSAM2 or not.
+
+    A filter draws at random: it runs filter_runs times on the data of each seed.
+    """
 
     seeds: Sequence[int] = tuple(range(20))
+    filter_runs: int = 5
     particles: int = 1000
     paper_particles: int = 2000
     landmarks: int = 60
@@ -66,9 +71,11 @@ def run(options: Options | None = None) -> ExperimentReport:
             scenario = draw_scenario(scene, seed, landmarks=options.landmarks)
             for maps in MAPS:
                 for method in _methods(options):
-                    estimator = make_estimator(method, maps, scenario, options, seed)
-                    done = run_trial(scenario, estimator)
-                    trials.setdefault((scene, method, maps), []).append(done)
+                    for again in range(1 if method == 'iSAM2' else options.filter_runs):
+                        draw = seed + 1000 * again
+                        estimator = make_estimator(method, maps, scenario, options, draw)
+                        done = run_trial(scenario, estimator)
+                        trials.setdefault((scene, method, maps), []).append(done)
             logger.info('experiment 1: %s, seed %d done', scene, seed)
     return _report(options, trials)
 
@@ -107,8 +114,9 @@ def _report(options: Options, trials: dict[Key, list[Trial]]) -> ExperimentRepor
     report.figures['errors'] = _error_figure(options, trials)
     report.figures['effective_particles'] = _effective_figure(trials)
     report.remarks = [
-        'mean ± standard deviation over seeds; errors of the online estimate after each step; '
-        'paper: pose of the best particle, fastslam2: mean, iSAM2: newest pose after each update',
+        'mean ± standard deviation over seeds, of ratios over the '
+        f'{options.filter_runs} runs of a filter on the same data; errors of the online estimate '
+        'after each step; paper: pose of the best particle, fastslam2: mean, iSAM2: newest pose after each update',
         f'particles: paper {options.paper_particles}, fastslam2 {options.particles}; the paper '
         'used 2000 and its own paths, which the text does not give',
         "the paper's RMS were taken in its own world; compare rows of one block with each other",
@@ -150,11 +158,10 @@ def _accuracy_table(scene: str, options: Options, trials: dict[Key, list[Trial]]
 def _summary_table(options: Options, trials: dict[Key, list[Trial]]) -> Table:
     rows = []
     for (scene, method, maps), runs in trials.items():
-        position, heading = _mean_errors(runs)
         ratios = ('', '')
         if options.isam2 and method != 'iSAM2':
-            of_smoother = _mean_errors(trials[scene, 'iSAM2', maps])
-            ratios = (f'{position / of_smoother[0]:.2f}', f'{heading / of_smoother[1]:.2f}')
+            of_draws = _ratios(options, runs, trials[scene, 'iSAM2', maps])
+            ratios = (spread(of_draws[:, 0], 2), spread(of_draws[:, 1], 2))
         effective = [e for run in runs for e in run.effective]
         rows.append(
             (
@@ -177,6 +184,15 @@ def _mean_errors(runs: Sequence[Trial]) -> tuple[float, float]:
         float(np.mean([run.position_rms for run in runs])),
         float(np.mean([run.heading_rms for run in runs])),
     )
+
+
+def _ratios(options: Options, runs: Sequence[Trial], smoother: Sequence[Trial]) -> Array:
+    """Return (filter_runs, 2): position and heading error over that of the smoother."""
+    draws = [
+        _mean_errors(runs[again :: options.filter_runs]) for again in range(options.filter_runs)
+    ]
+    ratios: Array = np.array(draws) / np.array(_mean_errors(smoother))
+    return ratios
 
 
 def _metrics(options: Options, trials: dict[Key, list[Trial]]) -> dict[str, Any]:
