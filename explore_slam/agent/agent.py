@@ -85,7 +85,6 @@ class Agent:
             for name, pose in self.start_poses.items()
         }
         self._events: list[KeyframeEvent] = []
-        self._keyframe_stamps: list[float] = []
 
     def configure(self, config: AgentConfig) -> None:
         """Go on with other settings; those of belief and grid take effect at the next reset."""
@@ -119,6 +118,9 @@ class Agent:
 
     def add_scan(self, vehicle: str, scan: LaserScan) -> None:
         """Take a laser scan; it waits until odometry reaches its stamp."""
+        if self.config.scan_matching.scan_matching and not self.paused:
+            most = self.config.inputs.waiting_observations
+            self._track(vehicle).wait_for_match(scan, most)
         self._add(vehicle, scan)
 
     def add_frame(self, vehicle: str, frame: RgbdFrame) -> None:
@@ -138,9 +140,8 @@ class Agent:
         """Tell the time (s): vehicles that said nothing for long are silent."""
         if not math.isfinite(stamp):
             raise AgentError(f'time is {stamp}, expected finite seconds')
-        self.now = (
-            stamp if stamp < self.now - self.config.inputs.clock_jump else max(self.now, stamp)
-        )
+        back = stamp < self.now - self.config.inputs.clock_jump
+        self.now = stamp if back else max(self.now, stamp)
 
     def set_pose(self, vehicle: str, pose: Pose2, covariance: Array) -> None:
         """Put a vehicle where a person says it is (RViz's initial pose); the map stays."""
@@ -165,7 +166,8 @@ class Agent:
         """Go on in the new time from where the vehicle is."""
         track.forget_waiting()
         track.selector.reset()
-        track.last_scan, track.last_seen, track.last_match = None, -math.inf, -math.inf
+        track.last_scan, track.last_seen = None, -math.inf
+        track.last_match = track.last_tried = -math.inf
         track.matcher.reset()
         if track.keyframe is not None:
             moved = track.keyframe.odometry
@@ -176,7 +178,12 @@ class Agent:
     # -- observations into the belief ----------------------------------------------------------
 
     def _use_ready(self, track: VehicleTrack) -> None:
-        while (observation := track.next_ready()) is not None:
+        noise = self.config.slam.odometry_noise
+        while (scan := track.next_to_match()) is not None:
+            if track.keyframe is None or scan.stamp > track.keyframe.stamp:
+                refine_by_scan(track, scan, self._laser, noise)
+        patience = self.config.scan_matching.matching_patience
+        while (observation := track.next_ready(patience)) is not None:
             if isinstance(observation, LaserScan):
                 self._use_scan(track, observation)
             elif isinstance(observation, RgbdFrame):
@@ -250,8 +257,6 @@ class Agent:
         if track.keyframe is None:
             track.count('late_observations')
             return
-        if self.config.scan_matching.scan_matching and not self._too_late(track, scan.stamp):
-            refine_by_scan(track, scan, self._laser, self.config.slam.odometry_noise)
         pose = track.odometry.at(scan.stamp)
         if not self._scan_wanted(track, scan.stamp, pose):
             return
@@ -355,10 +360,7 @@ class Agent:
     def summary(self) -> dict[str, Any]:
         """Return counts of what was used and what was left out, per vehicle."""
         return {
-            name: {
-                **track.counts,
-                'odometry_resets': track.odometry.breaks,
-            }
+            name: {**track.counts, 'odometry_resets': track.odometry.breaks}
             for name, track in self.tracks.items()
         }
 

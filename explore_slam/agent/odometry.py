@@ -5,8 +5,6 @@ import math
 from bisect import bisect_left, bisect_right
 from typing import NamedTuple
 
-import numpy as np
-
 from explore_slam.data import OdometryReading
 from explore_slam.geometry import IDENTITY, Array, Pose2, wrap_angle
 from explore_slam.slam import OdometryNoise
@@ -138,22 +136,27 @@ class OdometryBuffer:
     def correct(self, since: float, stamp: float, pose: Pose2, covariance: Array) -> None:
         """Put the chain on a measured pose at a stamp, and all that follows with it.
 
-        covariance (3, 3) is that of the motion from the stamp `since` to here, in the frame of
-        the pose; it is given to the last step, and those before it are exact.
+        What it is off grows evenly over the time from the stamp `since`; the covariance (3, 3)
+        of the motion from there, in the frame of the pose, is spread likewise.
         """
-        moved = pose.compose(self.at(stamp).inverse())
         index = bisect_left(self._stamps, stamp)
-        if index == len(self._stamps):
+        if index == len(self._stamps) or since >= stamp:
             return
+        moved = pose.compose(self.at(stamp).inverse())
+        self._poses[index:] = [moved.compose(later) for later in self._poses[index:]]
         if self._stamps[index] != stamp:
             self._stamps.insert(index, stamp)
             self._poses.insert(index, pose)
             self._covariances.insert(index, None)
-        self._poses[index:] = [moved.compose(later) for later in self._poses[index:]]
         self._poses[index] = pose
-        for before in range(bisect_right(self._stamps, since), index):
-            self._covariances[before] = np.zeros((3, 3))
-        self._covariances[index] = covariance
+        last = since
+        for node in range(bisect_right(self._stamps, since), index + 1):
+            share = (self._stamps[node] - since) / (stamp - since)
+            if node < index:
+                old = self._poses[node]
+                self._poses[node] = interpolate(old, moved.compose(old), share)
+            part = (self._stamps[node] - last) / (stamp - since)
+            self._covariances[node], last = part * covariance, self._stamps[node]
         self._correction = moved if self._correction is None else moved.compose(self._correction)
 
     def _append(self, stamp: float, pose: Pose2) -> None:

@@ -30,7 +30,8 @@ def refine_by_scan(
     match = track.matcher.match(scan, laser, prior, rotated(covariance, motion.theta))
     if match is not None:
         track.count('matched_scans')
-        track.odometry.correct(since, scan.stamp, match.pose, match.covariance)
+        used = -np.inf if track.keyframe is None else track.keyframe.stamp
+        track.odometry.correct(max(since, used), scan.stamp, match.pose, match.covariance)
         track.last_match = scan.stamp
     elif track.matcher.started:
         track.count('unmatched_scans')

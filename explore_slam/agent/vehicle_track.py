@@ -18,7 +18,6 @@ from explore_slam.geometry import IDENTITY, Pose2
 from explore_slam.mapping import ScanMatcher
 from explore_slam.vision import KeyframeSelector
 
-_SCANS_FIRST = 1 << 40
 Observation = LaserScan | RgbdFrame | LandmarkObservations | VehicleSighting
 
 
@@ -43,6 +42,7 @@ class VehicleTrack:
     keyframe: Keyframe | None = None
     last_scan: tuple[float, Pose2] | None = None  # stamp and odometry of the last scan kept
     last_match: float = -np.inf  # stamp of the last scan that was matched with earlier ones
+    last_tried: float = -np.inf  # stamp of the last scan that was to be matched
     last_heard: float = -np.inf  # the agent's time (s) when odometry came last
     last_seen: float = -np.inf  # stamp of the last frame or landmarks that were used
     plan: Plan | None = None
@@ -50,6 +50,7 @@ class VehicleTrack:
     follower: str = ''
     counts: dict[str, int] = field(default_factory=dict)
     _waiting: list[tuple[float, int, Observation]] = field(default_factory=list)
+    _unmatched: list[tuple[float, int, LaserScan]] = field(default_factory=list)
     _order: int = 0
 
     def count(self, name: str) -> None:
@@ -59,16 +60,36 @@ class VehicleTrack:
     def wait(self, observation: Observation, most: int) -> None:
         """Keep an observation until odometry reaches its stamp; the oldest goes when too many."""
         self._order += 1
-        # of one stamp scans come first: they refine the motion that the others are used with
-        order = self._order if isinstance(observation, LaserScan) else self._order + _SCANS_FIRST
-        heapq.heappush(self._waiting, (observation.stamp, order, observation))
+        heapq.heappush(self._waiting, (observation.stamp, self._order, observation))
         if len(self._waiting) > most:
             heapq.heappop(self._waiting)
             self.count('dropped_without_odometry')
 
-    def next_ready(self) -> Observation | None:
-        """Return the oldest waiting observation that odometry has reached, or None."""
+    def wait_for_match(self, scan: LaserScan, most: int) -> None:
+        """Keep a scan until it can be matched; the oldest goes when there are too many."""
+        heapq.heappush(self._unmatched, (scan.stamp, self._order, scan))
+        if len(self._unmatched) > most:
+            heapq.heappop(self._unmatched)
+
+    def next_to_match(self) -> LaserScan | None:
+        """Return the oldest scan to be matched that odometry has reached, or None."""
+        if not self._unmatched or self._unmatched[0][0] > self.odometry.last:
+            return None
+        scan = heapq.heappop(self._unmatched)[2]
+        self.last_tried = max(self.last_tried, scan.stamp)
+        return scan
+
+    def next_ready(self, patience: float) -> Observation | None:
+        """Return the oldest waiting observation that odometry has reached, or None.
+
+        Where scans come and are matched, it waits for the next scan too, at most for the
+        patience (s): the motion up to it is known well only then.
+        """
         if not self._waiting or self._waiting[0][0] > self.odometry.last:
+            return None
+        stamp = self._waiting[0][0]
+        matching = stamp - patience < self.last_tried < stamp
+        if matching and self.odometry.last < stamp + patience:
             return None
         return heapq.heappop(self._waiting)[2]
 
@@ -77,6 +98,7 @@ class VehicleTrack:
         for _ in self._waiting:
             self.count('dropped_by_clock_jump')
         self._waiting.clear()
+        self._unmatched.clear()
 
     def moved_since_keyframe(self, stamp: float) -> Pose2:
         """Return the motion from the newest keyframe (or the start) to a stamp."""

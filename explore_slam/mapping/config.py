@@ -88,3 +88,10 @@ class ScanMatchingConfig(Section):
     matching_drift: float = setting(
         0.003, "part of the wheels' variance that stays after a match", low=0.0, high=1.0
     )
+    matching_patience: float = setting(
+        0.3,
+        'frames wait for the next scan this long, so that the motion up to them is known',
+        unit='s',
+        low=0.0,
+        high=10.0,
+    )

@@ -280,6 +280,47 @@ def test_dedicated_maps_leave_sightings_out():
     drive(agent, team, 30)
     sighting = VehicleSighting(2.9, 'robot2', np.array([2.0, 0.0]), 0.01 * np.eye(2))
     agent.add_sighting('robot1', sighting)
+    drive(agent, team, 4)  # it waits for the scan after it
     assert agent.summary()['robot1']['unused_sightings'] == 1
     for name, vehicle in team.items():
         assert vehicle.error_of(agent.estimate(name)[0]) < 0.05
+
+
+def test_scans_make_odometry_better_where_nothing_else_is_seen():
+    errors = {}
+    for matching in (True, False):
+        agent, team = make_team(with_values(CONFIG, {'scan_matching': matching}))
+        for tick in range(150):
+            for name, vehicle in team.items():
+                agent.add_odometry(name, vehicle.advance())
+                if tick % 2 == 0:
+                    agent.add_scan(name, vehicle.scan())
+        errors[matching] = {n: v.error_of(agent.estimate(n)[0]) for n, v in team.items()}
+        counts = agent.summary()['robot1']
+        assert ('matched_scans' in counts) is matching
+    for name in STARTS:
+        assert errors[True][name] < 0.03
+        assert errors[True][name] < 0.5 * errors[False][name]
+
+
+def test_frames_wait_for_the_next_scan_but_not_for_ever():
+    agent, team = make_team()
+    vehicle = team['robot1']
+    for _ in range(3):
+        agent.add_odometry('robot1', vehicle.advance())
+        agent.add_scan('robot1', vehicle.scan())
+    agent.add_odometry('robot1', vehicle.advance())
+    agent.take_events()
+    seen = vehicle.landmarks()
+    agent.add_landmarks('robot1', seen)
+    assert not agent.take_events()
+    agent.add_odometry('robot1', vehicle.advance())
+    assert not agent.take_events()
+    agent.add_scan('robot1', vehicle.scan())
+    assert [event.stamp for event in agent.take_events()] == [seen.stamp]
+    agent.add_odometry('robot1', vehicle.advance())
+    silent = vehicle.landmarks()
+    agent.add_landmarks('robot1', silent)
+    for _ in range(4):  # no scan any more
+        agent.add_odometry('robot1', vehicle.advance())
+    assert [event.stamp for event in agent.take_events()] == [silent.stamp]

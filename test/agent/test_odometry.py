@@ -91,8 +91,11 @@ def test_a_correction_bends_the_chain_and_all_that_follows(buffer):
         pose = pose.compose(step.increment)
     np.testing.assert_allclose(pose, measured)
     np.testing.assert_allclose(sum(step.covariance for step in steps), covariance)
-    half = buffer.steps(0.525, stamp)
-    np.testing.assert_allclose(half[-1].covariance, 0.5 * covariance)
+    late = buffer.steps(0.48, stamp)
+    share = (stamp - 0.48) / (stamp - since)
+    np.testing.assert_allclose(sum(step.covariance for step in late), share * covariance)
+    half = buffer.at(0.375).x - 0.5 * 0.375
+    assert half == pytest.approx(0.01, abs=2e-3)
     assert buffer.steps(stamp, 0.9)[-1].covariance is None
 
     last = buffer.pose
