@@ -12,7 +12,9 @@ import numpy as np
 
 from explore_slam.evaluation.experiments.figures import COLORS, new_figure
 from explore_slam.evaluation.experiments.scenarios import (
+    HEIGHT,
     PATHS,
+    WIDTH,
     Scenario,
     dead_reckoning,
     draw_scenario,
@@ -116,7 +118,8 @@ def _report(options: Options, trials: dict[Key, list[Trial]]) -> ExperimentRepor
     report.remarks = [
         'mean ± standard deviation over seeds, of ratios over the '
         f'{options.filter_runs} runs of a filter on the same data; errors of the online estimate '
-        'after each step; paper: pose of the best particle, fastslam2: mean, iSAM2: newest pose after each update',
+        'after each step; paper: pose of the best particle, fastslam2: mean, iSAM2: newest pose '
+        'after each update',
         f'particles: paper {options.paper_particles}, fastslam2 {options.particles}; the paper '
         'used 2000 and its own paths, which the text does not give',
         "the paper's RMS were taken in its own world; compare rows of one block with each other",
@@ -229,7 +232,10 @@ def _path_figure(scenarios: dict[str, Scenario], options: Options, seed: int) ->
             axis.plot(*drift[:, :2].T, ':', color=color, label=f'{vehicle}, odometry')
             axis.plot(*found.T, '.-', color=color, linewidth=1.0, label=f'{vehicle}, fastslam2')
             axis.plot(*true[0, :2], 'o', color=color)
-        axis.set(title=f'{scene} paths, seed {seed}', xlabel='x (m)', ylabel='y (m)')
+        axis.set(
+            title=f'{scene} paths, seed {seed}', xlabel='x (m)', ylabel='y (m)',
+            xlim=(-0.5, WIDTH + 0.5), ylim=(-0.5, HEIGHT + 0.5),
+        )  # fmt: skip
         axis.set_aspect('equal')
     figure.legend(*axes.flat[0].get_legend_handles_labels(), loc='outside lower center', ncols=4)
     return figure
