@@ -6,6 +6,8 @@ one of its dimensions of largest variance, drawn at random from a fixed seed: no
 rebuilt, and the same insertions give the same forest.
 """
 
+import math
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -24,6 +26,9 @@ Coarse = NDArray[np.int8]
 # Descriptors are compared in bytes first: an eighth of the memory traffic of the exact distance.
 _STEPS = 127.0
 _COARSE_MARGIN = 0.02
+# The halves lie apart, one cache line each: most comparisons end after the first.
+_HALF = DESCRIPTOR_LENGTH // 2
+_LINE = 64
 
 
 @njit(cache=True, nogil=True, error_model='numpy', fastmath={'reassoc', 'nsz', 'contract'})
@@ -44,12 +49,15 @@ def _distance(
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
-def _coarse_distance(a: Coarse, b: Coarse, bound: int) -> np.int32:  # pragma: no cover - compiled
+def _coarse_distance(
+    a: Coarse, coarse: Coarse, item: int, bound: int
+) -> np.int32:  # pragma: no cover - compiled
     """Squared distance of rounded descriptors, left off at the half that exceeds the bound."""
     total = np.int32(0)
-    for begin in (0, 64):
-        for i in range(begin, begin + 64):
-            difference = np.int32(a[i]) - np.int32(b[i])
+    for half in (0, 1):
+        b = coarse[half, item]
+        for i in range(_HALF):
+            difference = np.int32(a[half * _HALF + i]) - np.int32(b[i])
             total += difference * difference
         if total > bound:
             break
@@ -267,7 +275,7 @@ def _search(  # noqa: C901 - a kernel
                     left -= 1
                     bound = min(np.float32(radius), distances[q, count - 1])
                     limit = min((bound + _COARSE_MARGIN) * (_STEPS * _STEPS), 1e9)
-                    if _coarse_distance(rounded, coarse[item], int(limit)) > limit:
+                    if _coarse_distance(rounded, coarse, item, int(limit)) > limit:
                         continue
                     distance = _distance(query, table[item], bound)
                     if distance > bound or distance >= distances[q, count - 1]:
@@ -282,13 +290,21 @@ def _search(  # noqa: C901 - a kernel
                 bucket = buckets[bucket, 1]
 
 
+def _in_cache_lines(shape: tuple[int, ...]) -> Coarse:
+    """Return zeros that begin at a cache line."""
+    size = math.prod(shape)
+    memory = np.zeros(size + _LINE, np.int8)
+    begin = -memory.ctypes.data % _LINE
+    return memory[begin : begin + size].reshape(shape)
+
+
 class KdForestIndex(DescriptorTable):
     """Randomized kd-forest: log N per query, recall near one; see DescriptorIndex."""
 
     def __init__(self, trees: int = 4, checks: int = 256, seed: int = 1) -> None:
         super().__init__()
         self.checks = checks
-        self.coarse = np.zeros((0, DESCRIPTOR_LENGTH), np.int8)
+        self.coarse = np.zeros((2, 0, _HALF), np.int8)
         self.nodes = np.full((trees, 1, 2), -1, np.int32)
         self.values = np.zeros((trees, 1), np.float32)
         self.buckets = np.zeros((trees, 2 + BUCKET), np.int32)
@@ -315,11 +331,13 @@ class KdForestIndex(DescriptorTable):
 
     def round_table(self, ids: Ids) -> None:
         """Set the rounded descriptors of ids from the exact ones."""
-        if len(self.coarse) < len(self.table):
-            grown = np.zeros(self.table.shape, np.int8)
-            grown[: len(self.coarse)] = self.coarse
+        have = self.coarse.shape[1]
+        if have < len(self.table):
+            grown = _in_cache_lines((2, len(self.table), _HALF))
+            grown[:, :have] = self.coarse
             self.coarse = grown
-        self.coarse[ids] = np.rint(self.table[ids] * _STEPS).astype(np.int8)
+        rounded = np.rint(self.table[ids] * _STEPS).astype(np.int8)
+        self.coarse[:, ids] = rounded.reshape(-1, 2, _HALF).transpose(1, 0, 2)
 
     def remove(self, ids: Ids) -> None:
         """See DescriptorIndex."""
