@@ -12,7 +12,7 @@ from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.gaussian import sample_gaussian
 from explore_slam.slam.genealogy import Index
 from explore_slam.slam.landmark_map import LandmarkMap
-from explore_slam.slam.landmark_update import insert_landmarks, update_landmarks
+from explore_slam.slam.landmark_update import update_landmarks
 from explore_slam.slam.parallel import over_particles
 from explore_slam.slam.proposal import propose, sample_proposals
 from explore_slam.slam.row_store import Items, RowStore
@@ -258,28 +258,3 @@ def update_matched(sighted: Sighted, data: Array, poses: Array, threads: int) ->
         )  # fmt: skip
 
     over_particles(part, len(poses), threads)
-
-
-def fill_absent(
-    sighted: Sighted, data: Array, poses: Array, wanted: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
-    """Give an observation without landmark the place of a like landmark that the particle lacks.
-
-    wanted (K, M) tells where a new landmark is to be made; what is filled is taken out of it,
-    so that one feature does not become a landmark number for every set of particles.
-    Returns (L,): which landmarks were filled somewhere.
-    """
-    used = np.zeros((len(sighted.items), data.shape[2]), bool)
-    open_to = wanted.any(axis=1)[:, None] & (sighted.candidates >= 0)
-    for k, j in np.argwhere(open_to).tolist():
-        place = sighted.candidates[k, j]
-        slot = sighted.slots[place : place + 1]
-        here = wanted[k] & (data[slot[0], 3] <= 0.0) & ~used[place]
-        if here.any():
-            insert_landmarks(
-                data, slot, sighted.z[k : k + 1], sighted.R[k : k + 1], here[None], poses
-            )
-            used[place] |= here
-            wanted[k] &= ~here
-    filled: NDArray[np.bool_] = used.any(axis=1)
-    return filled

@@ -139,6 +139,18 @@ def update_landmarks(
             _store(w, slab, slots, candidates, choice, k, m0, n)
 
 
+@njit(cache=True, nogil=True, error_model='numpy', inline='always')
+def _write_seen(row, z, R, k, poses, m):  # type: ignore[no-untyped-def]
+    """Write to a row the landmark of observation k, as particle m sees it."""
+    c, s = math.cos(poses[m, 2]), math.sin(poses[m, 2])
+    row[0, m] = poses[m, 0] + c * z[k, 0] - s * z[k, 1]
+    row[1, m] = poses[m, 1] + s * z[k, 0] + c * z[k, 1]
+    row[2, m] = z[k, 2]
+    row[3, m], row[4, m], row[5, m], row[6, m], row[7, m], row[8, m] = seen_covariance(
+        c, -s, R[k, 0], R[k, 1], R[k, 2], R[k, 3], R[k, 4], R[k, 5]
+    )
+
+
 @njit(cache=True, nogil=True, error_model='numpy')
 def insert_landmarks(
     slab: Array,
@@ -152,12 +164,43 @@ def insert_landmarks(
     for k in range(len(slots)):
         row = slab[slots[k]]
         for m in range(len(poses)):
-            if not where[k, m]:
+            if where[k, m]:
+                _write_seen(row, z, R, k, poses, m)
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
+def fill_absent(
+    slab: Array,
+    slots: Locals,
+    candidates: Locals,
+    z: Array,
+    R: Array,
+    poses: Array,
+    wanted: NDArray[np.bool_],
+) -> NDArray[np.bool_]:  # pragma: no cover - compiled
+    """Give an observation without landmark the place of a like landmark that the particle lacks.
+
+    wanted (K, M) tells where a new landmark is to be made; what is filled is taken out of it,
+    so that one feature does not become a landmark number for every set of particles.
+    slots (L,), candidates (K, J), z (K, 3), R (K, 6) as in `association`; poses (M, 3).
+    Returns (L,): which landmarks were filled somewhere.
+    """
+    K, J = candidates.shape
+    M = len(poses)
+    used = np.zeros((len(slots), M), np.bool_)
+    filled = np.zeros(len(slots), np.bool_)
+    for k in range(K):
+        if not wanted[k].any():
+            continue
+        for j in range(J):
+            place = candidates[k, j]
+            if place < 0:
                 continue
-            c, s = math.cos(poses[m, 2]), math.sin(poses[m, 2])
-            row[0, m] = poses[m, 0] + c * z[k, 0] - s * z[k, 1]
-            row[1, m] = poses[m, 1] + s * z[k, 0] + c * z[k, 1]
-            row[2, m] = z[k, 2]
-            row[3, m], row[4, m], row[5, m], row[6, m], row[7, m], row[8, m] = seen_covariance(
-                c, -s, R[k, 0], R[k, 1], R[k, 2], R[k, 3], R[k, 4], R[k, 5]
-            )
+            row = slab[slots[place]]
+            for m in range(M):
+                if wanted[k, m] and row[3, m] <= 0.0 and not used[place, m]:
+                    _write_seen(row, z, R, k, poses, m)
+                    used[place, m] = True
+                    wanted[k, m] = False
+                    filled[place] = True
+    return filled

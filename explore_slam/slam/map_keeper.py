@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from explore_slam.geometry import Array, Pose2
 from explore_slam.slam.association import Choice
 from explore_slam.slam.config import FastSlamConfig
-from explore_slam.slam.engines import Sighted, fill_absent
+from explore_slam.slam.engines import Sighted
 from explore_slam.slam.landmark_map import LandmarkMap
-from explore_slam.slam.landmark_update import insert_landmarks
+from explore_slam.slam.landmark_update import fill_absent, insert_landmarks
 
 _FEWEST_FOR_MISSES = 8
 _BIN = 0.1
@@ -90,7 +90,15 @@ class MapKeeper:
         rows = self.landmarks.rows
         agreed = support_of.sum(axis=1) > 0.5
         wanted = self._wanted(vehicle, sighted, agreed, poses[best])
-        filled = fill_absent(sighted, rows.present_data, poses, wanted)
+        filled = fill_absent(
+            rows.present_data,
+            sighted.slots,
+            sighted.candidates,
+            sighted.z,
+            sighted.R,
+            poses,
+            wanted,
+        )
         chosen = np.zeros(len(sighted.items))
         real = sighted.candidates >= 0
         np.add.at(chosen, sighted.candidates[real], support_of[real])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from explore_slam.slam.engines import UPPER
-from explore_slam.slam.landmark_update import insert_landmarks, update_landmarks
+from explore_slam.slam.landmark_update import fill_absent, insert_landmarks, update_landmarks
 from explore_slam.slam.proposal import propose, sample_proposals
 
 M = 45
@@ -207,3 +207,22 @@ def test_new_landmarks_lie_where_they_are_seen():
     np.testing.assert_allclose(slab[0, :3, 4], T @ scene.z[0] + [*scene.poses[4, :2], 0.0])
     np.testing.assert_allclose(slab[0, 3:, 4], (T @ scene.R[0] @ T.T)[UPPER])
     assert (slab[0, :, 1::2] == 0.0).all()
+
+
+def test_a_landmark_that_particles_lack_is_filled_in_there_and_once():
+    scene = Scene(K=2)
+    scene.slab[0, :, :20] = 0.0
+    before = scene.slab.copy()
+    wanted = np.zeros((2, M), bool)
+    wanted[:, :30] = True
+    candidates = np.array([[-1, 0], [0, -1]])
+    R = np.ascontiguousarray(scene.R[:, *UPPER])
+    filled = fill_absent(scene.slab, np.arange(2), candidates, scene.z, R, scene.poses, wanted)
+    assert filled.tolist() == [True, False]
+    assert not wanted[0, :20].any()
+    assert wanted[0, 20:30].all()
+    assert wanted[1, :30].all()
+    np.testing.assert_array_equal(scene.slab[:, :, 20:], before[:, :, 20:])
+    T = rotation(scene.poses[4, 2])
+    place = T @ scene.z[0] + [*scene.poses[4, :2], 0.0]
+    np.testing.assert_allclose(scene.slab[0, :3, 4], place)
