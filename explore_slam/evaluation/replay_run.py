@@ -172,7 +172,8 @@ def _blind(replay: Replay) -> list[str]:
     """Name the vehicles that see no landmarks."""
     seeing = {TopicKind.COLOR, TopicKind.COLOR_COMPRESSED, TopicKind.LANDMARKS}
     return [
-        f'{vehicle} has neither frames nor landmarks: nothing closes its loops, its map follows odometry and scans'
+        f'{vehicle} has neither frames nor landmarks: nothing closes its loops, '
+        'its map follows odometry and scans'
         for vehicle in replay.vehicles
         if not replay.kinds(vehicle) & seeing
     ]
