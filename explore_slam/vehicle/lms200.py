@@ -265,7 +265,8 @@ class Lms200:
         if self.status.severity >= _FATAL:
             return None
         sent = self._port.transmission_time(len(telegram.data) + 8)
-        stamp = self._clock() - sent - 0.5 * MIRROR_PERIOD
+        # a simulated clock begins at 0
+        stamp = max(self._clock() - sent - 0.5 * MIRROR_PERIOD, 0.0)
         return self.record(raw, stamp)
 
     def record(self, raw: RawScan, stamp: float) -> LaserScan:

@@ -218,7 +218,8 @@ class PioneerRobot:
         assert self._factors is not None
         self.packets += 1
         received = self._clock()
-        stamp = received - self._port.transmission_time(size)
+        # a simulated clock begins at 0
+        stamp = max(received - self._port.transmission_time(size), 0.0)
         before = self._odometry.pose
         pose = self._odometry.update(status)
         self._covariance.drive(before.between(pose))

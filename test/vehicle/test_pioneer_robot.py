@@ -215,3 +215,12 @@ def test_velocities_are_kept_within_the_maximum(rig):
     robot.enable_motors(True)
     run(robot, 0.2, (2.0, -3.0))
     assert device.commanded == pytest.approx((0.3, -math.radians(29)), abs=0.01)
+
+
+def test_a_clock_that_still_stands_at_zero_gives_stamps(rig):
+    _, _, robot = rig()
+    robot._clock = lambda: 0.0  # simulated time before its first tick
+    robot.connect()
+    states = run(robot, 1.0, until=lambda _: True)
+    assert [state.odometry.stamp for state in states] == [0.0] * len(states)
+    assert states
