@@ -37,14 +37,12 @@ class FilterRun:
 def run_filter(frames: Sequence[TumFrame], config: FastSlamConfig, seed: int) -> FilterRun:
     """Run the filter over the frames as the camera of a planar vehicle with drawn odometry noise.
 
-    An update of a landmark is right when the frame has a point, alike within E0, that truth puts
-    within TOLERANCE of where truth has put the landmark when it was first seen.
+    An update of a landmark is right when truth puts the point that the best particle took for it
+    within TOLERANCE of where truth put the point that it was made of.
     """
     rng = np.random.default_rng(seed)
     slam = FastSlam({VEHICLE: frames[0].pose}, config, seed)
-    e0 = config.association.maximum_descriptor_distance
     places: dict[int, Array] = {}
-    counts: dict[int, int] = {}
     right = total = 0
     errors, drift, drifting = [], [], frames[0].pose
     previous = frames[0].pose
@@ -57,22 +55,15 @@ def run_filter(frames: Sequence[TumFrame], config: FastSlamConfig, seed: int) ->
         drifting = drifting.compose(increment)
         if not len(frame.observations):
             continue
-        slam.update(VEHICLE, frame.observations)
+        matches = slam.update(VEHICLE, frame.observations).matches
+        for point, number in zip(frame.points, matches.tolist(), strict=True):
+            if number in places:
+                total += 1
+                right += bool(np.linalg.norm(point - places[number]) <= TOLERANCE)
         known = slam.landmarks()
-        updated = [
-            row
-            for row, (number, count) in enumerate(
-                zip(known.ids.tolist(), known.counts.tolist(), strict=True)
-            )
-            if number in counts and count > counts[number]
-        ]
-        for row in updated:
-            total += 1
-            right += _is_seen(frame, places[int(known.ids[row])], known.descriptors[row], e0)
-        for row, number in enumerate(known.ids.tolist()):
-            if number not in counts:
-                places[number] = _place(frame, known.descriptors[row])
-            counts[number] = int(known.counts[row])
+        for number, descriptor in zip(known.ids.tolist(), known.descriptors, strict=True):
+            if number not in places:
+                places[number] = _place(frame, descriptor)
         estimate, _ = slam.estimate(VEHICLE)
         errors.append(np.subtract(estimate, frame.pose))
         drift.append(np.subtract(drifting, frame.pose))
@@ -98,9 +89,3 @@ def _place(frame: TumFrame, descriptor: Array) -> Array:
     likeness = frame.observations.descriptors @ descriptor
     place: Array = frame.points[int(np.argmax(likeness))]
     return place
-
-
-def _is_seen(frame: TumFrame, place: Array, descriptor: Array, e0: float) -> bool:
-    near = np.linalg.norm(frame.points - place, axis=1) <= TOLERANCE
-    alike = 2.0 - 2.0 * (frame.observations.descriptors @ descriptor) <= e0 + 1e-4
-    return bool((near & alike).any())
