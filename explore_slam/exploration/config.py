@@ -142,7 +142,7 @@ class AssignmentConfig(Section):
         3.0, 'weight of the longest tour against the sum of all', low=0.0, high=1000.0
     )
     gain_per_detour: float = setting(
-        0.2,
+        0.3,
         'unknown area per length of detour that makes a target worth it now',
         unit='m² per m',
         low=0.0,
