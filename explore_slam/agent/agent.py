@@ -180,7 +180,7 @@ class Agent:
     def _use_ready(self, track: VehicleTrack) -> None:
         noise = self.config.slam.odometry_noise
         while (scan := track.next_to_match()) is not None:
-            if track.keyframe is None or scan.stamp > track.keyframe.stamp:
+            if track.keyframe is None or scan.stamp >= track.keyframe.stamp:
                 refine_by_scan(track, scan, self._laser, noise)
         patience = self.config.scan_matching.matching_patience
         while (observation := track.next_ready(patience)) is not None:

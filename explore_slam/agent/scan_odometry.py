@@ -1,5 +1,7 @@
 """A vehicle's odometry refined by its laser: what scans say of the motion bends the chain."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from explore_slam.agent.vehicle_track import VehicleTrack
@@ -19,6 +21,8 @@ def refine_by_scan(
     nothing; a vehicle that stands still is left where it is.
     """
     since = max(track.last_match, track.odometry.first)
+    if scan.stamp <= since:
+        return
     motion, covariance = IDENTITY, np.zeros((3, 3))
     for step in track.odometry.steps(since, scan.stamp):
         motion, covariance = compound(
@@ -30,8 +34,10 @@ def refine_by_scan(
     match = track.matcher.match(scan, laser, prior, rotated(covariance, motion.theta))
     if match is not None:
         track.count('matched_scans')
-        used = -np.inf if track.keyframe is None else track.keyframe.stamp
-        track.odometry.correct(max(since, used), scan.stamp, match.pose, match.covariance)
+        track.odometry.correct(since, scan.stamp, match.pose, match.covariance)
+        if track.keyframe is not None:  # what was off until then, the belief has settled
+            moved = track.odometry.at(track.keyframe.stamp)
+            track.keyframe = replace(track.keyframe, odometry=moved)
         track.last_match = scan.stamp
     elif track.matcher.started:
         track.count('unmatched_scans')

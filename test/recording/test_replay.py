@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from synthetic import SyntheticWorld
 
 from explore_slam.agent.agent import Agent
 from explore_slam.data import Intrinsics, LandmarkObservations, LaserScan, RgbdFrame
@@ -40,7 +41,7 @@ def team_events(seconds: float = 12.0) -> list[Event]:
     """Two vehicles on circles; odometry that drifts, landmarks, scans, truth, start poses."""
     rng = np.random.default_rng(7)
     found = [start_event(name, 5.0, pose) for name, pose in STARTS.items()]
-    ranges = np.full(181, 3.0, np.float32)
+    room, laser = SyntheticWorld(), Pose2(0.1, 0.0, 0.0)
     for name, start in STARTS.items():
         true, odometry = start, Pose2(9.0, 9.0, 1.0)
         for index in range(round(20 * seconds)):
@@ -50,7 +51,7 @@ def team_events(seconds: float = 12.0) -> list[Event]:
             if index % 10 == 5:
                 seen = observe(stamp, true, rng)
                 found.append(Event(stamp, name, TopicKind.LANDMARKS, seen))
-                scan = LaserScan(stamp, -np.pi / 2, np.pi / 180, ranges, 0.1, 8.0)
+                scan = room.scan_from(stamp, true.compose(laser))
                 found.append(Event(stamp, name, TopicKind.SCAN, scan))
             true = true.compose(Pose2(0.02, 0.0, 0.015))
             odometry = odometry.compose(Pose2(0.021, 0.0, 0.017))
