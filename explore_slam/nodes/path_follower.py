@@ -13,6 +13,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
 from nav_msgs.msg import Odometry, Path
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
@@ -47,6 +48,7 @@ from explore_slam.vehicle import FollowerState, PathFollower, PathFollowerConfig
 
 _SILENCE = 5.0  # s without a first message
 _REPORT_PERIOD = 0.5  # s
+_FAREWELL = 0.2  # s for the last command to arrive
 _QUIET_AFTER = 1.0  # s of zero commands, then silence: another may drive the vehicle
 
 
@@ -160,10 +162,11 @@ class PathFollowerNode(Node):
         self._diagnostics.publish(diagnostics_message(self, parts, self.vehicle))
 
     def stop(self) -> None:
-        """Command rest, several times: the last message before the end is easily lost."""
-        for _ in range(3):
-            self._velocity.publish(twist_message(MESSAGES, 0.0, 0.0))
+        """Command rest, and wait until it has arrived: what is sent last is easily lost."""
+        self._velocity.publish(twist_message(MESSAGES, 0.0, 0.0))
         self._status.publish(String(data='waiting: path follower has ended'))
+        for publisher in (self._velocity, self._status):
+            publisher.wait_for_all_acked(Duration(seconds=_FAREWELL))
 
 
 def main(arguments: list[str] | None = None) -> int:

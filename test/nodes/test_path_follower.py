@@ -145,7 +145,8 @@ def test_drives_a_plan_stops_before_a_wall_and_at_sigterm(harness, follower):
     assert harness.spin(10, lambda: harness.velocity[0] > 0.3)
     follower.send_signal(signal.SIGTERM)
     follower.send_signal(signal.SIGINT)
-    assert harness.spin(5, lambda: follower.poll() is not None and harness.velocity == (0.0, 0.0))
+    ok = harness.spin(5, lambda: follower.poll() is not None and harness.velocity == (0.0, 0.0))
+    assert ok, (follower.poll(), harness.velocity, harness.commands[-3:], time.monotonic())
     assert follower.returncode == 0
 
 
