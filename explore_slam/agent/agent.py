@@ -94,6 +94,7 @@ class Agent:
         self._laser = Pose2(scans.laser_x, scans.laser_y, scans.laser_yaw)
         for track in self.tracks.values():
             track.selector.config = config.vision.keyframes
+            track.matcher.config = config.scan_matching
 
     def reset(self) -> None:
         """Forget everything learned; vehicles are at their start poses again."""
@@ -164,14 +165,7 @@ class Agent:
 
     def _follow_clock_back(self, track: VehicleTrack) -> None:
         """Go on in the new time from where the vehicle is."""
-        track.forget_waiting()
-        track.selector.reset()
-        track.last_scan, track.last_seen = None, -math.inf
-        track.last_match = track.last_tried = -math.inf
-        track.matcher.reset()
-        if track.keyframe is not None:
-            moved = track.keyframe.odometry
-            track.keyframe = Keyframe(track.keyframe.number, track.odometry.last, moved)
+        track.follow_clock_back()
         self.belief.restart_clock(track.name)
         self.now = track.odometry.last
 

@@ -20,7 +20,7 @@ def refine_by_scan(
     laser: its pose on the vehicle; noise: of the wheels. A scan that fits nowhere changes
     nothing; a vehicle that stands still is left where it is.
     """
-    since = max(track.last_match, track.odometry.first)
+    since = max(track.refined_until, track.odometry.first)
     if scan.stamp <= since:
         return
     motion, covariance = IDENTITY, np.zeros((3, 3))
@@ -29,6 +29,7 @@ def refine_by_scan(
             motion, covariance, step.increment, step.covariance_or(noise)
         )
     if track.matcher.started and covariance.trace() < _STANDING:
+        track.refined_until = scan.stamp
         return
     prior = track.odometry.at(scan.stamp)
     match = track.matcher.match(scan, laser, prior, rotated(covariance, motion.theta))
@@ -38,6 +39,6 @@ def refine_by_scan(
         if track.keyframe is not None:  # what was off until then, the belief has settled
             moved = track.odometry.at(track.keyframe.stamp)
             track.keyframe = replace(track.keyframe, odometry=moved)
-        track.last_match = scan.stamp
+        track.refined_until = scan.stamp
     elif track.matcher.started:
         track.count('unmatched_scans')

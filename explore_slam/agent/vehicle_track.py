@@ -1,7 +1,7 @@
 """What the agent knows of one vehicle beside the belief: odometry, keyframe, what waits for it."""
 
 import heapq
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -41,7 +41,7 @@ class VehicleTrack:
     matcher: ScanMatcher
     keyframe: Keyframe | None = None
     last_scan: tuple[float, Pose2] | None = None  # stamp and odometry of the last scan kept
-    last_match: float = -np.inf  # stamp of the last scan that was matched with earlier ones
+    refined_until: float = -np.inf  # stamp up to which scans have refined the odometry
     last_tried: float = -np.inf  # stamp of the last scan that was to be matched
     last_heard: float = -np.inf  # the agent's time (s) when odometry came last
     last_seen: float = -np.inf  # stamp of the last frame or landmarks that were used
@@ -93,12 +93,18 @@ class VehicleTrack:
             return None
         return heapq.heappop(self._waiting)[2]
 
-    def forget_waiting(self) -> None:
-        """Drop what waits: it belongs to another time."""
+    def follow_clock_back(self) -> None:
+        """Go on in a new time: what waits belongs to another, the keyframe is here and now."""
         for _ in self._waiting:
             self.count('dropped_by_clock_jump')
         self._waiting.clear()
         self._unmatched.clear()
+        self.selector.reset()
+        self.matcher.reset()
+        self.last_scan, self.last_seen = None, -np.inf
+        self.refined_until = self.last_tried = -np.inf
+        if self.keyframe is not None:
+            self.keyframe = replace(self.keyframe, stamp=self.odometry.last)
 
     def moved_since_keyframe(self, stamp: float) -> Pose2:
         """Return the motion from the newest keyframe (or the start) to a stamp."""

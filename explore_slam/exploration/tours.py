@@ -26,6 +26,26 @@ class Tours(NamedTuple):
     cost: float
 
 
+class _Problem(NamedTuple):
+    """What tours are made of, as in plan_tours; of each vehicle (V,) heads targets stay first."""
+
+    first: Array
+    pairs: Array
+    work: Array
+    urgency: Array
+    bonus: Array
+    heads: NDArray[np.int64]
+    longest_weight: float
+
+
+class _Draft(NamedTuple):
+    """Tours in the making: orders (V, F), lengths (V,), costs (V, 2) of length and waiting."""
+
+    orders: NDArray[np.int64]
+    lengths: NDArray[np.int64]
+    costs: Array
+
+
 def plan_tours(
     starts: Array,
     between: Array,
@@ -40,27 +60,29 @@ def plan_tours(
 
     starts (V, F): travel from each vehicle to each target; between (F, F): among targets; work
     (F,) m; urgency (F,): paid per metre until a target is reached; bonus (F,) m: saved where a
-    tour ends; fixed (V,): the target a
-    vehicle has to visit first, or -1. Targets that a vehicle cannot reach (inf) are taken by
-    others, if any can. prior: the tours to begin with; they are only improved upon.
+    tour ends; fixed (V,): the target a vehicle has to visit first, or -1. Targets that a vehicle
+    cannot reach (inf) are taken by others, if any can. prior: the tours to begin with; they are
+    only improved upon.
     """
     vehicles, count = starts.shape
-    orders = np.full((vehicles, count), -1, np.int64)
-    lengths = np.zeros(vehicles, np.int64)
     once = fixed.copy()
     for vehicle in range(vehicles):
         if fixed[vehicle] in fixed[:vehicle]:
             once[vehicle] = -1  # two cannot go there first
     first = np.ascontiguousarray(np.where(np.isfinite(starts), starts, UNREACHABLE))
     pairs = np.ascontiguousarray(np.where(np.isfinite(between), between, UNREACHABLE))
+    heads = (once >= 0).astype(np.int64)
+    orders = np.full((vehicles, count), -1, np.int64)
+    lengths = np.zeros(vehicles, np.int64)
     used = {int(target) for target in once if target >= 0}
-    for vehicle, order in enumerate(prior or []):
+    for vehicle, order in enumerate(prior or [[]] * vehicles):
         head = [int(once[vehicle])] if once[vehicle] >= 0 else []
         rest = [t for t in order if t not in used and np.isfinite(starts[vehicle, t])]
         used.update(rest)
         lengths[vehicle] = len(head + rest)
         orders[vehicle, : lengths[vehicle]] = head + rest
-    cost = _make_tours(first, pairs, work, urgency, bonus, once, longest_weight, orders, lengths)
+    problem = _Problem(first, pairs, work, urgency, bonus, heads, longest_weight)
+    cost = _make_tours(problem, _Draft(orders, lengths, np.zeros((vehicles, 2))))
     result = []
     for vehicle in range(vehicles):
         order = orders[vehicle, : lengths[vehicle]].tolist()
@@ -69,24 +91,19 @@ def plan_tours(
 
 
 @kernel
-def _tour_cost(
-    order: NDArray[np.int64],
-    length: int,
-    first: Array,
-    pairs: Array,
-    work: Array,
-    urgency: Array,
-    bonus: Array,
-) -> tuple[float, float]:
-    """Return the length of a tour with its work, and what waiting costs along it."""
+def _update_cost(problem: _Problem, draft: _Draft, vehicle: int) -> None:
+    """Set the length of a tour with its work, and what waiting costs along it."""
+    order, length = draft.orders[vehicle], draft.lengths[vehicle]
     total, waiting = 0.0, 0.0
     for i in range(length):
-        total += first[order[0]] if i == 0 else pairs[order[i - 1], order[i]]
-        waiting += urgency[order[i]] * total
-        total += work[order[i]]
+        total += (
+            problem.first[vehicle, order[0]] if i == 0 else problem.pairs[order[i - 1], order[i]]
+        )
+        waiting += problem.urgency[order[i]] * total
+        total += problem.work[order[i]]
     if length > 0:
-        total -= bonus[order[length - 1]]
-    return total, waiting
+        total -= problem.bonus[order[length - 1]]
+    draft.costs[vehicle, 0], draft.costs[vehicle, 1] = total, waiting
 
 
 @kernel
@@ -96,20 +113,10 @@ def _team_cost(costs: Array, longest_weight: float) -> float:
 
 
 @kernel
-def _best_insertion(
-    target: int,
-    first: Array,
-    pairs: Array,
-    work: Array,
-    urgency: Array,
-    bonus: Array,
-    heads: NDArray[np.int64],
-    longest_weight: float,
-    orders: NDArray[np.int64],
-    lengths: NDArray[np.int64],
-    costs: Array,
-) -> tuple[float, int, int]:
+def _best_insertion(problem: _Problem, draft: _Draft, target: int) -> tuple[float, int, int]:
     """Return cost of the team, vehicle and position of the cheapest insertion of a target."""
+    first, pairs, work, urgency, bonus, heads, longest_weight = problem
+    orders, lengths, costs = draft
     best, best_vehicle, best_at = np.inf, -1, -1
     trial = costs.copy()
     for vehicle in range(lengths.size):
@@ -158,177 +165,85 @@ def _remove(order: NDArray[np.int64], length: int, at: int) -> None:
 
 
 @kernel
-def _reverse_stretches(
-    orders: NDArray[np.int64],
-    lengths: NDArray[np.int64],
-    heads: NDArray[np.int64],
-    first: Array,
-    pairs: Array,
-    work: Array,
-    urgency: Array,
-    bonus: Array,
-    longest_weight: float,
-    costs: Array,
-) -> bool:
+def _reverse_stretches(problem: _Problem, draft: _Draft) -> bool:
     """Reverse stretches of tours while that makes the team pay less (2-opt)."""
     changed = False
-    trial = costs.copy()
-    for vehicle in range(lengths.size):
-        order, length = orders[vehicle], lengths[vehicle]
-        paid = _team_cost(costs, longest_weight)
-        for i in range(heads[vehicle], length - 1):
+    for vehicle in range(draft.lengths.size):
+        order, length = draft.orders[vehicle], draft.lengths[vehicle]
+        paid = _team_cost(draft.costs, problem.longest_weight)
+        for i in range(problem.heads[vehicle], length - 1):
             for j in range(i + 1, length):
+                before = draft.costs[vehicle].copy()
                 order[i : j + 1] = order[i : j + 1][::-1].copy()
-                trial[vehicle] = _tour_cost(
-                    order, length, first[vehicle], pairs, work, urgency, bonus
-                )
-                cost = _team_cost(trial, longest_weight)
+                _update_cost(problem, draft, vehicle)
+                cost = _team_cost(draft.costs, problem.longest_weight)
                 if cost < paid - 1e-6:
-                    costs[vehicle], paid, changed = trial[vehicle], cost, True
+                    paid, changed = cost, True
                 else:
                     order[i : j + 1] = order[i : j + 1][::-1].copy()
-        trial[vehicle] = costs[vehicle]
+                    draft.costs[vehicle] = before
     return changed
 
 
 @kernel
-def _make_tours(
-    first: Array,
-    pairs: Array,
-    work: Array,
-    urgency: Array,
-    bonus: Array,
-    fixed: NDArray[np.int64],
-    longest_weight: float,
-    orders: NDArray[np.int64],
-    lengths: NDArray[np.int64],
-) -> float:
-    vehicles = first.shape[0]
-    heads = np.zeros(vehicles, np.int64)
-    costs = np.zeros((vehicles, 2))
-    for vehicle in range(vehicles):
-        if fixed[vehicle] >= 0:
-            heads[vehicle] = 1
-            orders[vehicle, 0], lengths[vehicle] = fixed[vehicle], max(1, lengths[vehicle])
-        costs[vehicle] = _tour_cost(
-            orders[vehicle], lengths[vehicle], first[vehicle], pairs, work, urgency, bonus
-        )
-    _insert_all(first, pairs, work, urgency, bonus, heads, longest_weight, orders, lengths, costs)
+def _make_tours(problem: _Problem, draft: _Draft) -> float:
+    """Complete and improve tours in place; return what the team pays."""
+    for vehicle in range(draft.lengths.size):
+        _update_cost(problem, draft, vehicle)
+    _insert_all(problem, draft)
     for _ in range(ROUNDS):
-        reversed_any = _reverse_stretches(
-            orders, lengths, heads, first, pairs, work, urgency, bonus, longest_weight, costs
-        )
-        moved_any = _move_targets(
-            first, pairs, work, urgency, bonus, heads, longest_weight, orders, lengths, costs
-        )
+        reversed_any = _reverse_stretches(problem, draft)
+        moved_any = _move_targets(problem, draft)
         if not (reversed_any or moved_any):
             break
-    return _team_cost(costs, longest_weight)
+    return _team_cost(draft.costs, problem.longest_weight)
 
 
 @kernel
-def _insert_all(
-    first: Array,
-    pairs: Array,
-    work: Array,
-    urgency: Array,
-    bonus: Array,
-    heads: NDArray[np.int64],
-    longest_weight: float,
-    orders: NDArray[np.int64],
-    lengths: NDArray[np.int64],
-    costs: Array,
-) -> None:
+def _insert_at(problem: _Problem, draft: _Draft, target: int, vehicle: int, at: int) -> None:
+    _insert(draft.orders[vehicle], draft.lengths[vehicle], at, target)
+    draft.lengths[vehicle] += 1
+    _update_cost(problem, draft, vehicle)
+
+
+@kernel
+def _insert_all(problem: _Problem, draft: _Draft) -> None:
     """Insert all targets that are in no tour yet, each time the one that is cheapest to add."""
-    vehicles, count = first.shape
+    count = problem.work.size
     waiting = np.ones(count, np.bool_)
-    for vehicle in range(vehicles):
-        for at in range(lengths[vehicle]):
-            waiting[orders[vehicle, at]] = False
+    for vehicle in range(draft.lengths.size):
+        for at in range(draft.lengths[vehicle]):
+            waiting[draft.orders[vehicle, at]] = False
     for _ in range(count):
         best, best_target, best_vehicle, best_at = np.inf, -1, -1, -1
         for target in range(count):
             if waiting[target]:
-                total, vehicle, at = _best_insertion(
-                    target,
-                    first,
-                    pairs,
-                    work,
-                    urgency,
-                    bonus,
-                    heads,
-                    longest_weight,
-                    orders,
-                    lengths,
-                    costs,
-                )
+                total, vehicle, at = _best_insertion(problem, draft, target)
                 if total < best:
                     best, best_target, best_vehicle, best_at = total, target, vehicle, at
         if best_target < 0:
             break
-        _insert(orders[best_vehicle], lengths[best_vehicle], best_at, best_target)
-        lengths[best_vehicle] += 1
-        costs[best_vehicle] = _tour_cost(
-            orders[best_vehicle],
-            lengths[best_vehicle],
-            first[best_vehicle],
-            pairs,
-            work,
-            urgency,
-            bonus,
-        )
+        _insert_at(problem, draft, best_target, best_vehicle, best_at)
         waiting[best_target] = False
 
 
 @kernel
-def _move_targets(
-    first: Array,
-    pairs: Array,
-    work: Array,
-    urgency: Array,
-    bonus: Array,
-    heads: NDArray[np.int64],
-    longest_weight: float,
-    orders: NDArray[np.int64],
-    lengths: NDArray[np.int64],
-    costs: Array,
-) -> bool:
+def _move_targets(problem: _Problem, draft: _Draft) -> bool:
     """Move each target once to where the team pays least for it."""
     changed = False
-    for vehicle in range(lengths.size):
-        at = heads[vehicle]
-        while at < lengths[vehicle]:
-            before, kept = _team_cost(costs, longest_weight), costs[vehicle].copy()
-            target = orders[vehicle, at]
-            _remove(orders[vehicle], lengths[vehicle], at)
-            lengths[vehicle] -= 1
-            costs[vehicle] = _tour_cost(
-                orders[vehicle], lengths[vehicle], first[vehicle], pairs, work, urgency, bonus
-            )
-            total, other, where = _best_insertion(
-                target,
-                first,
-                pairs,
-                work,
-                urgency,
-                bonus,
-                heads,
-                longest_weight,
-                orders,
-                lengths,
-                costs,
-            )
-            better = total < before - 1e-6
-            if not better:
-                other, where = vehicle, at
-            _insert(orders[other], lengths[other], where, target)
-            lengths[other] += 1
-            if better:
-                costs[other] = _tour_cost(
-                    orders[other], lengths[other], first[other], pairs, work, urgency, bonus
-                )
+    for vehicle in range(draft.lengths.size):
+        at = problem.heads[vehicle]
+        while at < draft.lengths[vehicle]:
+            before = _team_cost(draft.costs, problem.longest_weight)
+            target = draft.orders[vehicle, at]
+            _remove(draft.orders[vehicle], draft.lengths[vehicle], at)
+            draft.lengths[vehicle] -= 1
+            _update_cost(problem, draft, vehicle)
+            total, other, where = _best_insertion(problem, draft, target)
+            if total < before - 1e-6:
+                changed = True
             else:
-                costs[vehicle] = kept
-            changed = changed or better
+                other, where = vehicle, at
+            _insert_at(problem, draft, target, other, where)
             at += 1
     return changed

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from explore_slam.compiled import kernel
 from explore_slam.data import LaserScan
 from explore_slam.geometry import IDENTITY, Array, Pose2
 from explore_slam.mapping.config import ScanMatchingConfig
@@ -45,8 +45,7 @@ class ScanMatch:
     overlap: float
 
 
-@dataclass(frozen=True)
-class Cloud:
+class Cloud(NamedTuple):
     """Points (n, 2) with unit normals (n, 2)."""
 
     points: Array
@@ -122,32 +121,35 @@ def _sorted_into_cells(cloud: Cloud) -> _Cells:
     columns, rows = (across.max(axis=0) + 2).tolist()
     cell = across[:, 1] * columns + across[:, 0]
     order = np.argsort(cell, kind='stable')
-    first = np.searchsorted(cell[order], np.arange(columns * rows + 1))
+    first = np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=columns * rows))])
     x, y = low.tolist()
     return _Cells(x, y, columns, rows, first, cloud.points[order], cloud.normals[order])
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
-def _normal_equations(  # type: ignore[no-untyped-def]
-    points, normals, px, py, theta, reach, deviation, x, y, columns, rows, first, walls, across
-):  # pragma: no cover - compiled
+@kernel
+def _normal_equations(
+    cloud: Cloud, cells: _Cells, pose: tuple[float, float, float], reach: float, deviation: float
+) -> tuple[Array, Array, int]:
     """Return A (3, 3) and b (3,) of A δ = b for the error δ of a pose, and the points matched.
 
     Each point goes to the nearest wall point within reach whose normal differs by less than 37
     degrees; residuals are point to line, with Cauchy weights of a standard deviation (m).
     """
     A, b, matched = np.zeros((3, 3)), np.zeros(3), 0
+    points, normals = cloud.points, cloud.normals
+    x, y, columns, rows, first, walls, across = cells
+    px, py, theta = pose
     c, s = math.cos(theta), math.sin(theta)
-    cells = math.ceil(reach / _CELL)
+    around = math.ceil(reach / _CELL)
     for n in range(len(points)):
         lx, ly = points[n, 0], points[n, 1]
         wx, wy = px + c * lx - s * ly, py + s * lx + c * ly
         nx, ny = c * normals[n, 0] - s * normals[n, 1], s * normals[n, 0] + c * normals[n, 1]
         column, row = int((wx - x) / _CELL), int((wy - y) / _CELL)
         best, nearest = reach * reach, -1
-        for r in range(max(row - cells, 0), min(row + cells + 1, rows)):
-            low = first[r * columns + min(max(column - cells, 0), columns)]
-            high = first[r * columns + min(max(column + cells + 1, 0), columns)]
+        for r in range(max(row - around, 0), min(row + around + 1, rows)):
+            low = first[r * columns + min(max(column - around, 0), columns)]
+            high = first[r * columns + min(max(column + around + 1, 0), columns)]
             for k in range(low, high):
                 dx, dy = walls[k, 0] - wx, walls[k, 1] - wy
                 square = dx * dx + dy * dy
@@ -236,7 +238,7 @@ class ScanMatcher:
         pose, reach, config = prior, self.config.matching_reach, self.config
         for iteration in range(_ITERATIONS):
             A, b, matched = _normal_equations(
-                cloud.points, cloud.normals, *pose, reach, config.matching_deviation, *self._cells
+                cloud, self._cells, (pose.x, pose.y, pose.theta), reach, config.matching_deviation
             )
             if matched < max(_FEWEST_POINTS, config.matching_overlap * len(cloud.points)):
                 return None

@@ -1,9 +1,10 @@
 """The belief: FastSLAM over several vehicles and one landmark map."""
 
 from explore_slam.slam.config import FastSlamConfig
-from explore_slam.slam.fast_slam import FastSlam, UpdateSummary
+from explore_slam.slam.fast_slam import FastSlam
 from explore_slam.slam.landmark_map import Landmarks
 from explore_slam.slam.motion import OdometryNoise, compound, rotated
+from explore_slam.slam.summary import UpdateSummary
 from explore_slam.slam.team_belief import TeamBelief
 
 __all__ = [

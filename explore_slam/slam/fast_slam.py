@@ -30,8 +30,6 @@ from explore_slam.slam.row_store import RowStore
 from explore_slam.slam.sighting import sight
 from explore_slam.slam.summary import UpdateSummary
 
-__all__ = ['FastSlam', 'UpdateSummary']
-
 
 class FastSlam:
     """One joint Rao-Blackwellized particle filter for several vehicles (sections III and IV).
@@ -253,8 +251,7 @@ class FastSlam:
         if not wanted or not recovery.lost:
             return recovery.lost, False
         positions = self.map.places(recovery.matched_ids(), self.best_particle())
-        present = self.best_pose(self.vehicles[number])
-        found = recovery.search(positions, present, self._random)
+        found = recovery.search(positions, self.best_pose(self.vehicles[number]), self._random)
         if found is None:
             return True, False
         spread = np.array([found.position_deviation] * 2 + [found.heading_deviation])

@@ -19,10 +19,10 @@ def rig(tmp_path):
     """Return a function: options of ArcosRobot -> (robot side, its line, driver)."""
     lines, drivers = [], []
 
-    def make(tcp=False, config=None, **options):
+    def make(tcp=False, config=None, clock=time.time, **options):
         device = ArcosRobot(KinematicBody(), **options)
         line = SerialLine(device, tmp_path / 'base', tcp_port=0 if tcp else None).start()
-        robot = PioneerRobot(BaseConfig(**{'base_port': line.path, **(config or {})}))
+        robot = PioneerRobot(BaseConfig(**{'base_port': line.path, **(config or {})}), clock)
         lines.append(line)
         drivers.append(robot)
         return device, line, robot
@@ -218,8 +218,7 @@ def test_velocities_are_kept_within_the_maximum(rig):
 
 
 def test_a_clock_that_still_stands_at_zero_gives_stamps(rig):
-    _, _, robot = rig()
-    robot._clock = lambda: 0.0  # simulated time before its first tick
+    _, _, robot = rig(clock=lambda: 0.0)  # simulated time before its first tick
     robot.connect()
     states = run(robot, 1.0, until=lambda _: True)
     assert [state.odometry.stamp for state in states] == [0.0] * len(states)
