@@ -28,6 +28,7 @@ from explore_slam.nodes.processes import (
     NodeProcess,
     NodeProcesses,
     config_folder,
+    interrupts_held,
     one_machine_environment,
 )
 from explore_slam.nodes.run_monitor import RunMonitor, RunState
@@ -199,7 +200,8 @@ class LiveRun:
         while True:
             until = time.monotonic() + 0.1
             while time.monotonic() < until:
-                executor.spin_once(timeout_sec=0.05)
+                with interrupts_held():
+                    executor.spin_once(timeout_sec=0.05)
             processes.check()
             yield monitor.state
             if monitor.state.status in ENDS:
@@ -224,7 +226,8 @@ class LiveRun:
         while time.monotonic() < end and not (
             answer.done() and time.monotonic() > end - SETTLE / 2
         ):
-            executor.spin_once(timeout_sec=0.1)
+            with interrupts_held():
+                executor.spin_once(timeout_sec=0.1)
 
     # -- results ---------------------------------------------------------------------------------
 

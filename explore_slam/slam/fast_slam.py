@@ -12,8 +12,9 @@ from explore_slam.data import LandmarkObservations, VehicleSighting
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Array, Pose2, compose, wrap_angles
 from explore_slam.slam import belief_state, checkpoint, checks, engines
+from explore_slam.slam.candidates import Sighted, look_up
 from explore_slam.slam.config import FastSlamConfig
-from explore_slam.slam.engines import Proposal, Sighted
+from explore_slam.slam.engines import Proposal
 from explore_slam.slam.genealogy import Genealogy, Index
 from explore_slam.slam.landmark_map import LandmarkMap, Landmarks, make_index
 from explore_slam.slam.map_keeper import MapKeeper, support
@@ -114,7 +115,7 @@ class FastSlam:
             self._resample_round()
         reach = self._recovery[number].reach
         estimate = self.estimate(vehicle)
-        sighted = engines.look_up(self.map, observations, self.config, *estimate, reach)
+        sighted = look_up(self.map, observations, self.config.association, *estimate, reach)
         data = self.map.rows.present_data
         random = self._random.bit_generator.state
         poses, P = self._settled(number)

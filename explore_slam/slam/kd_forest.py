@@ -32,7 +32,7 @@ _LINE = 64
 
 
 @njit(cache=True, nogil=True, error_model='numpy', fastmath={'reassoc', 'nsz', 'contract'})
-def _distance(
+def squared_distance(
     a: Values, b: Values, bound: np.float32
 ) -> np.float32:  # pragma: no cover - compiled
     """Squared distance, left off at the first quarter that exceeds the bound."""
@@ -277,7 +277,7 @@ def _search(  # noqa: C901 - a kernel
                     limit = min((bound + _COARSE_MARGIN) * (_STEPS * _STEPS), 1e9)
                     if _coarse_distance(rounded, coarse, item, int(limit)) > limit:
                         continue
-                    distance = _distance(query, table[item], bound)
+                    distance = squared_distance(query, table[item], bound)
                     if distance > bound or distance >= distances[q, count - 1]:
                         continue
                     place = count - 1

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from explore_slam.geometry import Array, Pose2
 from explore_slam.slam.association import Choice
+from explore_slam.slam.candidates import Sighted
 from explore_slam.slam.config import FastSlamConfig
-from explore_slam.slam.engines import Sighted
 from explore_slam.slam.landmark_map import LandmarkMap
 from explore_slam.slam.landmark_update import fill_absent, insert_landmarks
 

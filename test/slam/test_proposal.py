@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from explore_slam.slam.engines import UPPER
+from explore_slam.slam.candidates import UPPER
 from explore_slam.slam.landmark_update import fill_absent, insert_landmarks, update_landmarks
 from explore_slam.slam.proposal import propose, sample_proposals
 
