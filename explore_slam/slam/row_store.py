@@ -6,6 +6,8 @@ After resamplings only the rows with descendants are left. Rows lie in slabs of 
 it. Within a slab values lie as (item, value, row), so that loops over particles are contiguous.
 """
 
+import math
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -15,6 +17,9 @@ from explore_slam.slam.genealogy import Genealogy, Index, Layout
 
 Items = NDArray[np.int64]
 _SHRINK = 4
+# Address space that a slab begins with: what nothing was written to takes no memory, and a slab
+# that need not grow is not copied in the middle of an update.
+_RESERVED = 256 * 2**20
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
@@ -57,7 +62,8 @@ class Slab:
         reused = [self.free.pop() for _ in range(min(count, len(self.free)))]
         fresh = count - len(reused)
         if self.used + fresh > len(self.data):
-            capacity = max(self.used + fresh, int(1.3 * len(self.data)) + 8)
+            reserved = _RESERVED // max(1, self.data.itemsize * math.prod(self.data.shape[1:]))
+            capacity = max(self.used + fresh, 2 * len(self.data), reserved)
             grown = np.zeros((capacity, *self.data.shape[1:]))
             grown[: self.used] = self.data[: self.used]
             self.data = grown
@@ -91,8 +97,8 @@ class RowStore:
         return self.slabs[0].data
 
     def memory(self) -> int:
-        """Return the bytes held in slabs."""
-        return sum(slab.data.nbytes for slab in self.slabs)
+        """Return the bytes held in slabs, those of slots given back included."""
+        return sum(slab.data[: slab.used].nbytes for slab in self.slabs)
 
     def rows_held(self) -> int:
         """Return the number of physical rows in use."""
