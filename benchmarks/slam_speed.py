@@ -178,7 +178,7 @@ def fill(slam: FastSlam, landmarks: int, random: np.random.Generator) -> None:
         data[slots] = 0.0
         data[slots, :3] = points[:, :, None]
         data[slots, 3] = data[slots, 6] = data[slots, 8] = 0.01
-        slam.map.add(slots, like_sift(random, count), 0, points)
+        slam.map.add(slots, like_sift(random, count), 0, points, slam.groups.of(0).home)
         for _ in range(4):
             weights = random.exponential(size=particles)
             slam.resample_now(weights / weights.sum())
@@ -270,7 +270,7 @@ def show_memory() -> None:
         points = random.uniform(-50.0, 50.0, (count, 3))
         data[slots] = 0.01
         data[slots, :3] = points[:, :, None]
-        slam.map.add(slots, like_sift(random, count), 0, points)
+        slam.map.add(slots, like_sift(random, count), 0, points, slam.groups.of(0).home)
         weights = random.exponential(size=1000)
         slam.resample_now(weights / weights.sum())
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

@@ -10,7 +10,10 @@ from explore_slam.settings import values_of, with_values
 from explore_slam.slam import checkpoint
 from explore_slam.slam.checkpoint import State, part, under
 from explore_slam.slam.config import FastSlamConfig
+from explore_slam.slam.genealogy import Genealogy
+from explore_slam.slam.group import Group
 from explore_slam.slam.recovery import Matches, Recovery
+from explore_slam.slam.row_store import RowStore
 
 if TYPE_CHECKING:
     from explore_slam.slam.fast_slam import FastSlam
@@ -28,6 +31,7 @@ def state_of(slam: 'FastSlam') -> State:
         'vehicles': list(slam.vehicles),
         'random': slam._random.bit_generator.state,
         'contributed': sorted(slam._contributed),
+        'groups': [[group.vehicles, len(group.genealogies)] for group in slam.groups.all],
         'regions': [[x, y, owner] for (x, y), owner in slam._keeper.regions.items()],
     }
     state = {
@@ -36,17 +40,13 @@ def state_of(slam: 'FastSlam') -> State:
         'pending': np.array(pending, np.float64).reshape(-1, 13),
         'moved': np.array(slam._moved),
         'stamps': np.array(slam._stamps),
-        'log_weights': slam._log_weights,
-        'score': slam._score,
         'path_stamps': np.array(slam.path.stamps, np.float64),
         'path_vehicles': np.array(slam.path.vehicles, np.int64),
         **under('map', checkpoint.map_state(slam.map)),
         **under('path', checkpoint.store_state(slam.path.rows)),
-        **under(
-            'tree',
-            checkpoint.genealogy_state(slam.genealogy, [slam.map.rows, slam.path.rows]),
-        ),
     }
+    for number, group in enumerate(slam.groups.all):
+        state |= under(f'group{number}', _group_state(group, [slam.map.rows, slam.path.rows]))
     for number, recovery in enumerate(slam._recovery):
         state |= under(f'recovery{number}', _recovery_state(recovery))
     return {name: np.array(value) for name, value in state.items()}
@@ -62,6 +62,15 @@ def restored(cls: 'type[FastSlam]', state: State) -> 'FastSlam':
         slam._contributed = set(about['contributed'])
         slam._keeper.regions.update({(x, y): owner for x, y, owner in about['regions']})
         _restore_arrays(slam, state)
+        slam.groups.all = [
+            _restored_group(
+                Group(vehicles, slam.config.particles),
+                genealogies,
+                [slam.map.rows, slam.path.rows],
+                part(f'group{number}', state),
+            )
+            for number, (vehicles, genealogies) in enumerate(about['groups'])
+        ]
     except (KeyError, ValueError, IndexError, TypeError) as error:
         raise SlamError(f'the state of the belief is not whole: {error!r}') from error
     return slam
@@ -74,16 +83,27 @@ def _restore_arrays(slam: 'FastSlam', state: State) -> None:
         slam._pending[int(row[0])].segments.append(segment)
     slam._moved = state['moved'].tolist()
     slam._stamps = state['stamps'].tolist()
-    slam._log_weights = state['log_weights'].copy()
-    slam._score = state['score'].copy()
     slam.path.stamps = state['path_stamps'].tolist()
     slam.path.vehicles = state['path_vehicles'].tolist()
     checkpoint.restore_map(slam.map, part('map', state))
     checkpoint.restore_store(slam.path.rows, part('path', state))
-    stores = [slam.map.rows, slam.path.rows]
-    checkpoint.restore_genealogy(slam.genealogy, stores, part('tree', state))
     for number, recovery in enumerate(slam._recovery):
         _restore_recovery(recovery, part(f'recovery{number}', state))
+
+
+def _group_state(group: Group, stores: list[RowStore]) -> State:
+    state: State = {'log_weights': group.log_weights, 'score': group.score}
+    for number, genealogy in enumerate(group.genealogies):
+        state |= under(f'tree{number}', checkpoint.genealogy_state(genealogy, stores))
+    return state
+
+
+def _restored_group(group: Group, trees: int, stores: list[RowStore], state: State) -> Group:
+    group.log_weights, group.score = state['log_weights'].copy(), state['score'].copy()
+    group.genealogies = [Genealogy(len(group.score)) for _ in range(trees)]
+    for number, genealogy in enumerate(group.genealogies):
+        checkpoint.restore_genealogy(genealogy, stores, part(f'tree{number}', state))
+    return group
 
 
 def _recovery_state(recovery: Recovery) -> State:

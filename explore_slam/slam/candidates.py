@@ -11,7 +11,7 @@ from explore_slam.geometry import Array, Pose2, to_world
 from explore_slam.slam.association import Choice
 from explore_slam.slam.config import AssociationConfig
 from explore_slam.slam.descriptor_index import ROUNDING, Descriptors, Ids
-from explore_slam.slam.genealogy import Index
+from explore_slam.slam.genealogy import Genealogy, Index
 from explore_slam.slam.kd_forest import squared_distance
 from explore_slam.slam.landmark_map import LandmarkMap
 from explore_slam.slam.row_store import Items, RowStore
@@ -31,10 +31,10 @@ class Sighted:
     """One update in work: observations, the landmarks they may be, and who chose what.
 
     z (K, 3), R (K, 6); alike (K, A): ids of the landmarks within reach that each is like, or -1;
-    telling (K,): its descriptor tells which landmark it is; items (L,) candidates' landmarks, rows
-    in slots (L,);
-    candidates (K, J) places in items or -1, distances (K, J) of descriptors;
-    choice (K, M) candidate taken or -1; quality (K, M) d²; influence (K, M) weight w.
+    telling (K,): its descriptor tells which landmark it is; items (L,) candidates' landmarks;
+    candidates (K, J) places in items or -1, distances (K, J) of descriptors.
+    Once staged for a home: slots (L,) of their rows; choice (K, M) candidate taken or -1;
+    quality (K, M) d²; influence (K, M) weight w.
     """
 
     z: Array
@@ -43,26 +43,32 @@ class Sighted:
     alike: Items
     telling: NDArray[np.bool_]
     items: Items
-    slots: Items
     candidates: Items
     distances: Array
+    home: Genealogy = field(init=False)
+    slots: Items = field(init=False)
     choice: Choice = field(init=False)
     quality: Array = field(init=False)
     influence: Array = field(init=False)
 
-    def prepare(self, particles: int) -> None:
-        """Make room for the choices of all particles."""
-        count = len(self.z)
-        self.choice = np.full((count, particles), -1, np.int16)
-        self.quality = np.full((count, particles), np.inf)
-        self.influence = np.ones((count, particles))
+    def stage(self, rows: RowStore, home: Genealogy) -> None:
+        """Stage the rows of the candidates, and make room for the choices of all particles."""
+        shape = (len(self.z), rows.particles)
+        self.home, self.slots = home, rows.stage(self.items, home)
+        self.choice = np.full(shape, -1, np.int16)
+        self.quality = np.full(shape, np.inf)
+        self.influence = np.ones(shape)
+
+    def revert(self, rows: RowStore) -> None:
+        """Give the staged rows back."""
+        rows.revert(self.items, self.slots, self.home)
 
     def follow(self, ancestors: Index, rows: RowStore) -> None:
         """Take over what the ancestors (M,) of the particles chose; stage the rows again.
 
         The rows must have been reverted before the resampling.
         """
-        self.slots = rows.stage(self.items)
+        self.slots = rows.stage(self.items, self.home)
         self.choice = np.ascontiguousarray(self.choice[:, ancestors])
         self.quality = np.ascontiguousarray(self.quality[:, ancestors])
         self.influence = np.ascontiguousarray(self.influence[:, ancestors])
@@ -239,7 +245,7 @@ def look_up(
     """Find the landmarks whose descriptors match, near where they are seen from the mean pose.
 
     covariance (3, 3) of that pose widens the search; reach (m) is how much farther a landmark
-    may be that the vehicle is like to see where it is lost. Stages the rows of the candidates.
+    may be that the vehicle is like to see where it is lost.
 
     An observation is compared with every landmark near it. Where that does not tell which one it
     is, or where more are near than the forest would compare, the index over the whole map is
@@ -277,16 +283,13 @@ def look_up(
     places = places.reshape(items.shape)
     if len(present) and present[0] < 0:
         present, places = present[1:], places - 1
-    sighted = Sighted(
+    return Sighted(
         z=z,
         R=R,
         descriptors=descriptors,
         alike=alike,
         telling=telling,
         items=present,
-        slots=landmarks.rows.stage(present),
         candidates=np.ascontiguousarray(places, np.int64),
         distances=distances.astype(np.float64),
     )
-    sighted.prepare(landmarks.rows.genealogy.particles)
-    return sighted

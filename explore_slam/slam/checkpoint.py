@@ -48,6 +48,7 @@ def part(prefix: str, state: Mapping[str, Any]) -> State:
 def genealogy_state(genealogy: Genealogy, stores: list[RowStore]) -> State:
     """Return levels, and the layouts of the stores that hang on them."""
     levels = genealogy.levels
+    index = np.array([level.index for level in levels], np.int32)
     table, slots = [], []
     for g, level in enumerate(levels):
         for layout in level.layouts:
@@ -58,7 +59,9 @@ def genealogy_state(genealogy: Genealogy, stores: list[RowStore]) -> State:
                 slots.append(layout.slots)
     return {
         'counts': np.array([level.count for level in levels], np.int64),
-        'index': np.array([level.index for level in levels], np.int32),
+        'index': np.array([level.index for level in levels], np.int32).reshape(
+            -1, genealogy.particles
+        ),
         'layouts': np.array(table, np.int64).reshape(-1, 6),
         'slots': np.concatenate([np.empty(0, np.int32), *slots]),
     }
@@ -73,7 +76,7 @@ def restore_genealogy(genealogy: Genealogy, stores: list[RowStore], state: State
     at = 0
     for g, owner, number, size_class, live, length in state['layouts'].tolist():
         store = stores[owner]
-        layout = Layout(genealogy.levels[g], store, number)
+        layout = Layout(genealogy, genealogy.levels[g], store, number)
         layout.size_class, layout.live = size_class, live
         if length >= 0:
             layout.slots = state['slots'][at : at + length].astype(np.int32)

@@ -1,7 +1,7 @@
 """The belief of one team: a joint particle filter over all vehicles and one landmark map."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -16,6 +16,7 @@ from explore_slam.slam.candidates import Sighted, look_up
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.engines import Proposal
 from explore_slam.slam.genealogy import Genealogy, Index
+from explore_slam.slam.group import Group, Groups
 from explore_slam.slam.landmark_map import LandmarkMap, Landmarks, make_index
 from explore_slam.slam.map_keeper import MapKeeper, support
 from explore_slam.slam.motion import PendingMotion, rotated
@@ -23,11 +24,9 @@ from explore_slam.slam.path_store import PathStore
 from explore_slam.slam.recovery import Recovery
 from explore_slam.slam.resampling import (
     effective_particles,
-    normalized,
     stratified_normals,
     systematic_ancestors,
 )
-from explore_slam.slam.row_store import RowStore
 from explore_slam.slam.sighting import sight
 from explore_slam.slam.summary import UpdateSummary
 
@@ -58,12 +57,12 @@ class FastSlam:
         self._moved = [False] * len(starts)
         self._stamps = [-math.inf] * len(starts)
         self._random = np.random.default_rng(seed)
-        self._log_weights = np.full(particles, -math.log(particles))
-        self._score = np.zeros(particles)
+        apart = [[number] for number in range(len(starts))]
+        groups = [list(range(len(starts)))] if self.config.engine == 'paper' else apart
+        self.groups = Groups([Group(numbers, particles) for numbers in groups])
         self._contributed: set[int] = set()
-        self.genealogy = Genealogy(particles)
-        self.map = LandmarkMap(self.genealogy, make_index(self.config.association))
-        self.path = PathStore(self.genealogy)
+        self.map = LandmarkMap(particles, make_index(self.config.association))
+        self.path = PathStore(particles)
         self._keeper = MapKeeper(self.map, self.config)
         self._recovery = [Recovery(self.config.relocation) for _ in starts]
 
@@ -116,8 +115,10 @@ class FastSlam:
         reach = self._recovery[number].reach
         estimate = self.estimate(vehicle)
         sighted = look_up(self.map, observations, self.config.association, *estimate, reach)
-        data = self.map.rows.present_data
         random = self._random.bit_generator.state
+        group, part = self._join(number, self.groups.on(self.map.rows.homes(sighted.items)))
+        sighted.stage(self.map.rows, group.home)
+        data = self.map.rows.present_data
         poses, P = self._settled(number)
         normals = stratified_normals(self._random, self.config.particles, 3)
         if self.config.engine == 'paper':
@@ -125,19 +126,20 @@ class FastSlam:
         else:
             proposal = engines.fastslam2(sighted, data, poses, P, self.config)
         if not proposal.is_finite():
-            self.map.rows.revert(sighted.items, sighted.slots)
+            sighted.revert(self.map.rows)
+            part()
             self._refuse(random, f'update({vehicle!r}) at stamp {observations.stamp}')
         self._stamps[number] = observations.stamp
-        self._weigh(proposal.log_weights)
-        weights = np.exp(self._log_weights)
+        group.weigh(proposal.log_weights)
+        weights = group.weights()
         support_of = support(sighted.choice, weights, sighted.candidates.shape[1])
-        resampled = self._follow_the_fit(sighted, proposal, weights)
+        resampled = self._follow_the_fit(group, sighted, proposal)
         poses = proposal.sampled(normals)
         self._place(number, poses)
         engines.update_matched(
             sighted, self.map.rows.present_data, poses, self.config.filter_threads
         )
-        best = self.best_particle()
+        best = self.best_particle(vehicle)
         matches = sighted.matches(best, self.map.ids)
         inserted, removed = self._keeper.write(number, sighted, poses, support_of, best)
         if self.config.engine == 'paper':
@@ -158,12 +160,21 @@ class FastSlam:
             matches=matches,
         )
 
-    def _follow_the_fit(self, sighted: Sighted, proposal: Proposal, weights: Array) -> bool:
+    def _join(self, number: int, others: list[Group]) -> tuple[Group, Callable[[], None]]:
+        """Join the group of a vehicle with others; return it, and how to part them again."""
+        first = self.groups.of(number)
+        others = [other for other in others if other is not first]
+        if not others:
+            return first, lambda: None
+        part = self.groups.join(first, others, self._poses, self._random)
+        return self.groups.of(number), part
+
+    def _follow_the_fit(self, group: Group, sighted: Sighted, proposal: Proposal) -> bool:
         """Resample if it is due, before poses are sampled: descendants then differ at once."""
-        if self.config.engine == 'paper' or not self._is_due(effective_particles(weights)):
+        if self.config.engine == 'paper' or not self._is_due(group):
             return False
-        self.map.rows.revert(sighted.items, sighted.slots)
-        ancestors = self._resample(weights)
+        sighted.revert(self.map.rows)
+        ancestors = self._resample(group, group.weights())
         sighted.follow(ancestors, self.map.rows)
         proposal.follow(ancestors)
         return True
@@ -186,6 +197,7 @@ class FastSlam:
 
     def _sight(self, number: int, other: int, sighting: VehicleSighting) -> None:
         random = self._random.bit_generator.state
+        group, part = self._join(number, [self.groups.of(other)])
         seer, seer_P = self._settled(number)
         motion = self._pending[other]
         seen = compose(self._poses[other], np.asarray(motion.mean))
@@ -194,16 +206,17 @@ class FastSlam:
         sight(
             seer, seer_P, seen, motion.end_covariance(), sighting.position, sighting.covariance,
             self.config.association.association_gate**2, self.config.outlier_threshold,
-            normals, np.exp(self._log_weights), log_weights, left,
+            normals, group.weights(), log_weights, left,
         )  # fmt: skip
         if not all(np.isfinite(part).all() for part in (seer, seen, left, log_weights)):
+            part()
             self._refuse(random, f'sighting of {sighting.vehicle!r} at stamp {sighting.stamp}')
-        self._weigh(log_weights)
+        group.weigh(log_weights)
         self._place(number, seer)
         self._place(other, seen)
         self._pending[other] = PendingMotion.of(0.5 * (left + left.T))
-        if self.config.engine == 'fastslam2' and self._is_due(self.effective_particles()):
-            self.resample_now()
+        if self.config.engine == 'fastslam2' and self._is_due(group):
+            self._resample(group, group.weights())
 
     def _refuse(self, random: Any, what: str) -> NoReturn:
         """Take random numbers back and refuse a call whose numbers run out of range."""
@@ -234,12 +247,6 @@ class FastSlam:
                 'tell the motion since the start first, even if it is zero'
             )
 
-    def _weigh(self, log_weights: Array) -> None:
-        shifted = log_weights - log_weights.max()
-        self._score += shifted
-        self._score -= self._score.max()
-        self._log_weights, _ = normalized(self._log_weights + shifted)
-
     def _recover(
         self, number: int, sighted: Sighted, agreed: NDArray[np.bool_]
     ) -> tuple[bool, bool]:
@@ -251,7 +258,7 @@ class FastSlam:
         wanted = self.config.relocation.recovery and self.config.engine == 'fastslam2'
         if not wanted or not recovery.lost:
             return recovery.lost, False
-        positions = self.map.places(recovery.matched_ids(), self.best_particle())
+        positions = self.map.places(recovery.matched_ids(), self._best_particles())
         found = recovery.search(positions, self.best_pose(self.vehicles[number]), self._random)
         if found is None:
             return True, False
@@ -261,8 +268,8 @@ class FastSlam:
 
     # -- resampling -----------------------------------------------------------------------------
 
-    def _is_due(self, effective: float) -> bool:
-        return effective < self.config.resampling_threshold * self.config.particles
+    def _is_due(self, group: Group) -> bool:
+        return group.effective() < self.config.resampling_threshold * self.config.particles
 
     def _end_round(self, number: int) -> bool:
         """Engine paper: resample when all vehicles have weighed the particles."""
@@ -275,46 +282,46 @@ class FastSlam:
     def _resample_round(self) -> None:
         """Engine paper: all vehicles have weighed the particles, w = Π w(i) (Eq. 7)."""
         self._contributed.clear()
-        self._score[:] = 0.0
-        self._score[int(np.argmax(self._log_weights))] = 1.0
-        self.resample_now()
+        (group,) = self.groups.all
+        group.score = np.zeros(self.config.particles)
+        group.score[int(np.argmax(group.log_weights))] = 1.0
+        self._resample(group, group.weights())
 
     def resample_now(self, weights: Array | None = None) -> None:
         """Resample by the present weights, or by given normalized weights (M,)."""
-        self._resample(np.exp(self._log_weights) if weights is None else weights)
+        for group in self.groups.all:
+            self._resample(group, group.weights() if weights is None else weights)
 
-    def _resample(self, weights: Array) -> Index:
+    def _resample(self, group: Group, weights: Array) -> Index:
         ancestors = systematic_ancestors(weights, float(self._random.random()))
-        self._descend(ancestors)
-        self._log_weights[:] = -math.log(self.config.particles)
+        self._poses[group.vehicles] = self._poses[group.vehicles][:, ancestors]
+        group.descend(ancestors)
         return ancestors
-
-    def _descend(self, ancestors: Index) -> None:
-        self._poses = self._poses[:, ancestors]
-        self._score = self._score[ancestors]
-        for layout in self.genealogy.resample(ancestors):
-            owner = layout.owner
-            assert isinstance(owner, RowStore)
-            owner.compact(layout)
 
     # -- estimates ------------------------------------------------------------------------------
 
-    def best_particle(self) -> int:
-        """Return the particle that is taken for the truth.
+    def best_particle(self, vehicle: str | None = None) -> int:
+        """Return the particle that is taken for the truth, for a vehicle (else for the first).
 
         Engine paper: the one of largest weight. Engine fastslam2: the one whose whole lineage
         is likeliest, so that the best path does not jump without need.
         """
+        group = self._group(vehicle)
         if self.config.engine == 'paper' and self._contributed:
-            return int(np.argmax(self._log_weights))
-        return int(np.argmax(self._score))
+            return int(np.argmax(group.log_weights))
+        return group.best()
+
+    def _best_particles(self) -> dict[Genealogy, int]:
+        if self.config.engine == 'paper':
+            return dict.fromkeys(self.groups.all[0].genealogies, self.best_particle())
+        return self.groups.best_particles()
 
     def estimate(self, vehicle: str) -> tuple[Pose2, Array]:
         """Return mean and covariance (3, 3) of a pose in the map, motion told so far included."""
         number = self._number(vehicle)
         pending = self._pending[number]
         poses = compose(self._poses[number], np.asarray(pending.mean))
-        weights = np.exp(self._log_weights)
+        weights = self.groups.of(number).weights()
         c, s = weights @ np.cos(poses[:, 2]), weights @ np.sin(poses[:, 2])
         mean = np.array([weights @ poses[:, 0], weights @ poses[:, 1], math.atan2(s, c)])
         off = poses - mean
@@ -326,7 +333,7 @@ class FastSlam:
     def best_pose(self, vehicle: str) -> Pose2:
         """Return the pose of a vehicle in the best particle, motion told so far included."""
         number = self._number(vehicle)
-        pose = Pose2.from_array(self._poses[number, self.best_particle()])
+        pose = Pose2.from_array(self._poses[number, self.best_particle(vehicle)])
         return pose.compose(self._pending[number].mean)
 
     def particle_poses(self, vehicle: str) -> Array:
@@ -334,17 +341,17 @@ class FastSlam:
         number = self._number(vehicle)
         return compose(self._poses[number], np.asarray(self._pending[number].mean))
 
-    def weights(self) -> Array:
-        """Return the normalized weights (M,) of the particles."""
-        return np.exp(self._log_weights)
+    def weights(self, vehicle: str | None = None) -> Array:
+        """Return the normalized weights (M,) of the particles of a vehicle (else of the first)."""
+        return self._group(vehicle).weights()
 
     def effective_particles(self) -> float:
-        """Return the effective sample size, 1 … M."""
-        return effective_particles(np.exp(self._log_weights))
+        """Return the effective sample size, 1 … M: the least of all groups of vehicles."""
+        return min(group.effective() for group in self.groups.all)
 
     def landmarks(self) -> Landmarks:
         """Return the landmarks of the best particle."""
-        return self.map.of_particle(self.best_particle())
+        return self.map.of_particle(self._best_particles())
 
     # -- path -----------------------------------------------------------------------------------
 
@@ -356,14 +363,15 @@ class FastSlam:
         number = self._number(vehicle)
         if not math.isfinite(stamp):
             raise SlamError(f'add_keyframe({vehicle!r}): stamp is {stamp}, expected seconds')
-        return self.path.append(number, stamp, self.particle_poses(vehicle))
+        home = self.groups.of(number).home
+        return self.path.append(number, stamp, self.particle_poses(vehicle), home)
 
     def best_path(self) -> Array:
         """Return the poses (K, 3) of all keyframes along the lineage of the best particle.
 
         While the lineage goes on, poses returned before come again bit by bit.
         """
-        return self.path.of_particle(self.best_particle())
+        return self.path.of_particle(self._best_particles())
 
     def trajectory(self, vehicle: str) -> tuple[Array, Array]:
         """Return stamps (T,) and poses (T, 3) of the keyframes of a vehicle, best lineage."""
@@ -389,6 +397,9 @@ class FastSlam:
     def load(cls, path: str | Path) -> 'FastSlam':
         """Read a filter from a file; SlamError where the file is none."""
         return cls.from_state(checkpoint.read(Path(path)))
+
+    def _group(self, vehicle: str | None) -> Group:
+        return self.groups.of(0 if vehicle is None else self._number(vehicle))
 
     def _number(self, vehicle: str) -> int:
         try:

@@ -1,10 +1,11 @@
 """Who descends from whom: ancestor indices that a resampling composes, and that coalesce.
 
 A *level* is a set of particles of the past that still have descendants. It is known by its
-index (M,): particle -> row of its ancestor among the rows that are left. Resampling keeps the
-order of particles, so all indices ascend; two levels with as many rows left are therefore the
-same partition of the particles and become one. About as many levels are left as there are
-distinct steps of coalescence: some hundred for 1000 particles, however long the filter runs.
+index (M,): particle -> row of its ancestor among the rows that are left. Each level is a finer
+partition of the particles than the one before, and its rows are numbered in the order of the
+particles; two levels with as many rows left are therefore the same partition and become one.
+About as many levels are left as there are distinct steps of coalescence: some hundred for 1000
+particles, however long the filter runs.
 """
 
 import numpy as np
@@ -21,18 +22,19 @@ def _compose(
     """index[g] <- index[g][ancestors], renumbered; survivors[g, :counts[g]] are the old rows."""
     levels, particles = index.shape
     old = np.empty(particles, np.int32)
+    row_of = np.empty(particles, np.int32)
     for g in range(levels):
         old[:] = index[g]
-        row = -1
-        last = -1
+        row_of[:] = -1
+        count = 0
         for m in range(particles):
             value = old[ancestors[m]]
-            if value != last:
-                row += 1
-                survivors[g, row] = value
-                last = value
-            index[g, m] = row
-        counts[g] = row + 1
+            if row_of[value] < 0:
+                row_of[value] = count
+                survivors[g, count] = value
+                count += 1
+            index[g, m] = row_of[value]
+        counts[g] = count
 
 
 class Level:
@@ -51,7 +53,8 @@ class Layout:
     identify the layout in its store; live counts its items; items lists all ever put into it.
     """
 
-    def __init__(self, level: Level, owner: object, number: int) -> None:
+    def __init__(self, genealogy: 'Genealogy', level: Level, owner: object, number: int) -> None:
+        self.genealogy = genealogy
         self.level = level
         self.owner = owner
         self.number = number
@@ -88,8 +91,17 @@ class Genealogy:
     def _begin_level(self) -> None:
         self.levels.append(Level(self.particles, self._identity.copy()))
 
+    def is_empty(self) -> bool:
+        """Tell whether nothing hangs on any level."""
+        return not any(level.layouts for level in self.levels)
+
+    def permute(self, order: Index) -> None:
+        """Put the particles in another order: particle m is what order[m] was. No row moves."""
+        for level in self.levels:
+            level.index = level.index[order]
+
     def resample(self, ancestors: Index) -> list[Layout]:
-        """Compose ancestors (M,), ascending, into all levels; return layouts that have shrunk.
+        """Compose ancestors (M,) into all levels; return layouts that have shrunk.
 
         The cost is levels × particles: no landmark is touched.
         """

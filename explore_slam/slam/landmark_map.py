@@ -15,7 +15,7 @@ from explore_slam.slam.descriptor_index import (
 )
 from explore_slam.slam.genealogy import Genealogy
 from explore_slam.slam.kd_forest import KdForestIndex
-from explore_slam.slam.row_store import Items, RowStore
+from explore_slam.slam.row_store import Items, Particle, RowStore
 
 VALUES = 9
 SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
@@ -53,8 +53,8 @@ def make_index(config: AssociationConfig) -> DescriptorIndex:
 class LandmarkMap:
     """All landmarks. An *item* is a place in the arrays; it is used again after a removal."""
 
-    def __init__(self, genealogy: Genealogy, index: DescriptorIndex) -> None:
-        self.rows = RowStore(genealogy, VALUES)
+    def __init__(self, particles: int, index: DescriptorIndex) -> None:
+        self.rows = RowStore(particles, VALUES)
         self.index = index
         self.next_id = 0
         self.size = 0
@@ -74,7 +74,14 @@ class LandmarkMap:
         used = np.flatnonzero(self.ids[: self.size] >= 0)
         return used[np.argsort(self.ids[used], kind='stable')]
 
-    def add(self, slots: Items, descriptors: Descriptors, owner: int, reference: Array) -> Items:
+    def add(
+        self,
+        slots: Items,
+        descriptors: Descriptors,
+        owner: int,
+        reference: Array,
+        home: Genealogy,
+    ) -> Items:
         """Register landmarks whose rows lie in slots (n,); reference (n, 3) is about where."""
         count = len(slots)
         reused = [self.free.pop() for _ in range(min(count, len(self.free)))]
@@ -88,7 +95,7 @@ class LandmarkMap:
         self.owners[items] = owner
         self.evidence[items] = 1.0
         self.reference[items] = reference
-        self.rows.commit(items, slots)
+        self.rows.commit(items, slots, home)
         self.index.add(items, descriptors)
         return items
 
@@ -99,7 +106,7 @@ class LandmarkMap:
         self.ids[items] = -1
         self.free.extend(items.tolist())
 
-    def of_particle(self, particle: int) -> Landmarks:
+    def of_particle(self, particle: Particle) -> Landmarks:
         """Return the landmarks that exist in one particle."""
         items = self.items()
         rows = self.rows.read_particle(items, particle)
@@ -114,7 +121,7 @@ class LandmarkMap:
             self.owners[items],
         )
 
-    def places(self, ids: Items, particle: int) -> dict[int, Array]:
+    def places(self, ids: Items, particle: Particle) -> dict[int, Array]:
         """Return id -> (3,): x, y and their standard deviation (m), of ids that a particle has."""
         known = np.flatnonzero(np.isin(self.ids[: self.size], ids))
         rows = self.rows.read_particle(known, particle)

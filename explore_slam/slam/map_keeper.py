@@ -108,8 +108,8 @@ class MapKeeper:
             touched[sighted.candidates[some, j]] = True
         touched |= filled
         items, slots = sighted.items[touched], sighted.slots[touched]
-        rows.revert(sighted.items[~touched], sighted.slots[~touched])
-        rows.commit(items, slots)
+        rows.revert(sighted.items[~touched], sighted.slots[~touched], sighted.home)
+        rows.commit(items, slots, sighted.home)
         there = rows.present_data[slots, 3, best] > 0.0
         self.landmarks.reference[items[there]] = rows.present_data[slots[there], :3, best]
         seen = sighted.items[chosen > 0.5]
@@ -150,7 +150,7 @@ class MapKeeper:
         data[slots] = 0.0
         insert_landmarks(data, slots, sighted.z[new], sighted.R[new], wanted[new], poses)
         reference = data[slots, :3, np.argmax(wanted[new], axis=1)]
-        self.landmarks.add(slots, sighted.descriptors[new], vehicle, reference)
+        self.landmarks.add(slots, sighted.descriptors[new], vehicle, reference, sighted.home)
         for point in reference:
             self.regions.setdefault(self._region(point), vehicle)
         return len(new)

@@ -7,6 +7,7 @@ it. Within a slab values lie as (item, value, row), so that loops over particles
 """
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from numba import njit
@@ -76,13 +77,18 @@ class Slab:
         self.free.extend(slots.tolist())
 
 
-class RowStore:
-    """Values (V,) per item and particle, shared through the genealogy."""
+Particle = int | Mapping[Genealogy, int]  # one for all, or one for each genealogy
 
-    def __init__(self, genealogy: Genealogy, values: int) -> None:
-        self.genealogy = genealogy
+
+class RowStore:
+    """Values (V,) per item and particle, shared through genealogies.
+
+    Items hang on the genealogy, named home below, of the particles that wrote them last.
+    """
+
+    def __init__(self, particles: int, values: int) -> None:
         self.values = values
-        self.sizes = [genealogy.particles]
+        self.sizes = [particles]
         while self.sizes[-1] > 1:
             self.sizes.append(-(-self.sizes[-1] // _SHRINK))
         self.slabs = [Slab(values, size) for size in self.sizes]
@@ -105,14 +111,24 @@ class RowStore:
         used = (slab.used - len(slab.free) for slab in self.slabs)
         return sum(size * count for size, count in zip(self.sizes, used, strict=True))
 
-    def stage(self, items: Items) -> Items:
+    @property
+    def particles(self) -> int:
+        """The number of particles."""
+        return self.sizes[0]
+
+    def homes(self, items: Items) -> set[Genealogy]:
+        """Return the genealogies that items hang on."""
+        numbers = np.unique(self.layout_of[items]).tolist()
+        return {self.layouts[number].genealogy for number in numbers if number >= 0}
+
+    def stage(self, items: Items, home: Genealogy) -> Items:
         """Return slots in the largest slab that hold a row per particle of each item.
 
-        Items that have such a row at present keep it (write in place); the others are copied
-        to new slots, and stay where they are until `commit`.
+        Items that have such a row at present at home keep it (write in place); the others are
+        copied to new slots, and stay where they are until `commit`.
         """
         slots = np.empty(len(items), np.int64)
-        here = self._is_present(items)
+        here = self._is_present(items, home)
         slots[here] = self.slot_of[items[here]]
         fresh = self.slabs[0].take(int(np.count_nonzero(~here)))
         slots[~here] = fresh
@@ -123,23 +139,23 @@ class RowStore:
         """Return slots of the largest slab for new items; fill them, then commit."""
         return self.slabs[0].take(count)
 
-    def commit(self, items: Items, slots: Items) -> None:
-        """Make staged or new slots the rows of the items; what they held before is freed."""
+    def commit(self, items: Items, slots: Items, home: Genealogy) -> None:
+        """Make slots staged for a home, or new ones, the rows of items; free what they held."""
         if not len(items):
             return
         self._reserve(int(items.max()) + 1)
-        away = ~self._is_present(items)
+        away = ~self._is_present(items, home)
         moved = items[away]
         self.remove(moved)
-        layout = self._present_layout()
+        layout = self._present_layout(home)
         layout.live += len(moved)
         layout.items.append(moved.copy())
         self.layout_of[moved] = layout.number
         self.slot_of[items] = slots
 
-    def revert(self, items: Items, slots: Items) -> None:
-        """Give staged slots back without having changed the items."""
-        self.slabs[0].release(slots[~self._is_present(items)])
+    def revert(self, items: Items, slots: Items, home: Genealogy) -> None:
+        """Give slots staged for a home back without having changed the items."""
+        self.slabs[0].release(slots[~self._is_present(items, home)])
 
     def remove(self, items: Items) -> None:
         """Free the rows of items; items without rows are passed over."""
@@ -156,16 +172,18 @@ class RowStore:
 
     def read(self, items: Items) -> Array:
         """Return values (n, V, M) of the items in all particles."""
-        values = np.empty((len(items), self.values, self.genealogy.particles))
+        values = np.empty((len(items), self.values, self.particles))
         self._gather_into(values, items, np.arange(len(items)))
         return values
 
-    def read_particle(self, items: Items, particle: int) -> Array:
+    def read_particle(self, items: Items, particle: Particle) -> Array:
         """Return values (n, V) of the items in one particle."""
+        of = particle.__getitem__ if isinstance(particle, Mapping) else lambda _home: particle
         values = np.empty((len(items), self.values))
         numbers, which = np.unique(self.layout_of[items], return_inverse=True)
         layouts = [self.layouts[number] for number in numbers.tolist()]
-        rows = np.array([layout.physical_row(particle) for layout in layouts], np.int64)[which]
+        at_home = [layout.physical_row(of(layout.genealogy)) for layout in layouts]
+        rows = np.array(at_home, np.int64)[which]
         classes = np.array([layout.size_class for layout in layouts], np.int64)[which]
         for size_class in np.unique(classes).tolist():
             at = np.flatnonzero(classes == size_class)
@@ -209,19 +227,19 @@ class RowStore:
         mine: Items = items[self.layout_of[items] == layout.number]
         return mine
 
-    def _is_present(self, items: Items) -> NDArray[np.bool_]:
-        for layout in self.genealogy.present.layouts:
+    def _is_present(self, items: Items, home: Genealogy) -> NDArray[np.bool_]:
+        for layout in home.present.layouts:
             if layout.owner is self:
                 here: NDArray[np.bool_] = self.layout_of[items] == layout.number
                 return here
         return np.zeros(len(items), bool)
 
-    def _present_layout(self) -> Layout:
-        level = self.genealogy.present
+    def _present_layout(self, home: Genealogy) -> Layout:
+        level = home.present
         for layout in level.layouts:
             if layout.owner is self:
                 return layout
-        layout = Layout(level, self, self.next_number)
+        layout = Layout(home, level, self, self.next_number)
         level.layouts.append(layout)
         self.layouts[self.next_number] = layout
         self.next_number += 1

@@ -78,9 +78,9 @@ class TeamBelief:
         return self.filter_of(vehicle).particle_poses(vehicle)
 
     def best_particle(self, vehicle: str | None = None) -> int:
-        """Return the best particle, with dedicated maps that of a vehicle (else of the first)."""
+        """Return the best particle for a vehicle (else for the first)."""
         name = self.vehicles[0] if vehicle is None else vehicle
-        return self.filter_of(name).best_particle()
+        return self.filter_of(name).best_particle(name)
 
     def effective_particles(self) -> float:
         """Return the effective sample size, the least of all filters."""

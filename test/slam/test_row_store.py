@@ -22,7 +22,7 @@ def test_store_equals_a_full_copy_of_every_row(seed, particles):
     """Two stores on one genealogy, against dense arrays that are copied at every resampling."""
     random = np.random.default_rng(seed)
     genealogy = Genealogy(particles)
-    stores = [RowStore(genealogy, 3), RowStore(genealogy, 2)]
+    stores = [RowStore(particles, 3), RowStore(particles, 2)]
     dense = [{}, {}]
     for _ in range(60):
         action = random.integers(0, 4)
@@ -35,7 +35,7 @@ def test_store_equals_a_full_copy_of_every_row(seed, particles):
                 rows = random.standard_normal((store.values, particles))
                 store.present_data[slot] = rows
                 full[int(item)] = rows.copy()
-            store.commit(new, slots)
+            store.commit(new, slots, genealogy)
         elif action == 1:
             ancestors = resample(genealogy, random)
             for copies in dense:
@@ -43,13 +43,13 @@ def test_store_equals_a_full_copy_of_every_row(seed, particles):
                     copies[item] = copies[item][:, ancestors]
         elif action == 2 and full:
             items = np.array(sorted(full))[random.random(len(full)) < 0.4]
-            slots = store.stage(items)
+            slots = store.stage(items, genealogy)
             touched = random.random(len(items)) < 0.6
             for item, slot in zip(items[touched], slots[touched], strict=True):
                 store.present_data[slot, 0] += 1.0
                 full[int(item)][0] += 1.0
-            store.revert(items[~touched], slots[~touched])
-            store.commit(items[touched], slots[touched])
+            store.revert(items[~touched], slots[~touched], genealogy)
+            store.commit(items[touched], slots[touched], genealogy)
         elif full:
             items = np.array(sorted(full))
             particle = int(random.integers(0, particles))
@@ -63,9 +63,9 @@ def test_store_equals_a_full_copy_of_every_row(seed, particles):
 def test_old_rows_shrink_to_the_ancestors_that_are_left():
     random = np.random.default_rng(1)
     genealogy = Genealogy(1000)
-    store = RowStore(genealogy, 9)
+    store = RowStore(1000, 9)
     for n in range(200):
-        store.commit(np.array([n]), store.new_slots(1))
+        store.commit(np.array([n]), store.new_slots(1), genealogy)
         resample(genealogy, random)
     assert store.rows_held() < 200 * 1000 * 0.08
     assert len(genealogy.levels) < 200
@@ -74,9 +74,10 @@ def test_old_rows_shrink_to_the_ancestors_that_are_left():
 
 
 def test_removed_rows_are_used_again():
-    store = RowStore(Genealogy(10), 3)
+    genealogy = Genealogy(10)
+    store = RowStore(10, 3)
     first = store.new_slots(3)
-    store.commit(np.arange(3), first)
+    store.commit(np.arange(3), first, genealogy)
     store.remove(np.array([1]))
     store.remove(np.array([1]))
     assert store.new_slots(1)[0] == first[1]
