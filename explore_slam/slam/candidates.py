@@ -53,11 +53,15 @@ class Sighted:
 
     def stage(self, rows: RowStore, home: Genealogy) -> None:
         """Stage the rows of the candidates, and make room for the choices of all particles."""
-        shape = (len(self.z), rows.particles)
         self.home, self.slots = home, rows.stage(self.items, home)
-        self.choice = np.full(shape, -1, np.int16)
-        self.quality = np.full(shape, np.inf)
-        self.influence = np.ones(shape)
+        self.prepare(rows.particles)
+
+    def prepare(self, particles: int) -> None:
+        """Make room for the choices of all particles."""
+        count = len(self.z)
+        self.choice = np.full((count, particles), -1, np.int16)
+        self.quality = np.full((count, particles), np.inf)
+        self.influence = np.ones((count, particles))
 
     def revert(self, rows: RowStore) -> None:
         """Give the staged rows back."""

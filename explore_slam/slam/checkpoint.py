@@ -59,9 +59,7 @@ def genealogy_state(genealogy: Genealogy, stores: list[RowStore]) -> State:
                 slots.append(layout.slots)
     return {
         'counts': np.array([level.count for level in levels], np.int64),
-        'index': np.array([level.index for level in levels], np.int32).reshape(
-            -1, genealogy.particles
-        ),
+        'index': index.reshape(-1, genealogy.particles),
         'layouts': np.array(table, np.int64).reshape(-1, 6),
         'slots': np.concatenate([np.empty(0, np.int32), *slots]),
     }

@@ -78,6 +78,15 @@ def fastslam2(
     return proposal
 
 
+def fastslam2_unstaged(
+    sighted: Sighted, rows: Array, poses: Array, P: Array, config: FastSlamConfig
+) -> Proposal:
+    """Return what `fastslam2` does for rows (L, 9, M) of the candidates that are not staged."""
+    sighted.slots = np.arange(len(sighted.items))
+    sighted.prepare(len(poses))
+    return fastslam2(sighted, rows, poses, P, config)
+
+
 def paper(
     sighted: Sighted, data: Array, poses: Array, P: Array, normals: Array, config: FastSlamConfig
 ) -> Proposal:

@@ -1,7 +1,7 @@
 """The belief of one team: a joint particle filter over all vehicles and one landmark map."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -116,10 +116,12 @@ class FastSlam:
         estimate = self.estimate(vehicle)
         sighted = look_up(self.map, observations, self.config.association, *estimate, reach)
         random = self._random.bit_generator.state
-        group, part = self._join(number, self.groups.on(self.map.rows.homes(sighted.items)))
+        what = f'update({vehicle!r}) at stamp {observations.stamp}'
+        poses, P = self._settled(number)
+        poses = self._meet(number, sighted, poses, P, what)
+        group = self.groups.of(number)
         sighted.stage(self.map.rows, group.home)
         data = self.map.rows.present_data
-        poses, P = self._settled(number)
         normals = stratified_normals(self._random, self.config.particles, 3)
         if self.config.engine == 'paper':
             proposal = engines.paper(sighted, data, poses, P, normals, self.config)
@@ -127,8 +129,7 @@ class FastSlam:
             proposal = engines.fastslam2(sighted, data, poses, P, self.config)
         if not proposal.is_finite():
             sighted.revert(self.map.rows)
-            part()
-            self._refuse(random, f'update({vehicle!r}) at stamp {observations.stamp}')
+            self._refuse(random, what)
         self._stamps[number] = observations.stamp
         group.weigh(proposal.log_weights)
         weights = group.weights()
@@ -160,14 +161,29 @@ class FastSlam:
             matches=matches,
         )
 
-    def _join(self, number: int, others: list[Group]) -> tuple[Group, Callable[[], None]]:
-        """Join the group of a vehicle with others; return it, and how to part them again."""
-        first = self.groups.of(number)
-        others = [other for other in others if other is not first]
+    def _meet(self, number: int, sighted: Sighted, poses: Array, P: Array, what: str) -> Array:
+        """Join the groups whose landmarks a vehicle at predicted poses (M, 3) may see.
+
+        Returns the predicted poses of the new group's particles.
+        """
+        group, homes = self.groups.of(number), self.map.rows.homes(sighted.items)
+        others = [other for other in self.groups.on(set(homes)) if other is not group]
         if not others:
-            return first, lambda: None
-        part = self.groups.join(first, others, self._poses, self._random)
-        return self.groups.of(number), part
+            return poses
+        random = self._random.bit_generator.state
+        rows = self.map.rows.read(sighted.items)
+        theirs = [np.array([home in other.genealogies for home in homes]) for other in others]
+
+        def likelihood(orders: Sequence[Index]) -> Array:
+            paired = rows.copy()
+            for some, order in zip(theirs, orders, strict=True):
+                paired[some] = rows[some][:, :, order]
+            proposal = engines.fastslam2_unstaged(sighted, paired, poses, P, self.config)
+            if not proposal.is_finite():
+                self._refuse(random, what)
+            return proposal.log_weights
+
+        return poses[self.groups.join(group, others, likelihood, self._poses, self._random)]
 
     def _follow_the_fit(self, group: Group, sighted: Sighted, proposal: Proposal) -> bool:
         """Resample if it is due, before poses are sampled: descendants then differ at once."""
@@ -197,20 +213,32 @@ class FastSlam:
 
     def _sight(self, number: int, other: int, sighting: VehicleSighting) -> None:
         random = self._random.bit_generator.state
-        group, part = self._join(number, [self.groups.of(other)])
+        motion, still = self._pending[other], np.zeros((self.config.particles, 3))
         seer, seer_P = self._settled(number)
-        motion = self._pending[other]
         seen = compose(self._poses[other], np.asarray(motion.mean))
+
+        def sighted(seer: Array, seen: Array, normals: Array) -> tuple[Array, Array]:
+            log_weights, left = np.zeros(self.config.particles), np.empty((3, 3))
+            sight(
+                seer, seer_P, seen, motion.end_covariance(), sighting.position,
+                sighting.covariance, self.config.association.association_gate**2,
+                self.config.outlier_threshold, normals, self.groups.of(number).weights(),
+                log_weights, left,
+            )  # fmt: skip
+            if not all(np.isfinite(part).all() for part in (seer, seen, left, log_weights)):
+                self._refuse(random, f'sighting of {sighting.vehicle!r} at {sighting.stamp}')
+            return log_weights, left
+
+        def likelihood(orders: Sequence[Index]) -> Array:
+            return sighted(seer.copy(), seen[orders[0]], still)[0]
+
+        group, theirs = self.groups.of(number), self.groups.of(other)
+        if theirs is not group:
+            seer = seer[self.groups.join(group, [theirs], likelihood, self._poses, self._random)]
+            seen = compose(self._poses[other], np.asarray(motion.mean))
+            group = self.groups.of(number)
         normals = stratified_normals(self._random, self.config.particles, 3)
-        log_weights, left = np.zeros(self.config.particles), np.empty((3, 3))
-        sight(
-            seer, seer_P, seen, motion.end_covariance(), sighting.position, sighting.covariance,
-            self.config.association.association_gate**2, self.config.outlier_threshold,
-            normals, group.weights(), log_weights, left,
-        )  # fmt: skip
-        if not all(np.isfinite(part).all() for part in (seer, seen, left, log_weights)):
-            part()
-            self._refuse(random, f'sighting of {sighting.vehicle!r} at stamp {sighting.stamp}')
+        log_weights, left = sighted(seer, seen, normals)
         group.weigh(log_weights)
         self._place(number, seer)
         self._place(other, seen)

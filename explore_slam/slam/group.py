@@ -3,20 +3,22 @@
 While two vehicles have seen no landmark in common and not each other, nothing that one of them
 sees says anything about the other: the joint posterior is the product of two, and each is held by
 particles of its own. What one vehicle sees then does not thin out the particles of the other.
-With the first thing in common the groups become one: particles are paired at random, which is a
-sample of the product. Landmarks and keyframes stay where they are; they hang on the genealogies
-of the groups, which go on together.
+With the first thing in common the groups become one: many random pairs of particles are tried,
+samples of the product, and those that explain what is seen are kept. Landmarks and keyframes stay
+where they are; they hang on the genealogies of the groups, which go on together.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from explore_slam.geometry import Array
 from explore_slam.slam.genealogy import Genealogy, Index
-from explore_slam.slam.resampling import effective_particles, normalized
+from explore_slam.slam.resampling import effective_particles, normalized, systematic_ancestors
 from explore_slam.slam.row_store import RowStore
+
+PAIRINGS = 16  # times as many pairs are tried as there are particles where groups join
 
 
 class Group:
@@ -66,26 +68,6 @@ class Group:
                 owner.compact(layout)
         self.genealogies[1:] = [item for item in self.genealogies[1:] if not item.is_empty()]
 
-    def partners(self, other: 'Group', random: np.random.Generator) -> Index:
-        """Draw (M,) which particle of the other group goes with each of this one.
-
-        The best go together, so that the lineage taken for the truth stays the same.
-        """
-        order = random.permutation(len(self.score)).astype(np.int32)
-        here, there = self.best(), int(np.flatnonzero(order == other.best())[0])
-        order[[here, there]] = order[[there, here]]
-        return order
-
-    def joined(self, other: 'Group', order: Index) -> 'Group':
-        """Return one group of both; the genealogies of the other are put in order (M,)."""
-        for genealogy in other.genealogies:
-            genealogy.permute(order)
-        group = Group(sorted(self.vehicles + other.vehicles), len(order))
-        group.log_weights, _ = normalized(self.log_weights + other.log_weights[order])
-        group.score = self.score + other.score[order]
-        group.genealogies = [*self.genealogies, *other.genealogies]
-        return group
-
 
 class Groups:
     """All groups; every vehicle is in one of them."""
@@ -106,27 +88,41 @@ class Groups:
         return {home: group.best() for group in self.all for home in group.genealogies}
 
     def join(
-        self, first: Group, others: list[Group], poses: Array, random: np.random.Generator
-    ) -> Callable[[], None]:
-        """Make one group of the first and others; returns how to take it back.
+        self,
+        first: Group,
+        others: list[Group],
+        likelihood: Callable[[Sequence[Index]], Array],
+        poses: Array,
+        random: np.random.Generator,
+    ) -> Index:
+        """Make one group of several whose vehicles have met; return ancestors (M,) in the first.
 
-        The poses (V, M, 3) of all vehicles are put in the new order in place.
+        likelihood gives the logarithms (M,) of how likely what is seen now is, if the first's
+        particles go with the particles (M,) of each other group that it is told. The new group
+        is drawn from some random pairs by that likelihood, and weighs it out again: what is seen
+        is still to be told. The poses (V, M, 3) of all vehicles follow in place.
         """
-        before, poses_before = list(self.all), poses.copy()
-        orders: list[tuple[Group, Index]] = []
-        for other in others:
-            order = first.partners(other, random)
-            orders.append((other, order))
-            poses[other.vehicles] = poses[other.vehicles][:, order]
-            joined = first.joined(other, order)
-            self.all = [joined if group is first else group for group in self.all]
-            self.all.remove(other)
-            first = joined
-
-        def take_back() -> None:
-            for other, order in orders:
-                for genealogy in other.genealogies:
-                    genealogy.permute(np.argsort(order).astype(np.int32))
-            self.all, poses[:] = before, poses_before
-
-        return take_back
+        particles = len(first.score)
+        orders = np.array(
+            [[random.permutation(particles) for _ in others] for _ in range(PAIRINGS)], np.int32
+        )
+        seen = np.array([likelihood(list(order)) for order in orders])
+        log_weights = seen + first.log_weights
+        for number, other in enumerate(others):
+            log_weights += other.log_weights[orders[:, number]]
+        _, weights = normalized(log_weights.T.ravel())
+        chosen = systematic_ancestors(weights, float(random.random()), particles)
+        ancestors, pairing = np.divmod(chosen, np.int32(PAIRINGS))
+        joined = Group([], particles)
+        joined.genealogies = []
+        for number, group in enumerate([first, *others]):
+            mine = orders[pairing, number - 1, ancestors] if number else ancestors
+            poses[group.vehicles] = poses[group.vehicles][:, mine]
+            group.descend(mine)
+            joined.vehicles = sorted(joined.vehicles + group.vehicles)
+            joined.genealogies += group.genealogies
+            joined.score += group.score
+        joined.log_weights, _ = normalized(-seen[pairing, ancestors])
+        self.all = [joined if group is first else group for group in self.all]
+        self.all = [group for group in self.all if group not in others]
+        return ancestors

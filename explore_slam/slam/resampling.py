@@ -42,15 +42,17 @@ def stratified_normals(random: np.random.Generator, particles: int, dimensions: 
     return normals
 
 
-def systematic_ancestors(weights: Array, offset: float) -> NDArray[np.int32]:
+def systematic_ancestors(
+    weights: Array, offset: float, particles: int | None = None
+) -> NDArray[np.int32]:
     """Return the ancestor (M,) of each particle after systematic resampling, in ascending order.
 
-    offset is uniform in [0, 1). The order keeps the descendants of one particle together, on
-    which Genealogy relies.
+    offset is uniform in [0, 1). Without a number of particles there are as many as before. The
+    order keeps the descendants of one particle together.
     """
-    count = len(weights)
+    count = len(weights) if particles is None else particles
     edges = np.cumsum(weights)
     edges /= edges[-1]
     points = (np.arange(count) + offset) / count
     chosen = np.searchsorted(edges, points, side='right')
-    return np.minimum(chosen, count - 1).astype(np.int32)
+    return np.minimum(chosen, len(weights) - 1).astype(np.int32)

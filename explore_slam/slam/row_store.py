@@ -116,10 +116,9 @@ class RowStore:
         """The number of particles."""
         return self.sizes[0]
 
-    def homes(self, items: Items) -> set[Genealogy]:
-        """Return the genealogies that items hang on."""
-        numbers = np.unique(self.layout_of[items]).tolist()
-        return {self.layouts[number].genealogy for number in numbers if number >= 0}
+    def homes(self, items: Items) -> list[Genealogy]:
+        """Return for each item the genealogy that it hangs on."""
+        return [self.layouts[number].genealogy for number in self.layout_of[items].tolist()]
 
     def stage(self, items: Items, home: Genealogy) -> Items:
         """Return slots in the largest slab that hold a row per particle of each item.
