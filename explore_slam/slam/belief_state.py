@@ -52,7 +52,7 @@ def state_of(slam: 'FastSlam') -> State:
     return {name: np.array(value) for name, value in state.items()}
 
 
-def restored(cls: 'type[FastSlam]', state: State) -> 'FastSlam':
+def restored[T: 'FastSlam'](cls: type[T], state: State) -> T:
     """Make a filter of a state; SlamError where something is absent or of the wrong shape."""
     try:
         about = checkpoint.text_value(state['about'])

@@ -9,7 +9,7 @@ import os
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -172,3 +172,25 @@ def read(path: Path) -> State:
     if found is None or int(found) != FORMAT:
         raise SlamError(f'{path}: format of the belief is {found}, expected {FORMAT}')
     return state
+
+
+class Checkpointed:
+    """What has a whole state as named arrays can be kept in a file."""
+
+    def state_dict(self) -> State:
+        """Return the whole state as named arrays; see `from_state`."""
+        raise NotImplementedError
+
+    @classmethod
+    def from_state(cls, state: State) -> Self:
+        """Make an object that goes on, bit by bit, where `state_dict` was called."""
+        raise NotImplementedError
+
+    def save(self, path: str | Path) -> None:
+        """Write the state to a file, atomically; SlamError where it cannot be written."""
+        write(Path(path), self.state_dict())
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read the state from a file; SlamError where the file holds none."""
+        return cls.from_state(read(Path(path)))

@@ -79,3 +79,14 @@ def check_sighting(sighting: VehicleSighting) -> None:
             f'sighting of {sighting.vehicle!r}: covariance {covariance.tolist()} has the least '
             f'eigenvalue {least:.3g}, expected a positive definite matrix'
         )
+
+
+def check_turn(vehicle: str, stamp: float, last: float, *, moved: bool) -> None:
+    """Refuse an update at a stamp (s) before the last one, or before any motion was told."""
+    if stamp < last:
+        raise SlamError(f'update({vehicle!r}): stamp {stamp} lies before the last one, {last}')
+    if not moved:
+        raise SlamError(
+            f'update({vehicle!r}) at stamp {stamp} comes before any predict: '
+            'tell the motion since the start first, even if it is zero'
+        )

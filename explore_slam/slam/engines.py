@@ -1,8 +1,10 @@
 """The two engines: what one update does to poses, weights and landmarks of all particles."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from explore_slam.geometry import Array
 from explore_slam.slam.association import associate
@@ -78,13 +80,26 @@ def fastslam2(
     return proposal
 
 
-def fastslam2_unstaged(
-    sighted: Sighted, rows: Array, poses: Array, P: Array, config: FastSlamConfig
+def paired(
+    sighted: Sighted,
+    rows: Array,
+    theirs: Sequence[NDArray[np.bool_]],
+    orders: Sequence[Index],
+    poses: Array,
+    P: Array,
+    config: FastSlamConfig,
 ) -> Proposal:
-    """Return what `fastslam2` does for rows (L, 9, M) of the candidates that are not staged."""
+    """Return what `fastslam2` finds if some landmarks are those of other particles.
+
+    rows (L, 9, M) of the candidates, not staged; where theirs (L,) tells so, the landmark of
+    particle order[m] is that of particle m.
+    """
+    mixed = rows.copy()
+    for some, order in zip(theirs, orders, strict=True):
+        mixed[some] = rows[some][:, :, order]
     sighted.slots = np.arange(len(sighted.items))
     sighted.prepare(len(poses))
-    return fastslam2(sighted, rows, poses, P, config)
+    return fastslam2(sighted, mixed, poses, P, config)
 
 
 def paper(
@@ -119,6 +134,15 @@ def move_by_samples(poses: Array, P: Array, normals: Array) -> None:
     poses[:, 0] += c * deltas[:, 0] - s * deltas[:, 1]
     poses[:, 1] += s * deltas[:, 0] + c * deltas[:, 1]
     poses[:, 2] += deltas[:, 2]
+
+
+def propose_poses(
+    sighted: Sighted, data: Array, poses: Array, P: Array, normals: Array, config: FastSlamConfig
+) -> Proposal:
+    """Run the engine of the settings; normals (M, 3) are for engine paper only."""
+    if config.engine == 'paper':
+        return paper(sighted, data, poses, P, normals, config)
+    return fastslam2(sighted, data, poses, P, config)
 
 
 def update_matched(sighted: Sighted, data: Array, poses: Array, threads: int) -> None:

@@ -1,9 +1,9 @@
 """The belief of one team: a joint particle filter over all vehicles and one landmark map."""
 
 import math
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any, NoReturn
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, NoReturn, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from explore_slam.slam.motion import PendingMotion, rotated
 from explore_slam.slam.path_store import PathStore
 from explore_slam.slam.recovery import Recovery
 from explore_slam.slam.resampling import (
-    effective_particles,
+    mean_and_covariance,
     stratified_normals,
     systematic_ancestors,
 )
@@ -31,11 +31,12 @@ from explore_slam.slam.sighting import sight
 from explore_slam.slam.summary import UpdateSummary
 
 
-class FastSlam:
+class FastSlam(checkpoint.Checkpointed):
     """One joint Rao-Blackwellized particle filter for several vehicles (sections III and IV).
 
-    Every particle holds a pose of every vehicle and one landmark map. Motion is told with
-    `predict`, what is seen with `update`; all randomness comes from the seed.
+    Every particle holds a pose of every vehicle and one landmark map; vehicles that have nothing
+    in common yet have particles apart from each other (`group`). Motion is told with `predict`,
+    what is seen with `update`; all randomness comes from the seed.
     A call that is refused (SlamError) leaves the state as it was.
     """
 
@@ -109,31 +110,29 @@ class FastSlam:
         """
         number = self._number(vehicle)
         checks.check_observations(observations, self.config.association.maximum_observations)
-        self._check_time(number, observations.stamp)
+        last = self._stamps[number]
+        checks.check_turn(vehicle, observations.stamp, last, moved=self._moved[number])
         if self.config.engine == 'paper' and number in self._contributed:
             self._resample_round()
         reach = self._recovery[number].reach
         estimate = self.estimate(vehicle)
         sighted = look_up(self.map, observations, self.config.association, *estimate, reach)
-        random = self._random.bit_generator.state
         what = f'update({vehicle!r}) at stamp {observations.stamp}'
+        refuse = partial(self._refuse, self._random.bit_generator.state, what)
         poses, P = self._settled(number)
-        poses = self._meet(number, sighted, poses, P, what)
+        poses = self._meet(number, sighted, poses, P, refuse)
         group = self.groups.of(number)
         sighted.stage(self.map.rows, group.home)
         data = self.map.rows.present_data
         normals = stratified_normals(self._random, self.config.particles, 3)
-        if self.config.engine == 'paper':
-            proposal = engines.paper(sighted, data, poses, P, normals, self.config)
-        else:
-            proposal = engines.fastslam2(sighted, data, poses, P, self.config)
+        proposal = engines.propose_poses(sighted, data, poses, P, normals, self.config)
         if not proposal.is_finite():
             sighted.revert(self.map.rows)
-            self._refuse(random, what)
+            refuse()
         self._stamps[number] = observations.stamp
         group.weigh(proposal.log_weights)
-        weights = group.weights()
-        support_of = support(sighted.choice, weights, sighted.candidates.shape[1])
+        effective = group.effective()
+        support_of = support(sighted.choice, group.weights(), sighted.candidates.shape[1])
         resampled = self._follow_the_fit(group, sighted, proposal)
         poses = proposal.sampled(normals)
         self._place(number, poses)
@@ -154,14 +153,16 @@ class FastSlam:
             associated=int(np.count_nonzero(matches >= 0)),
             inserted=inserted,
             removed=removed,
-            effective_particles=effective_particles(weights),
+            effective_particles=effective,
             resampled=resampled,
             lost=lost,
             relocated=relocated,
             matches=matches,
         )
 
-    def _meet(self, number: int, sighted: Sighted, poses: Array, P: Array, what: str) -> Array:
+    def _meet(
+        self, number: int, sighted: Sighted, poses: Array, P: Array, refuse: Callable[[], NoReturn]
+    ) -> Array:
         """Join the groups whose landmarks a vehicle at predicted poses (M, 3) may see.
 
         Returns the predicted poses of the new group's particles.
@@ -170,17 +171,13 @@ class FastSlam:
         others = [other for other in self.groups.on(set(homes)) if other is not group]
         if not others:
             return poses
-        random = self._random.bit_generator.state
         rows = self.map.rows.read(sighted.items)
         theirs = [np.array([home in other.genealogies for home in homes]) for other in others]
 
         def likelihood(orders: Sequence[Index]) -> Array:
-            paired = rows.copy()
-            for some, order in zip(theirs, orders, strict=True):
-                paired[some] = rows[some][:, :, order]
-            proposal = engines.fastslam2_unstaged(sighted, paired, poses, P, self.config)
+            proposal = engines.paired(sighted, rows, theirs, orders, poses, P, self.config)
             if not proposal.is_finite():
-                self._refuse(random, what)
+                refuse()
             return proposal.log_weights
 
         return poses[self.groups.join(group, others, likelihood, self._poses, self._random)]
@@ -212,25 +209,23 @@ class FastSlam:
             self._sight(number, other, sighting)
 
     def _sight(self, number: int, other: int, sighting: VehicleSighting) -> None:
-        random = self._random.bit_generator.state
+        what = f'sighting of {sighting.vehicle!r} at stamp {sighting.stamp}'
+        refuse = partial(self._refuse, self._random.bit_generator.state, what)
         motion, still = self._pending[other], np.zeros((self.config.particles, 3))
         seer, seer_P = self._settled(number)
         seen = compose(self._poses[other], np.asarray(motion.mean))
 
-        def sighted(seer: Array, seen: Array, normals: Array) -> tuple[Array, Array]:
-            log_weights, left = np.zeros(self.config.particles), np.empty((3, 3))
-            sight(
-                seer, seer_P, seen, motion.end_covariance(), sighting.position,
-                sighting.covariance, self.config.association.association_gate**2,
-                self.config.outlier_threshold, normals, self.groups.of(number).weights(),
-                log_weights, left,
+        def taken_in(seer: Array, seen: Array, normals: Array) -> tuple[Array, Array]:
+            log_weights, left = sight(
+                seer, seer_P, seen, motion.end_covariance(), sighting, self.config, normals,
+                self.groups.of(number).weights(),
             )  # fmt: skip
             if not all(np.isfinite(part).all() for part in (seer, seen, left, log_weights)):
-                self._refuse(random, f'sighting of {sighting.vehicle!r} at {sighting.stamp}')
+                refuse()
             return log_weights, left
 
         def likelihood(orders: Sequence[Index]) -> Array:
-            return sighted(seer.copy(), seen[orders[0]], still)[0]
+            return taken_in(seer.copy(), seen[orders[0]], still)[0]
 
         group, theirs = self.groups.of(number), self.groups.of(other)
         if theirs is not group:
@@ -238,11 +233,11 @@ class FastSlam:
             seen = compose(self._poses[other], np.asarray(motion.mean))
             group = self.groups.of(number)
         normals = stratified_normals(self._random, self.config.particles, 3)
-        log_weights, left = sighted(seer, seen, normals)
+        log_weights, left = taken_in(seer, seen, normals)
         group.weigh(log_weights)
         self._place(number, seer)
         self._place(other, seen)
-        self._pending[other] = PendingMotion.of(0.5 * (left + left.T))
+        self._pending[other] = PendingMotion.of(left)
         if self.config.engine == 'fastslam2' and self._is_due(group):
             self._resample(group, group.weights())
 
@@ -262,18 +257,6 @@ class FastSlam:
         poses[:, 2] = wrap_angles(poses[:, 2])
         self._poses[number] = poses
         self._pending[number] = PendingMotion()
-
-    def _check_time(self, number: int, stamp: float) -> None:
-        if stamp < self._stamps[number]:
-            raise SlamError(
-                f'update({self.vehicles[number]!r}): stamp {stamp} lies before the last one, '
-                f'{self._stamps[number]}'
-            )
-        if not self._moved[number]:
-            raise SlamError(
-                f'update({self.vehicles[number]!r}) at stamp {stamp} comes before any predict: '
-                'tell the motion since the start first, even if it is zero'
-            )
 
     def _recover(
         self, number: int, sighted: Sighted, agreed: NDArray[np.bool_]
@@ -350,13 +333,9 @@ class FastSlam:
         pending = self._pending[number]
         poses = compose(self._poses[number], np.asarray(pending.mean))
         weights = self.groups.of(number).weights()
-        c, s = weights @ np.cos(poses[:, 2]), weights @ np.sin(poses[:, 2])
-        mean = np.array([weights @ poses[:, 0], weights @ poses[:, 1], math.atan2(s, c)])
-        off = poses - mean
-        off[:, 2] = wrap_angles(off[:, 2])
-        spread = (off * weights[:, None]).T @ off
-        spread += rotated(pending.end_covariance(), -mean[2])
-        return Pose2.from_array(mean), 0.5 * (spread + spread.T)
+        mean, spread = mean_and_covariance(poses, weights)
+        spread += rotated(pending.end_covariance(), -mean.theta)
+        return mean, 0.5 * (spread + spread.T)
 
     def best_pose(self, vehicle: str) -> Pose2:
         """Return the pose of a vehicle in the best particle, motion told so far included."""
@@ -409,22 +388,13 @@ class FastSlam:
     # -- state ----------------------------------------------------------------------------------
 
     def state_dict(self) -> checkpoint.State:
-        """Return the whole state as named arrays; see `from_state`."""
+        """See Checkpointed."""
         return belief_state.state_of(self)
 
     @classmethod
-    def from_state(cls, state: checkpoint.State) -> 'FastSlam':
-        """Make a filter that goes on, bit by bit, where `state_dict` was called."""
+    def from_state(cls, state: checkpoint.State) -> Self:
+        """See Checkpointed."""
         return belief_state.restored(cls, state)
-
-    def save(self, path: str | Path) -> None:
-        """Write the state to a file, atomically; SlamError where it cannot be written."""
-        checkpoint.write(Path(path), self.state_dict())
-
-    @classmethod
-    def load(cls, path: str | Path) -> 'FastSlam':
-        """Read a filter from a file; SlamError where the file is none."""
-        return cls.from_state(checkpoint.read(Path(path)))
 
     def _group(self, vehicle: str | None) -> Group:
         return self.groups.of(0 if vehicle is None else self._number(vehicle))

@@ -1,10 +1,12 @@
-"""Weights of particles: normalization, effective sample size, systematic resampling."""
+"""Weights of particles: normalization, moments, effective sample size, resampling."""
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from explore_slam.geometry import Array
+from explore_slam.geometry import Array, Pose2, wrap_angles
 
 _KIN = 8  # particles in a row that share the strata of a draw
 
@@ -20,6 +22,15 @@ def normalized(log_weights: Array) -> tuple[Array, Array]:
 def effective_particles(weights: Array) -> float:
     """Return 1 / Σ w² of normalized weights (M,): between 1 and M."""
     return float(1.0 / np.sum(weights * weights))
+
+
+def mean_and_covariance(poses: Array, weights: Array) -> tuple[Pose2, Array]:
+    """Return mean and covariance (3, 3) of poses (M, 3) of normalized weights (M,)."""
+    c, s = weights @ np.cos(poses[:, 2]), weights @ np.sin(poses[:, 2])
+    mean = np.array([weights @ poses[:, 0], weights @ poses[:, 1], math.atan2(s, c)])
+    off = poses - mean
+    off[:, 2] = wrap_angles(off[:, 2])
+    return Pose2.from_array(mean), (off * weights[:, None]).T @ off
 
 
 def stratified_normals(random: np.random.Generator, particles: int, dimensions: int) -> Array:

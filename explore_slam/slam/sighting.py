@@ -10,7 +10,9 @@ import math
 import numpy as np
 from numba import njit
 
+from explore_slam.data import VehicleSighting
 from explore_slam.geometry import Array
+from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.gaussian import sample_gaussian
 
 
@@ -59,7 +61,7 @@ def _move(pose: Array, delta: Array) -> None:  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
-def sight(
+def _sight(
     seer: Array,
     seer_P: Array,
     seen: Array,
@@ -122,3 +124,28 @@ def sight(
         _conditioned(seen_P, Hj, W, nu, delta, posterior)
         _move(seen[m], delta)
         left_P += weights[m] * posterior
+
+
+def sight(
+    seer: Array,
+    seer_P: Array,
+    seen: Array,
+    seen_P: Array,
+    sighting: VehicleSighting,
+    config: FastSlamConfig,
+    normals: Array,
+    weights: Array,
+) -> tuple[Array, Array]:
+    """Move poses of seer and seen (M, 3 each) in place, given what the seer sees.
+
+    seer_P, seen_P (3, 3) are their covariances in their own frames; the seer is sampled by
+    normals (M, 3). Returns the logarithms (M,) of the likelihoods, and the covariance (3, 3) that
+    seen has then, the mean over the weights (M,).
+    """
+    log_weights, left = np.zeros(len(seer)), np.empty((3, 3))
+    _sight(
+        seer, seer_P, seen, seen_P, sighting.position, sighting.covariance,
+        config.association.association_gate**2, config.outlier_threshold, normals, weights,
+        log_weights, left,
+    )  # fmt: skip
+    return log_weights, 0.5 * (left + left.T)

@@ -1,7 +1,7 @@
 """One interface for common and dedicated maps: a joint filter, or one filter per vehicle."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from typing import Self
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from explore_slam.slam.landmark_map import Landmarks
 from explore_slam.slam.summary import UpdateSummary
 
 
-class TeamBelief:
+class TeamBelief(checkpoint.Checkpointed):
     """The interface of FastSlam; with `maps: dedicated` a filter and a map per vehicle."""
 
     def __init__(
@@ -127,7 +127,7 @@ class TeamBelief:
         return self.filter_of(vehicle).trajectory(vehicle)
 
     def state_dict(self) -> checkpoint.State:
-        """Return the whole state as named arrays; see `from_state`."""
+        """See Checkpointed."""
         state: checkpoint.State = {
             'keyframes': np.array(self._keyframes, np.int64),
             'filters': np.array(len(self.filters)),
@@ -137,8 +137,8 @@ class TeamBelief:
         return state
 
     @classmethod
-    def from_state(cls, state: checkpoint.State) -> 'TeamBelief':
-        """Make a belief that goes on, bit by bit, where `state_dict` was called."""
+    def from_state(cls, state: checkpoint.State) -> Self:
+        """See Checkpointed."""
         if 'filters' not in state or 'keyframes' not in state:
             raise SlamError(
                 'the state of the belief is not whole: filters or keyframes are absent'
@@ -156,12 +156,3 @@ class TeamBelief:
         }
         belief._keyframes = state['keyframes'].tolist()
         return belief
-
-    def save(self, path: str | Path) -> None:
-        """Write the state to a file, atomically; SlamError where it cannot be written."""
-        checkpoint.write(Path(path), self.state_dict())
-
-    @classmethod
-    def load(cls, path: str | Path) -> 'TeamBelief':
-        """Read a belief from a file; SlamError where the file is none."""
-        return cls.from_state(checkpoint.read(Path(path)))
