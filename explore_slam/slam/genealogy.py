@@ -95,13 +95,8 @@ class Genealogy:
         """Tell whether nothing hangs on any level."""
         return not any(level.layouts for level in self.levels)
 
-    def permute(self, order: Index) -> None:
-        """Put the particles in another order: particle m is what order[m] was. No row moves."""
-        for level in self.levels:
-            level.index = level.index[order]
-
     def resample(self, ancestors: Index) -> list[Layout]:
-        """Compose ancestors (M,) into all levels; return layouts that have shrunk.
+        """Compose ancestors (M,), in any order, into all levels; return layouts that have shrunk.
 
         The cost is levels × particles: no landmark is touched.
         """
@@ -115,8 +110,8 @@ class Genealogy:
         for g, level in enumerate(old):
             level.index = index[g]
             count = int(counts[g])
-            if count != level.count:
-                keep = survivors[g, :count].copy()
+            keep = survivors[g, :count].copy()
+            if count != level.count or not np.array_equal(keep, self._identity[:count]):
                 for layout in level.layouts:
                     layout.slots = keep if layout.slots is None else layout.slots[keep]
                     shrunk.append(layout)

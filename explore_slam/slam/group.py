@@ -123,6 +123,6 @@ class Groups:
             joined.genealogies += group.genealogies
             joined.score += group.score
         joined.log_weights, _ = normalized(-seen[pairing, ancestors])
-        self.all = [joined if group is first else group for group in self.all]
-        self.all = [group for group in self.all if group not in others]
+        apart = [group for group in self.all if group is not first and group not in others]
+        self.all = sorted([joined, *apart], key=lambda group: group.vehicles[0])
         return ancestors

@@ -227,21 +227,30 @@ class RowStore:
         return mine
 
     def _is_present(self, items: Items, home: Genealogy) -> NDArray[np.bool_]:
-        for layout in home.present.layouts:
-            if layout.owner is self:
-                here: NDArray[np.bool_] = self.layout_of[items] == layout.number
-                return here
-        return np.zeros(len(items), bool)
+        layout = self._dense_layout(home)
+        if layout is None:
+            return np.zeros(len(items), bool)
+        here: NDArray[np.bool_] = self.layout_of[items] == layout.number
+        return here
+
+    def _dense_layout(self, home: Genealogy) -> Layout | None:
+        """Return the layout in which row m is that of particle m at present."""
+        return next(
+            (
+                layout
+                for layout in home.present.layouts
+                if layout.owner is self and layout.slots is None
+            ),
+            None,
+        )
 
     def _present_layout(self, home: Genealogy) -> Layout:
-        level = home.present
-        for layout in level.layouts:
-            if layout.owner is self:
-                return layout
-        layout = Layout(home, level, self, self.next_number)
-        level.layouts.append(layout)
-        self.layouts[self.next_number] = layout
-        self.next_number += 1
+        layout = self._dense_layout(home)
+        if layout is None:
+            layout = Layout(home, home.present, self, self.next_number)
+            home.present.layouts.append(layout)
+            self.layouts[self.next_number] = layout
+            self.next_number += 1
         return layout
 
     def _drop(self, layout: Layout) -> None:
