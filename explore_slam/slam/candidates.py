@@ -77,6 +77,14 @@ class Sighted:
         self.quality = np.ascontiguousarray(self.quality[:, ancestors])
         self.influence = np.ascontiguousarray(self.influence[:, ancestors])
 
+    def taken(self) -> NDArray[np.bool_]:
+        """Return (L,) which of the landmarks some particle took an observation for."""
+        taken = np.zeros(len(self.items), bool)
+        for j in range(self.candidates.shape[1]):
+            some = (self.choice == j).any(axis=1)
+            taken[self.candidates[some, j]] = True
+        return taken
+
     def matches(self, particle: int, ids: Items) -> Items:
         """Return (K,) the id of the landmark that a particle took each observation for, or -1.
 

@@ -107,10 +107,17 @@ class FastSlamConfig(Section):
         high=20.0,
     )
     resampling_threshold: float = setting(
-        0.6,
+        0.5,
         'Resample when the effective particles drop below this part of all (engine fastslam2)',
         low=0.0,
         high=1.0,
+    )
+    least_effective: float = setting(
+        0.05,
+        'Engine fastslam2: where an update would leave less than this part of the particles '
+        'effective, the landmarks in view are smoothed over the particles',
+        low=0.0,
+        high=0.5,
     )
     outlier_threshold: float = setting(
         4.0,

@@ -15,6 +15,8 @@ from explore_slam.slam.genealogy import Index
 from explore_slam.slam.landmark_update import update_landmarks
 from explore_slam.slam.parallel import over_particles
 from explore_slam.slam.proposal import propose, sample_proposals
+from explore_slam.slam.regularization import SHARES, smooth
+from explore_slam.slam.resampling import effective_particles, normalized
 
 _WORST = -2.0 * np.log(1e-6)
 
@@ -41,6 +43,10 @@ class Proposal:
         """Tell whether all numbers are in range."""
         parts = (self.poses, self.centers, self.spreads, self.log_weights)
         return all(bool(np.isfinite(part).all()) for part in parts)
+
+    def effective(self, log_weights: Array) -> float:
+        """Return the effective sample size that these likelihoods leave of weights (M,)."""
+        return effective_particles(normalized(log_weights + self.log_weights)[1])
 
     def follow(self, ancestors: Index) -> None:
         """Take over the Gaussians of the ancestors (M,)."""
@@ -77,6 +83,38 @@ def fastslam2(
         )  # fmt: skip
 
     over_particles(part, len(poses), config.filter_threads)
+    return proposal
+
+
+def regularized(
+    sighted: Sighted,
+    data: Array,
+    poses: Array,
+    P: Array,
+    log_weights: Array,
+    config: FastSlamConfig,
+) -> Proposal:
+    """As `fastslam2`, but smooth the landmarks that are seen where too few particles fit.
+
+    log_weights (M,) of the particles before. The staged rows change unless the numbers of the
+    proposal run out of range.
+    """
+    proposal = fastslam2(sighted, data, poses, P, config)
+    least = config.least_effective * len(poses)
+    if not proposal.is_finite() or proposal.effective(log_weights) >= least:
+        return proposal
+    slots = sighted.slots[sighted.taken()]
+    before, weights = data[slots], np.exp(log_weights)
+    smoothed = np.empty_like(before)
+    for part in SHARES:
+        smooth(before, poses, weights, part, smoothed)
+        data[slots] = smoothed
+        proposal = fastslam2(sighted, data, poses, P, config)
+        if not proposal.is_finite():
+            data[slots] = before
+            return proposal
+        if proposal.effective(log_weights) >= least:
+            break
     return proposal
 
 
@@ -137,12 +175,18 @@ def move_by_samples(poses: Array, P: Array, normals: Array) -> None:
 
 
 def propose_poses(
-    sighted: Sighted, data: Array, poses: Array, P: Array, normals: Array, config: FastSlamConfig
+    sighted: Sighted,
+    data: Array,
+    poses: Array,
+    P: Array,
+    normals: Array,
+    log_weights: Array,
+    config: FastSlamConfig,
 ) -> Proposal:
     """Run the engine of the settings; normals (M, 3) are for engine paper only."""
     if config.engine == 'paper':
         return paper(sighted, data, poses, P, normals, config)
-    return fastslam2(sighted, data, poses, P, config)
+    return regularized(sighted, data, poses, P, log_weights, config)
 
 
 def update_matched(sighted: Sighted, data: Array, poses: Array, threads: int) -> None:

@@ -125,7 +125,9 @@ class FastSlam(checkpoint.Checkpointed):
         sighted.stage(self.map.rows, group.home)
         data = self.map.rows.present_data
         normals = stratified_normals(self._random, self.config.particles, 3)
-        proposal = engines.propose_poses(sighted, data, poses, P, normals, self.config)
+        proposal = engines.propose_poses(
+            sighted, data, poses, P, normals, group.log_weights, self.config
+        )
         if not proposal.is_finite():
             sighted.revert(self.map.rows)
             refuse()

@@ -102,11 +102,7 @@ class MapKeeper:
         chosen = np.zeros(len(sighted.items))
         real = sighted.candidates >= 0
         np.add.at(chosen, sighted.candidates[real], support_of[real])
-        touched = np.zeros(len(sighted.items), bool)
-        for j in range(sighted.candidates.shape[1]):
-            some = (sighted.choice == j).any(axis=1)
-            touched[sighted.candidates[some, j]] = True
-        touched |= filled
+        touched = sighted.taken() | filled
         items, slots = sighted.items[touched], sighted.slots[touched]
         rows.revert(sighted.items[~touched], sighted.slots[~touched], sighted.home)
         rows.commit(items, slots, sighted.home)
