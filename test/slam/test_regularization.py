@@ -68,7 +68,5 @@ def test_a_late_return_leaves_particles(make_world, make_slam):
                 world.drive('a', turn)
                 slam.predict('a', turn, noise * np.eye(3))
                 sizes.append(slam.update('a', world.see('a', float(step))).effective_particles)
-    few, enough = np.sort(effective[0.0])[:5], np.sort(effective[0.4])[:5]
-    print(few, enough)
-    assert few.max() < 60.0
-    assert enough.min() > 60.0
+    assert min(effective[0.0]) < 40.0
+    assert min(effective[0.4]) >= 0.4 * 200
