@@ -26,9 +26,10 @@ def warm_up() -> None:
 
     from explore_slam.data import LandmarkObservations, VehicleSighting
     from explore_slam.geometry import Pose2
-    from explore_slam.slam import recovery
+    from explore_slam.slam import recovery, regularization
 
     recovery.warm_up()
+    regularization.warm_up()
     random = np.random.default_rng(0)
     count = 10
     positions = random.uniform(1.0, 3.0, (count, 3))
@@ -49,4 +50,5 @@ def warm_up() -> None:
                 slam.resample_now(weights / weights.sum())
         slam.best_path()
         slam.landmarks()
+        slam.map.index.query(seen.descriptors, 1.0, 8)
         slam.map.remove(slam.map.items()[:1])

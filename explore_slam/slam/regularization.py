@@ -80,3 +80,9 @@ def smooth(
             goal[6, m] += s * s * S[0, 0] + 2.0 * c * s * S[0, 1] + c * c * S[1, 1]
             goal[7, m] += s * S[0, 2] + c * S[1, 2]
             goal[8, m] += S[2, 2]
+
+
+def warm_up() -> None:
+    """Compile the smoothing, which otherwise happens when it is needed first."""
+    rows = np.ones((1, 9, 2))
+    smooth(rows, np.zeros((2, 3)), np.full(2, 0.5), SHARES[0], np.empty_like(rows))
