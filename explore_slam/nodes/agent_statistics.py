@@ -127,4 +127,6 @@ class AgentStatistics:
             values['associated'] = update.associated
             values['inserted'] = update.inserted
             values['effective_particles'] = float(update.effective_particles)
+            others = [vehicle for vehicle in update.together if vehicle != name]
+            values['shares_landmarks_with'] = ' '.join(others) or 'nobody yet'
         return values

@@ -160,6 +160,7 @@ class FastSlam(checkpoint.Checkpointed):
             lost=lost,
             relocated=relocated,
             matches=matches,
+            together=tuple(self.vehicles[member] for member in group.vehicles),
         )
 
     def _meet(

@@ -15,7 +15,8 @@ class UpdateSummary:
     effective_particles before a resampling; lost: matches disagree with the pose in nearly all
     particles; relocated: the vehicle has been moved to where its matches say.
     matches (observed,): id of the landmark that the best particle took each observation for, or
-    -1; ids as in the Landmarks of the vehicle.
+    -1; ids as in the Landmarks of the vehicle. together: the vehicles, this one included, that
+    have landmarks in common so far, directly or through others.
     """
 
     stamp: float
@@ -30,3 +31,4 @@ class UpdateSummary:
     lost: bool
     relocated: bool
     matches: NDArray[np.int64]
+    together: tuple[str, ...]

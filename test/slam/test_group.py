@@ -70,6 +70,7 @@ def test_a_landmark_of_another_vehicle_joins_the_two(make_slam):
     summary = look_around(slam, 'c', starts['c'], HERE, 5.0, 0)
     assert vehicles_of(slam) == [[0, 2], [1]]
     assert (summary.associated, summary.inserted) == (3, 0)
+    assert summary.together == ('a', 'c')
     assert summary.effective_particles == pytest.approx(200)  # drawn by what was seen
     assert len(slam.landmarks()) == 6
     np.testing.assert_array_equal(slam.best_path()[1], before)
