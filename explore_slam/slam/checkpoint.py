@@ -20,7 +20,7 @@ from explore_slam.slam.kd_forest import KdForestIndex
 from explore_slam.slam.landmark_map import LandmarkMap
 from explore_slam.slam.row_store import RowStore
 
-FORMAT = 1
+FORMAT = 2  # 2: groups of vehicles
 State = dict[str, Any]
 
 
