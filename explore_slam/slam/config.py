@@ -39,7 +39,11 @@ class AssociationConfig(Section):
     )
     forest_trees: int = setting(4, 'Trees of the randomized kd-forest', low=1, high=16)
     forest_checks: int = setting(
-        256, 'Descriptors compared per query of the forest', low=16, high=100_000
+        256,
+        'Descriptors compared per query of the forest; landmarks near an observation are all '
+        'compared if they are no more than this',
+        low=16,
+        high=100_000,
     )
     maximum_observations: int = setting(
         1000, 'Most observations taken in one update', low=1, high=10_000

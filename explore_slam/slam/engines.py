@@ -1,6 +1,7 @@
 """The two engines: what one update does to poses, weights and landmarks of all particles."""
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,7 @@ from explore_slam.slam.proposal import propose, sample_proposals
 from explore_slam.slam.regularization import SHARES, smooth
 from explore_slam.slam.resampling import effective_particles, normalized
 
+_TRIED = 200  # particles on which the smoothing of landmarks is tried
 _WORST = -2.0 * np.log(1e-6)
 
 
@@ -103,19 +105,49 @@ def regularized(
     least = config.least_effective * len(poses)
     if not proposal.is_finite() or proposal.effective(log_weights) >= least:
         return proposal
+    part = _share_needed(sighted, data, poses, P, log_weights, config)
     slots = sighted.slots[sighted.taken()]
-    before, weights = data[slots], np.exp(log_weights)
+    before = data[slots]
     smoothed = np.empty_like(before)
-    for part in SHARES:
-        smooth(before, poses, weights, part, smoothed)
-        data[slots] = smoothed
-        proposal = fastslam2(sighted, data, poses, P, config)
-        if not proposal.is_finite():
-            data[slots] = before
-            return proposal
-        if proposal.effective(log_weights) >= least:
-            break
+    smooth(before, poses, np.exp(log_weights), part, smoothed)
+    data[slots] = smoothed
+    proposal = fastslam2(sighted, data, poses, P, config)
+    if not proposal.is_finite():
+        data[slots] = before
     return proposal
+
+
+def _share_needed(
+    sighted: Sighted,
+    data: Array,
+    poses: Array,
+    P: Array,
+    log_weights: Array,
+    config: FastSlamConfig,
+) -> float:
+    """Return the least of SHARES that leaves enough of the particles, tried on some of them."""
+    some = slice(None, None, max(1, len(poses) // _TRIED))
+    poses, log_weights = poses[some], log_weights[some]
+    _, weights = normalized(log_weights)
+    rows, taken = np.ascontiguousarray(data[sighted.slots, :, some]), sighted.taken()
+    before, smoothed = rows[taken], np.empty_like(rows[taken])
+    for part in SHARES[:-1]:
+        smooth(before, poses, weights, part, smoothed)
+        rows[taken] = smoothed
+        proposal = _unstaged(copy(sighted), rows, poses, P, config)
+        effective = proposal.effective(log_weights) if proposal.is_finite() else 0.0
+        if effective >= config.least_effective * len(poses):
+            return part
+    return SHARES[-1]
+
+
+def _unstaged(
+    sighted: Sighted, rows: Array, poses: Array, P: Array, config: FastSlamConfig
+) -> Proposal:
+    """Return what `fastslam2` does for rows (L, 9, M) of the candidates that are not staged."""
+    sighted.slots = np.arange(len(sighted.items))
+    sighted.prepare(len(poses))
+    return fastslam2(sighted, rows, poses, P, config)
 
 
 def paired(
@@ -135,9 +167,7 @@ def paired(
     mixed = rows.copy()
     for some, order in zip(theirs, orders, strict=True):
         mixed[some] = rows[some][:, :, order]
-    sighted.slots = np.arange(len(sighted.items))
-    sighted.prepare(len(poses))
-    return fastslam2(sighted, mixed, poses, P, config)
+    return _unstaged(sighted, mixed, poses, P, config)
 
 
 def paper(

@@ -4,7 +4,7 @@ import pytest
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Pose2
 from explore_slam.settings import with_values
-from explore_slam.slam import FastSlam, FastSlamConfig, TeamBelief
+from explore_slam.slam import FastSlam, FastSlamConfig, TeamBelief, checkpoint
 
 STARTS = {'a': Pose2(1.0, 1.0, 0.0), 'b': Pose2(5.0, 4.0, 1.0)}
 
@@ -77,7 +77,7 @@ def test_files_that_hold_no_belief_are_refused(make_slam, tmp_path):
     np.savez(path, format=np.array(99))
     with pytest.raises(SlamError, match='format of the belief is 99'):
         FastSlam.load(path)
-    np.savez(path, format=np.array(1), poses=np.zeros(3))
+    np.savez(path, format=np.array(checkpoint.FORMAT), poses=np.zeros(3))
     with pytest.raises(SlamError, match='not whole'):
         FastSlam.load(path)
     with pytest.raises(SlamError, match='cannot be written'):
