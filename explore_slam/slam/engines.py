@@ -127,7 +127,7 @@ def _share_needed(
 ) -> float:
     """Return the least of SHARES that leaves enough of the particles, tried on some of them."""
     some = slice(None, None, max(1, len(poses) // _TRIED))
-    poses, log_weights = poses[some], log_weights[some]
+    poses, log_weights = poses[some].copy(), log_weights[some]
     _, weights = normalized(log_weights)
     rows, taken = np.ascontiguousarray(data[sighted.slots, :, some]), sighted.taken()
     before, smoothed = rows[taken], np.empty_like(rows[taken])

@@ -21,25 +21,27 @@ SHARES = (0.003, 0.01, 0.03, 0.1, 0.3)
 
 @njit(cache=True, nogil=True, error_model='numpy')
 def _moments(
-    row: Array, poses: Array, weights: Array, local: Array, mean: Array, S: Array
+    row: Array, frames: Array, weights: Array, local: Array, mean: Array, S: Array
 ) -> float:  # pragma: no cover - compiled
     """Set places (M, 3) in the vehicle frames, mean (3,) and covariance (3, 3) where they exist.
 
-    Returns the weight of the particles that have the landmark.
+    frames (M, 4): position, cosine and sine of the heading. Returns the weight of the particles
+    that have the landmark.
     """
     total = 0.0
     mean[:], S[:] = 0.0, 0.0
-    for m in range(len(poses)):
+    for m in range(len(frames)):
         if row[3, m] > 0.0:
-            c, s = math.cos(poses[m, 2]), math.sin(poses[m, 2])
-            dx, dy = row[0, m] - poses[m, 0], row[1, m] - poses[m, 1]
+            px, py, c, s = frames[m]
+            dx, dy = row[0, m] - px, row[1, m] - py
             local[m, 0], local[m, 1], local[m, 2] = c * dx + s * dy, c * dy - s * dx, row[2, m]
             total += weights[m]
-            mean += weights[m] * local[m]
+            for a in range(3):
+                mean[a] += weights[m] * local[m, a]
     if total <= 0.0:
         return total
     mean /= total
-    for m in range(len(poses)):
+    for m in range(len(frames)):
         if row[3, m] > 0.0:
             for a in range(3):
                 for b in range(3):
@@ -58,21 +60,25 @@ def smooth(
     normalized weights (M,). Places are compared in the vehicle frames.
     """
     local, mean, S = np.empty((len(poses), 3)), np.empty(3), np.empty((3, 3))
+    frames = np.empty((len(poses), 4))
+    for m in range(len(poses)):
+        frames[m, 0], frames[m, 1] = poses[m, 0], poses[m, 1]
+        frames[m, 2], frames[m, 3] = math.cos(poses[m, 2]), math.sin(poses[m, 2])
     nearer = math.sqrt(1.0 - share)
     smoothed[:] = rows
     for n in range(len(rows)):
         goal = smoothed[n]
-        if _moments(rows[n], poses, weights, local, mean, S) <= 0.0:
+        if _moments(rows[n], frames, weights, local, mean, S) <= 0.0:
             continue
         S *= share
         for m in range(len(poses)):
             if goal[3, m] <= 0.0:
                 continue
-            c, s = math.cos(poses[m, 2]), math.sin(poses[m, 2])
+            px, py, c, s = frames[m]
             x = mean[0] + nearer * (local[m, 0] - mean[0])
             y = mean[1] + nearer * (local[m, 1] - mean[1])
-            goal[0, m] = poses[m, 0] + c * x - s * y
-            goal[1, m] = poses[m, 1] + s * x + c * y
+            goal[0, m] = px + c * x - s * y
+            goal[1, m] = py + s * x + c * y
             goal[2, m] = mean[2] + nearer * (local[m, 2] - mean[2])
             goal[3, m] += c * c * S[0, 0] - 2.0 * c * s * S[0, 1] + s * s * S[1, 1]
             goal[4, m] += c * s * (S[0, 0] - S[1, 1]) + (c * c - s * s) * S[0, 1]
