@@ -62,14 +62,10 @@ def restored[T: 'FastSlam'](cls: type[T], state: State) -> T:
         slam._contributed = set(about['contributed'])
         slam._keeper.regions.update({(x, y): owner for x, y, owner in about['regions']})
         _restore_arrays(slam, state)
+        stores = [slam.map.rows, slam.path.rows]
         slam.groups.all = [
-            _restored_group(
-                Group(vehicles, slam.config.particles),
-                genealogies,
-                [slam.map.rows, slam.path.rows],
-                part(f'group{number}', state),
-            )
-            for number, (vehicles, genealogies) in enumerate(about['groups'])
+            _restored_group(vehicles, trees, stores, part(f'group{number}', state))
+            for number, (vehicles, trees) in enumerate(about['groups'])
         ]
     except (KeyError, ValueError, IndexError, TypeError) as error:
         raise SlamError(f'the state of the belief is not whole: {error!r}') from error
@@ -98,9 +94,12 @@ def _group_state(group: Group, stores: list[RowStore]) -> State:
     return state
 
 
-def _restored_group(group: Group, trees: int, stores: list[RowStore], state: State) -> Group:
+def _restored_group(
+    vehicles: list[int], trees: int, stores: list[RowStore], state: State
+) -> Group:
+    particles = len(state['score'])
+    group = Group(vehicles, particles, [Genealogy(particles) for _ in range(trees)])
     group.log_weights, group.score = state['log_weights'].copy(), state['score'].copy()
-    group.genealogies = [Genealogy(len(group.score)) for _ in range(trees)]
     for number, genealogy in enumerate(group.genealogies):
         checkpoint.restore_genealogy(genealogy, stores, part(f'tree{number}', state))
     return group

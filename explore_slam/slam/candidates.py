@@ -190,7 +190,7 @@ def _compare_near(
 
 @dataclass
 class _Search:
-    """What is known of the observations of one look-up.
+    """One look-up, and what is known of the observations.
 
     points (K, 3) where they are seen from the mean pose, radius (K,) m how far off they may be,
     descriptors (K, 128).
@@ -202,7 +202,29 @@ class _Search:
     radius: Array
     descriptors: Descriptors
 
-    def near(self) -> tuple[Ids, Lengths, NDArray[np.bool_]]:
+    def run(self, reach: float) -> tuple[Ids, Lengths, Items, NDArray[np.bool_]]:
+        """Return candidates (K, J), their distances, alike and telling as in Sighted."""
+        landmarks, wanted = self.landmarks, self.config.candidates_per_observation
+        limit = self.config.maximum_descriptor_distance
+        items, distances, crowded = self._near()
+        alike = np.full((len(items), 3 * wanted), -1, np.int64)
+        if not len(landmarks):
+            return items, distances, alike, np.zeros(len(items), bool)
+        telling = tells(items, distances, landmarks.reference, limit) & ~crowded
+        rest = ~telling
+        if rest.any():
+            like, lengths, near, within = self._anywhere(rest, reach)
+            telling[rest] = tells(like, lengths, landmarks.reference, limit)
+            many = crowded[rest]
+            order = np.argsort(~near[many], axis=1, kind='stable')[:, :wanted]
+            near_alone = np.where(near[many], like[many], -1)
+            items[crowded] = np.take_along_axis(near_alone, order, 1)
+            distances[crowded] = np.take_along_axis(lengths[many], order, 1)
+            alike[rest, wanted:] = np.where(within & ~near, landmarks.ids[like], -1)
+        alike[:, :wanted] = np.where(items >= 0, landmarks.ids[items], -1)
+        return items, distances, alike, telling
+
+    def _near(self) -> tuple[Ids, Lengths, NDArray[np.bool_]]:
         """Compare with all landmarks within the radius: items (K, J), nearest first, distances.
 
         And (K,) where there are more of them than the forest would compare.
@@ -227,7 +249,7 @@ class _Search:
         )  # fmt: skip
         return np.where(found >= 0, items[found], -1), distances, crowded
 
-    def anywhere(
+    def _anywhere(
         self, some: NDArray[np.bool_], reach: float
     ) -> tuple[Ids, Lengths, NDArray[np.bool_], NDArray[np.bool_]]:
         """Ask the index for some (K,) observations: items and distances, all (k, 2 J).
@@ -267,30 +289,11 @@ def look_up(
     descriptors = np.ascontiguousarray(observations.descriptors, np.float32)
     z = np.ascontiguousarray(observations.positions, np.float64)
     R = np.ascontiguousarray(observations.covariances[:, *UPPER], np.float64)
-    count, wanted = len(z), config.candidates_per_observation
-    limit = config.maximum_descriptor_distance
-    items: Ids = np.full((count, wanted), -1, np.int64)
-    distances = np.full((count, wanted), np.inf, np.float32)
-    alike = np.full((count, 3 * wanted), -1, np.int64)
-    telling = np.zeros(count, bool)
-    if len(landmarks):
-        variance = covariance[0, 0] + covariance[1, 1] + (z[:, :2] ** 2).sum(1) * covariance[2, 2]
-        variance = variance + R[:, 0] + R[:, 3] + R[:, 5]
-        radius = _LEAST_RADIUS + config.association_gate * np.sqrt(variance)
-        search = _Search(landmarks, config, to_world(pose, z), radius, descriptors)
-        items, distances, crowded = search.near()
-        telling = tells(items, distances, landmarks.reference, limit) & ~crowded
-        rest = ~telling
-        if rest.any():
-            like, lengths, near, within = search.anywhere(rest, reach)
-            telling[rest] = tells(like, lengths, landmarks.reference, limit)
-            many = crowded[rest]
-            order = np.argsort(~near[many], axis=1, kind='stable')[:, :wanted]
-            taken = np.take_along_axis(np.where(near[many], like[many], -1), order, 1)
-            items[crowded] = taken
-            distances[crowded] = np.take_along_axis(lengths[many], order, 1)
-            alike[rest, wanted:] = np.where(within & ~near, landmarks.ids[like], -1)
-        alike[:, :wanted] = np.where(items >= 0, landmarks.ids[items], -1)
+    variance = covariance[0, 0] + covariance[1, 1] + (z[:, :2] ** 2).sum(1) * covariance[2, 2]
+    variance = variance + R[:, 0] + R[:, 3] + R[:, 5]
+    radius = _LEAST_RADIUS + config.association_gate * np.sqrt(variance)
+    search = _Search(landmarks, config, to_world(pose, z), radius, descriptors)
+    items, distances, alike, telling = search.run(reach)
     present, places = np.unique(items, return_inverse=True)
     places = places.reshape(items.shape)
     if len(present) and present[0] < 0:

@@ -70,8 +70,8 @@ def check_observations(observations: LandmarkObservations, maximum: int) -> None
         )
 
 
-def check_sighting(sighting: VehicleSighting) -> None:
-    """Refuse a sighting whose covariance cannot be used."""
+def check_sighting(seer: str, sighting: VehicleSighting) -> None:
+    """Refuse a sighting of the seer itself, or whose covariance cannot be used."""
     covariance = sighting.covariance
     least, most = np.linalg.eigvalsh(0.5 * (covariance + covariance.T))
     if least <= 1e-10 * max(most, 1e-300):
@@ -79,6 +79,8 @@ def check_sighting(sighting: VehicleSighting) -> None:
             f'sighting of {sighting.vehicle!r}: covariance {covariance.tolist()} has the least '
             f'eigenvalue {least:.3g}, expected a positive definite matrix'
         )
+    if sighting.vehicle == seer:
+        raise SlamError(f'sighting: vehicle {seer!r} cannot see itself')
 
 
 def check_turn(vehicle: str, stamp: float, last: float, *, moved: bool) -> None:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from explore_slam.slam.parallel import over_particles
 from explore_slam.slam.proposal import propose, sample_proposals
 from explore_slam.slam.regularization import SHARES, smooth
 from explore_slam.slam.resampling import effective_particles, normalized
+from explore_slam.slam.row_store import RowStore
 
 _TRIED = 200  # particles on which the smoothing of landmarks is tried
 _WORST = -2.0 * np.log(1e-6)
@@ -45,6 +47,12 @@ class Proposal:
         """Tell whether all numbers are in range."""
         parts = (self.poses, self.centers, self.spreads, self.log_weights)
         return all(bool(np.isfinite(part).all()) for part in parts)
+
+    def checked(self) -> Self:
+        """Return itself; FloatingPointError where a number is out of range."""
+        if not self.is_finite():
+            raise FloatingPointError('a proposal is not finite')
+        return self
 
     def effective(self, log_weights: Array) -> float:
         """Return the effective sample size that these likelihoods leave of weights (M,)."""
@@ -167,7 +175,7 @@ def paired(
     mixed = rows.copy()
     for some, order in zip(theirs, orders, strict=True):
         mixed[some] = rows[some][:, :, order]
-    return _unstaged(sighted, mixed, poses, P, config)
+    return _unstaged(sighted, mixed, poses, P, config).checked()
 
 
 def paper(
@@ -206,17 +214,24 @@ def move_by_samples(poses: Array, P: Array, normals: Array) -> None:
 
 def propose_poses(
     sighted: Sighted,
-    data: Array,
+    rows: RowStore,
     poses: Array,
     P: Array,
     normals: Array,
     log_weights: Array,
     config: FastSlamConfig,
 ) -> Proposal:
-    """Run the engine of the settings; normals (M, 3) are for engine paper only."""
+    """Run the engine of the settings on staged rows; normals (M, 3) are for engine paper only.
+
+    Gives the rows back, and raises FloatingPointError, where a number is out of range.
+    """
     if config.engine == 'paper':
-        return paper(sighted, data, poses, P, normals, config)
-    return regularized(sighted, data, poses, P, log_weights, config)
+        proposal = paper(sighted, rows.present_data, poses, P, normals, config)
+    else:
+        proposal = regularized(sighted, rows.present_data, poses, P, log_weights, config)
+    if not proposal.is_finite():
+        sighted.revert(rows)
+    return proposal.checked()
 
 
 def update_matched(sighted: Sighted, data: Array, poses: Array, threads: int) -> None:

@@ -1,9 +1,9 @@
 """The belief of one team: a joint particle filter over all vehicles and one landmark map."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
-from typing import Any, NoReturn, Self
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,9 +58,7 @@ class FastSlam(checkpoint.Checkpointed):
         self._moved = [False] * len(starts)
         self._stamps = [-math.inf] * len(starts)
         self._random = np.random.default_rng(seed)
-        apart = [[number] for number in range(len(starts))]
-        groups = [list(range(len(starts)))] if self.config.engine == 'paper' else apart
-        self.groups = Groups([Group(numbers, particles) for numbers in groups])
+        self.groups = Groups(len(starts), particles, joint=self.config.engine == 'paper')
         self._contributed: set[int] = set()
         self.map = LandmarkMap(particles, make_index(self.config.association))
         self.path = PathStore(particles)
@@ -114,23 +112,17 @@ class FastSlam(checkpoint.Checkpointed):
         checks.check_turn(vehicle, observations.stamp, last, moved=self._moved[number])
         if self.config.engine == 'paper' and number in self._contributed:
             self._resample_round()
-        reach = self._recovery[number].reach
-        estimate = self.estimate(vehicle)
+        estimate, reach = self.estimate(vehicle), self._recovery[number].reach
         sighted = look_up(self.map, observations, self.config.association, *estimate, reach)
-        what = f'update({vehicle!r}) at stamp {observations.stamp}'
-        refuse = partial(self._refuse, self._random.bit_generator.state, what)
-        poses, P = self._settled(number)
-        poses = self._meet(number, sighted, poses, P, refuse)
-        group = self.groups.of(number)
-        sighted.stage(self.map.rows, group.home)
-        data = self.map.rows.present_data
-        normals = stratified_normals(self._random, self.config.particles, 3)
-        proposal = engines.propose_poses(
-            sighted, data, poses, P, normals, group.log_weights, self.config
-        )
-        if not proposal.is_finite():
-            sighted.revert(self.map.rows)
-            refuse()
+        with self._refusing(f'update({vehicle!r}) at stamp {observations.stamp}'):
+            poses, P = self._settled(number)
+            poses = self._meet(number, sighted, poses, P)
+            group = self.groups.of(number)
+            sighted.stage(self.map.rows, group.home)
+            normals = stratified_normals(self._random, self.config.particles, 3)
+            proposal = engines.propose_poses(
+                sighted, self.map.rows, poses, P, normals, group.log_weights, self.config
+            )
         self._stamps[number] = observations.stamp
         group.weigh(proposal.log_weights)
         effective = group.effective()
@@ -163,9 +155,7 @@ class FastSlam(checkpoint.Checkpointed):
             together=tuple(self.vehicles[member] for member in group.vehicles),
         )
 
-    def _meet(
-        self, number: int, sighted: Sighted, poses: Array, P: Array, refuse: Callable[[], NoReturn]
-    ) -> Array:
+    def _meet(self, number: int, sighted: Sighted, poses: Array, P: Array) -> Array:
         """Join the groups whose landmarks a vehicle at predicted poses (M, 3) may see.
 
         Returns the predicted poses of the new group's particles.
@@ -178,10 +168,8 @@ class FastSlam(checkpoint.Checkpointed):
         theirs = [np.array([home in other.genealogies for home in homes]) for other in others]
 
         def likelihood(orders: Sequence[Index]) -> Array:
-            proposal = engines.paired(sighted, rows, theirs, orders, poses, P, self.config)
-            if not proposal.is_finite():
-                refuse()
-            return proposal.log_weights
+            paired = engines.paired(sighted, rows, theirs, orders, poses, P, self.config)
+            return paired.log_weights
 
         return poses[self.groups.join(group, others, likelihood, self._poses, self._random)]
 
@@ -203,29 +191,23 @@ class FastSlam(checkpoint.Checkpointed):
         number = self._number(vehicle)
         others = [self._number(sighting.vehicle) for sighting in sightings]
         for sighting in sightings:
-            checks.check_sighting(sighting)
-            if sighting.vehicle == vehicle:
-                raise SlamError(f'sighting: vehicle {vehicle!r} cannot see itself')
+            checks.check_sighting(vehicle, sighting)
         if not self.config.vehicle_sightings:
             return
         for other, sighting in zip(others, sightings, strict=True):
-            self._sight(number, other, sighting)
+            with self._refusing(f'sighting of {sighting.vehicle!r} at stamp {sighting.stamp}'):
+                self._sight(number, other, sighting)
 
     def _sight(self, number: int, other: int, sighting: VehicleSighting) -> None:
-        what = f'sighting of {sighting.vehicle!r} at stamp {sighting.stamp}'
-        refuse = partial(self._refuse, self._random.bit_generator.state, what)
         motion, still = self._pending[other], np.zeros((self.config.particles, 3))
         seer, seer_P = self._settled(number)
         seen = compose(self._poses[other], np.asarray(motion.mean))
 
         def taken_in(seer: Array, seen: Array, normals: Array) -> tuple[Array, Array]:
-            log_weights, left = sight(
+            return sight(
                 seer, seer_P, seen, motion.end_covariance(), sighting, self.config, normals,
                 self.groups.of(number).weights(),
             )  # fmt: skip
-            if not all(np.isfinite(part).all() for part in (seer, seen, left, log_weights)):
-                refuse()
-            return log_weights, left
 
         def likelihood(orders: Sequence[Index]) -> Array:
             return taken_in(seer.copy(), seen[orders[0]], still)[0]
@@ -244,10 +226,17 @@ class FastSlam(checkpoint.Checkpointed):
         if self.config.engine == 'fastslam2' and self._is_due(group):
             self._resample(group, group.weights())
 
-    def _refuse(self, random: Any, what: str) -> NoReturn:
-        """Take random numbers back and refuse a call whose numbers run out of range."""
-        self._random.bit_generator.state = random
-        raise SlamError(f'{what}: covariances of motion and observations are out of proportion')
+    @contextmanager
+    def _refusing(self, what: str) -> Iterator[None]:
+        """Refuse a call whose numbers run out of range, and take its random numbers back."""
+        random = self._random.bit_generator.state
+        try:
+            yield
+        except FloatingPointError as error:
+            self._random.bit_generator.state = random
+            raise SlamError(
+                f'{what}: covariances of motion and observations are out of proportion'
+            ) from error
 
     def _settled(self, number: int) -> tuple[Array, Array]:
         """Return predicted poses (M, 3) and their covariance (3, 3) in the vehicle frame."""

@@ -27,11 +27,13 @@ class Group:
     New rows hang on the first of the genealogies; the others are of groups that have joined.
     """
 
-    def __init__(self, vehicles: list[int], particles: int) -> None:
+    def __init__(
+        self, vehicles: list[int], particles: int, genealogies: list[Genealogy] | None = None
+    ) -> None:
         self.vehicles = vehicles
         self.log_weights = np.full(particles, -math.log(particles))
         self.score = np.zeros(particles)
-        self.genealogies = [Genealogy(particles)]
+        self.genealogies = genealogies or [Genealogy(particles)]
 
     @property
     def home(self) -> Genealogy:
@@ -70,10 +72,12 @@ class Group:
 
 
 class Groups:
-    """All groups; every vehicle is in one of them."""
+    """All groups; every vehicle is in one of them, at first in its own unless they are joint."""
 
-    def __init__(self, groups: list[Group]) -> None:
-        self.all = groups
+    def __init__(self, vehicles: int, particles: int, *, joint: bool) -> None:
+        numbers = range(vehicles)
+        groups = [list(numbers)] if joint else [[number] for number in numbers]
+        self.all = [Group(members, particles) for members in groups]
 
     def of(self, vehicle: int) -> Group:
         """Return the group of a vehicle (number)."""
@@ -113,16 +117,18 @@ class Groups:
         _, weights = normalized(log_weights.T.ravel())
         chosen = systematic_ancestors(weights, float(random.random()), particles)
         ancestors, pairing = np.divmod(chosen, np.int32(PAIRINGS))
-        joined = Group([], particles)
-        joined.genealogies = []
-        for number, group in enumerate([first, *others]):
+        parts = [first, *others]
+        for number, part in enumerate(parts):
             mine = orders[pairing, number - 1, ancestors] if number else ancestors
-            poses[group.vehicles] = poses[group.vehicles][:, mine]
-            group.descend(mine)
-            joined.vehicles = sorted(joined.vehicles + group.vehicles)
-            joined.genealogies += group.genealogies
-            joined.score += group.score
+            poses[part.vehicles] = poses[part.vehicles][:, mine]
+            part.descend(mine)
+        joined = Group(
+            sorted(vehicle for part in parts for vehicle in part.vehicles),
+            particles,
+            [genealogy for part in parts for genealogy in part.genealogies],
+        )
+        joined.score = np.sum([part.score for part in parts], axis=0)
         joined.log_weights, _ = normalized(-seen[pairing, ancestors])
-        apart = [group for group in self.all if group is not first and group not in others]
+        apart = [group for group in self.all if group not in parts]
         self.all = sorted([joined, *apart], key=lambda group: group.vehicles[0])
         return ancestors

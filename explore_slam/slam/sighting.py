@@ -140,7 +140,8 @@ def sight(
 
     seer_P, seen_P (3, 3) are their covariances in their own frames; the seer is sampled by
     normals (M, 3). Returns the logarithms (M,) of the likelihoods, and the covariance (3, 3) that
-    seen has then, the mean over the weights (M,).
+    seen has then, the mean over the weights (M,). FloatingPointError where a number is out of
+    range.
     """
     log_weights, left = np.zeros(len(seer)), np.empty((3, 3))
     _sight(
@@ -148,4 +149,6 @@ def sight(
         config.association.association_gate**2, config.outlier_threshold, normals, weights,
         log_weights, left,
     )  # fmt: skip
+    if not all(np.isfinite(part).all() for part in (seer, seen, left, log_weights)):
+        raise FloatingPointError('a sighting is not finite')
     return log_weights, 0.5 * (left + left.T)
