@@ -15,7 +15,7 @@ from explore_slam.slam.descriptor_index import (
 )
 from explore_slam.slam.genealogy import Genealogy
 from explore_slam.slam.kd_forest import KdForestIndex
-from explore_slam.slam.row_store import Items, Particle, RowStore
+from explore_slam.slam.row_store import Items, ParticleOf, RowStore
 
 VALUES = 9
 SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
@@ -106,10 +106,10 @@ class LandmarkMap:
         self.ids[items] = -1
         self.free.extend(items.tolist())
 
-    def of_particle(self, particle: Particle) -> Landmarks:
+    def of_particle(self, particle_of: ParticleOf) -> Landmarks:
         """Return the landmarks that exist in one particle."""
         items = self.items()
-        rows = self.rows.read_particle(items, particle)
+        rows = self.rows.read_particle(items, particle_of)
         exists = rows[:, 3] > 0.0
         items, rows = items[exists], rows[exists]
         return Landmarks(
@@ -121,10 +121,10 @@ class LandmarkMap:
             self.owners[items],
         )
 
-    def places(self, ids: Items, particle: Particle) -> dict[int, Array]:
+    def places(self, ids: Items, particle_of: ParticleOf) -> dict[int, Array]:
         """Return id -> (3,): x, y and their standard deviation (m), of ids that a particle has."""
         known = np.flatnonzero(np.isin(self.ids[: self.size], ids))
-        rows = self.rows.read_particle(known, particle)
+        rows = self.rows.read_particle(known, particle_of)
         rows[:, 2] = np.sqrt(0.5 * (rows[:, 3] + rows[:, 6]))
         return {
             int(uid): row[:3]

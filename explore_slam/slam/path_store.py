@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from explore_slam.geometry import Array
 from explore_slam.slam.genealogy import Genealogy
-from explore_slam.slam.row_store import Particle, RowStore
+from explore_slam.slam.row_store import ParticleOf, RowStore
 
 
 class PathStore:
@@ -29,9 +29,9 @@ class PathStore:
         self.vehicles.append(vehicle)
         return number
 
-    def of_particle(self, particle: Particle) -> Array:
+    def of_particle(self, particle_of: ParticleOf) -> Array:
         """Return the poses (K, 3) of all keyframes along the lineage of a particle."""
-        return self.rows.read_particle(np.arange(len(self), dtype=np.int64), particle)
+        return self.rows.read_particle(np.arange(len(self), dtype=np.int64), particle_of)
 
     def of_vehicle(self, vehicle: int) -> NDArray[np.int64]:
         """Return the numbers of the keyframes of one vehicle."""

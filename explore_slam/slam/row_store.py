@@ -77,7 +77,7 @@ class Slab:
         self.free.extend(slots.tolist())
 
 
-Particle = int | Mapping[Genealogy, int]  # one for all, or one for each genealogy
+ParticleOf = Mapping[Genealogy, int]
 
 
 class RowStore:
@@ -175,19 +175,18 @@ class RowStore:
         self._gather_into(values, items, np.arange(len(items)))
         return values
 
-    def read_particle(self, items: Items, particle: Particle) -> Array:
-        """Return values (n, V) of the items in one particle."""
-        of = particle.__getitem__ if isinstance(particle, Mapping) else lambda _home: particle
+    def read_particle(self, items: Items, particle_of: ParticleOf) -> Array:
+        """Return values (n, V) of the items, each in the particle of its genealogy."""
         values = np.empty((len(items), self.values))
         numbers, which = np.unique(self.layout_of[items], return_inverse=True)
         layouts = [self.layouts[number] for number in numbers.tolist()]
-        at_home = [layout.physical_row(of(layout.genealogy)) for layout in layouts]
-        rows = np.array(at_home, np.int64)[which]
+        rows = [layout.physical_row(particle_of[layout.genealogy]) for layout in layouts]
+        row_of = np.array(rows, np.int64)[which]
         classes = np.array([layout.size_class for layout in layouts], np.int64)[which]
         for size_class in np.unique(classes).tolist():
             at = np.flatnonzero(classes == size_class)
             data = self.slabs[size_class].data
-            values[at] = data[self.slot_of[items[at]], :, rows[at]]
+            values[at] = data[self.slot_of[items[at]], :, row_of[at]]
         return values
 
     def compact(self, layout: Layout) -> None:
