@@ -15,16 +15,16 @@ from pathlib import Path
 
 import numpy as np
 
-from explore_slam.evaluation.closed_loop import ClosedLoop, ClosedLoopConfig
-from explore_slam.evaluation.experiments.experiment1 import Options, make_estimator
-from explore_slam.evaluation.experiments.scenarios import draw_scenario
-from explore_slam.evaluation.experiments.trials import run_trial
-from explore_slam.evaluation.replay_run import configuration, recorded_starts
 from explore_slam.agent import Agent
 from explore_slam.recording.bag import BagReader
-from explore_slam.recording.mrclam import import_mrclam
+from explore_slam.recording.importers.mrclam import import_mrclam
 from explore_slam.recording.replay import Replay
+from explore_slam.results.replay_run import configuration, recorded_starts
 from explore_slam.slam import TeamBelief
+from explore_slam.studies.closed_loop import ClosedLoop, ClosedLoopConfig
+from explore_slam.studies.experiments.experiment1 import Options, make_estimator
+from explore_slam.studies.experiments.scenarios import draw_scenario
+from explore_slam.studies.experiments.trials import run_trial
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from explore_slam.data import Plan
 from explore_slam.geometry import Pose2
-from explore_slam.simulation.grid_simulator import GridSimulator, warm_up
-from explore_slam.simulation.grid_world import GridWorld
+from explore_slam.simulation.grid.grid_simulator import GridSimulator, warm_up
+from explore_slam.simulation.grid.grid_world import GridWorld
 
 SCAN_EVERY = 5  # ticks of 0.1 s
 

@@ -18,11 +18,11 @@ from explore_slam.data import RgbdFrame
 from explore_slam.geometry import Pose2
 from explore_slam.settings import with_values
 from explore_slam.simulation import SimulationConfig, Simulator, World
-from explore_slam.simulation.mujoco_import import mujoco
-from explore_slam.simulation.obstacles import Obstacles
-from explore_slam.simulation.renderer import Renderer
-from explore_slam.simulation.scene import FLOOR, Scene, build_scene
-from explore_slam.simulation.world import world_path
+from explore_slam.simulation.rendered.mujoco_import import mujoco
+from explore_slam.simulation.rendered.renderer import Renderer
+from explore_slam.simulation.rendered.scene import FLOOR, Scene, build_scene
+from explore_slam.simulation.worlds.obstacles import Obstacles
+from explore_slam.simulation.worlds.world import world_path
 from explore_slam.vision import FeatureExtractor, VisionConfig
 
 

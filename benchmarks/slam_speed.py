@@ -23,13 +23,13 @@ from explore_slam.data import Intrinsics, LandmarkObservations, RgbdFrame
 from explore_slam.geometry import Pose2, to_world
 from explore_slam.settings import with_values
 from explore_slam.slam import FastSlam, FastSlamConfig, warm_up
-from explore_slam.slam.descriptor_index import (
+from explore_slam.slam.descriptors.index import (
     BruteForceIndex,
     DescriptorIndex,
     Descriptors,
     KdTreeIndex,
 )
-from explore_slam.slam.kd_forest import KdForestIndex
+from explore_slam.slam.descriptors.kd_forest import KdForestIndex
 
 STEP = Pose2(0.1, 0.0, 0.05)
 NOISE = np.diag([0.01, 0.005, 0.01]) ** 2

@@ -25,10 +25,10 @@ from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import LaserScan
 
-from explore_slam.nodes.conversions import odometry_record, twist_message
+from explore_slam.messages import odometry_record, twist_message
 from explore_slam.nodes.messages import MESSAGES
-from explore_slam.simulation.kinematic_body import KinematicBody
-from explore_slam.simulation.vehicle_emulator import VehicleEmulator
+from explore_slam.simulation.emulators.kinematic_body import KinematicBody
+from explore_slam.simulation.emulators.vehicle_emulator import VehicleEmulator
 from explore_slam.vehicle.arcos_packets import PacketDecoder
 from explore_slam.vehicle.arcos_status import parse_status
 from explore_slam.vehicle.lms200_scan import parse_scan, scan_ranges

@@ -25,12 +25,12 @@ from nav_msgs.msg import Path as PathMessage
 from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import LaserScan
 
-from explore_slam.nodes.conversions import estimate_message, odometry_record, path_message
+from explore_slam.messages import estimate_message, odometry_record, path_message
 from explore_slam.nodes.heartbeat import Heartbeat
 from explore_slam.nodes.messages import MESSAGES
 from explore_slam.nodes.vehicle_support import LATCHED, now_seconds
-from explore_slam.simulation.kinematic_body import KinematicBody
-from explore_slam.simulation.vehicle_emulator import VehicleEmulator
+from explore_slam.simulation.emulators.kinematic_body import KinematicBody
+from explore_slam.simulation.emulators.vehicle_emulator import VehicleEmulator
 
 ASKED = 0.4  # s: 0.3 s and one status packet
 FAULTS = (

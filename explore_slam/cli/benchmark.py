@@ -60,8 +60,8 @@ def whole_numbers(text: str) -> list[int]:
 
 def run(arguments: argparse.Namespace) -> int:
     """Make the runs, print the table, save what was asked for."""
-    from explore_slam.evaluation.exploration_study import make_study, run_study
-    from explore_slam.evaluation.exploration_tables import markdown_table, save_study
+    from explore_slam.studies.exploration_study import make_study, run_study
+    from explore_slam.studies.exploration_tables import markdown_table, save_study
 
     study = make_study(
         arguments.map,

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from explore_slam.evaluation.run_data import RunData
-    from explore_slam.nodes.live_run import LiveRun
-    from explore_slam.nodes.run_monitor import RunState
+    from explore_slam.live.live_run import LiveRun
+    from explore_slam.live.run_monitor import RunState
+    from explore_slam.results.run_data import RunData
 
 HELP = 'explore a simulated building with several vehicles, live over ROS topics'
 PERIOD = {True: 0.5, False: 5.0}  # s between progress on a terminal, and elsewhere
@@ -57,7 +57,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run to the end or to Ctrl-C; the folder is written either way."""
     from explore_slam.cli.settings_options import named_settings
-    from explore_slam.nodes.live_run import LiveRun, LiveRunOptions
+    from explore_slam.live.live_run import LiveRun, LiveRunOptions
 
     settings = named_settings(arguments, ('engine', 'maps', 'particles'))
     options = LiveRunOptions(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from explore_slam.cli.benchmark import whole_numbers
 
 if TYPE_CHECKING:
-    from explore_slam.evaluation.experiments.tables import ExperimentReport
+    from explore_slam.studies.experiments.tables import ExperimentReport
 
 HELP = "repeat one of the paper's experiments and print it beside the published tables"
 
@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _run_number(arguments: argparse.Namespace) -> 'ExperimentReport':
     if arguments.number == 1:
-        from explore_slam.evaluation.experiments import experiment1
+        from explore_slam.studies.experiments import experiment1
 
         return experiment1.run(
             experiment1.Options(
@@ -64,8 +64,8 @@ def _run_number(arguments: argparse.Namespace) -> 'ExperimentReport':
                 isam2=not arguments.without_isam2,
             )
         )
-    from explore_slam.evaluation.experiments import experiment2, experiment3, experiment4
-    from explore_slam.evaluation.experiments.walk_trials import WalkOptions
+    from explore_slam.studies.experiments import experiment2, experiment3, experiment4
+    from explore_slam.studies.experiments.walk_trials import WalkOptions
 
     options = WalkOptions(
         seeds=arguments.seeds or range(5),

@@ -31,13 +31,13 @@ def run(arguments: argparse.Namespace) -> int:
 def _import(arguments: argparse.Namespace) -> dict[str, int]:
     folder, out = arguments.folder, arguments.out
     if arguments.kind == 'mrclam':
-        from explore_slam.recording.mrclam import import_mrclam
+        from explore_slam.recording.importers.mrclam import import_mrclam
 
         return import_mrclam(folder, out)
     if arguments.kind == 'intel':
-        from explore_slam.recording.intel import import_intel
+        from explore_slam.recording.importers.intel import import_intel
 
         return import_intel(folder, out)
-    from explore_slam.recording.tum import import_tum
+    from explore_slam.recording.importers.tum import import_tum
 
     return import_tum(folder, out, arguments.camera)

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from explore_slam.evaluation.run_data import RunData
     from explore_slam.geometry import Pose2
+    from explore_slam.results.run_data import RunData
 
 HELP = 'run a recorded bag through the agent and write a run folder'
 THREAD_VARIABLES = (
@@ -60,8 +60,8 @@ def run(arguments: argparse.Namespace) -> int:
     from explore_slam.agent.config import AgentConfig
     from explore_slam.cli.progress import ProgressBar
     from explore_slam.cli.settings_options import named_settings
-    from explore_slam.evaluation.replay_run import replay_bag
-    from explore_slam.evaluation.run_folder import RunFolder
+    from explore_slam.results.replay_run import replay_bag
+    from explore_slam.results.run_folder import RunFolder
     from explore_slam.settings import load_settings
 
     config = load_settings(AgentConfig(), arguments.config) if arguments.config else None

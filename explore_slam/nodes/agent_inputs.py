@@ -11,7 +11,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, LaserScan, Point
 from std_msgs.msg import String
 
 from explore_slam.errors import ExploreSlamError
-from explore_slam.nodes.conversions import (
+from explore_slam.messages import (
     landmarks_record,
     odometry_record,
     planar_covariance,
@@ -19,7 +19,7 @@ from explore_slam.nodes.conversions import (
     scan_record,
     sighting_record,
 )
-from explore_slam.nodes.frame_pairing import FramePairing
+from explore_slam.messages.frame_pairing import FramePairing
 from explore_slam.nodes.inbox import Inbox
 from explore_slam.nodes.vehicle_support import explain_silence, now_seconds
 

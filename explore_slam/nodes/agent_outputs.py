@@ -15,8 +15,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from explore_slam.data import Plan
 from explore_slam.exploration import Frontier
 from explore_slam.geometry import Array, Pose2
-from explore_slam.nodes.agent_parameters import AgentNodeConfig
-from explore_slam.nodes.conversions import (
+from explore_slam.messages import (
     cloud_message,
     estimate_message,
     grid_message,
@@ -24,6 +23,7 @@ from explore_slam.nodes.conversions import (
     pose_array_message,
     time_message,
 )
+from explore_slam.nodes.agent_parameters import AgentNodeConfig
 from explore_slam.nodes.messages import MESSAGES
 from explore_slam.nodes.vehicle_support import LATCHED
 

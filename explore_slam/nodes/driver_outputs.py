@@ -19,7 +19,7 @@ from std_msgs.msg import Bool
 from explore_slam.data import LaserScan as Scan
 from explore_slam.data import RgbdFrame
 from explore_slam.geometry import Pose2, rotation_matrix
-from explore_slam.nodes.conversions import (
+from explore_slam.messages import (
     camera_info_message,
     cloud_message,
     image_message,

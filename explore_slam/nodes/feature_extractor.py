@@ -20,8 +20,8 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from explore_slam.agent.odometry import OdometryBuffer
 from explore_slam.data import RgbdFrame
 from explore_slam.errors import ExploreSlamError
-from explore_slam.nodes.conversions import landmarks_message, odometry_record
-from explore_slam.nodes.frame_pairing import FramePairing
+from explore_slam.messages import landmarks_message, odometry_record
+from explore_slam.messages.frame_pairing import FramePairing
 from explore_slam.nodes.inbox import Inbox
 from explore_slam.nodes.messages import MESSAGES
 from explore_slam.nodes.vehicle_support import (

@@ -21,8 +21,7 @@ from sensor_msgs.msg import LaserScan
 from std_msgs.msg import Empty, String
 
 from explore_slam.errors import DataError
-from explore_slam.nodes import heartbeat
-from explore_slam.nodes.conversions import (
+from explore_slam.messages import (
     odometry_record,
     plan_record,
     planar_pose,
@@ -30,6 +29,7 @@ from explore_slam.nodes.conversions import (
     seconds,
     twist_message,
 )
+from explore_slam.nodes import heartbeat
 from explore_slam.nodes.messages import MESSAGES
 from explore_slam.nodes.vehicle_support import (
     LATCHED,

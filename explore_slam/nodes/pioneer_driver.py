@@ -24,7 +24,7 @@ from std_srvs.srv import SetBool
 from explore_slam.data import LaserScan, RgbdFrame
 from explore_slam.errors import DataError
 from explore_slam.geometry import Pose2, to_world
-from explore_slam.nodes.conversions import scan_record
+from explore_slam.messages import scan_record
 from explore_slam.nodes.driver_outputs import DriverOutputs, Frames, Latency
 from explore_slam.nodes.driver_parameters import DriverNodeConfig
 from explore_slam.nodes.vehicle_support import (

@@ -12,11 +12,11 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
 from explore_slam.errors import RecordingError
+from explore_slam.messages.topics import TopicKind, vehicle_topic, vehicle_topics
 from explore_slam.nodes.messages import message_class
 from explore_slam.recording.bag import BagReader
 from explore_slam.recording.ordering import StampOrder
 from explore_slam.recording.salvage import RawMessage
-from explore_slam.recording.topics import TopicKind, vehicle_topic, vehicle_topics
 
 CLOCK_PERIOD = 0.01
 MATCH_TIMEOUT = 5.0

@@ -15,11 +15,11 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.utilities import remove_ros_args
 
 from explore_slam.errors import ExploreSlamError
+from explore_slam.messages.topics import vehicle_topic
 from explore_slam.nodes.messages import message_class
 from explore_slam.nodes.vehicle_support import run_node
 from explore_slam.recording.bag import BagWriter
 from explore_slam.recording.ordering import header_stamp
-from explore_slam.recording.topics import vehicle_topic
 
 DISCOVERY_PERIOD = 0.2
 QUEUE_BYTES = 256 * 2**20

@@ -23,7 +23,7 @@ from rosgraph_msgs.msg import Clock
 
 from explore_slam.errors import ConfigError
 from explore_slam.geometry import Pose2
-from explore_slam.nodes.conversions import seconds
+from explore_slam.messages import seconds
 from explore_slam.nodes.simulation_pace import Pace, PaceConfig
 from explore_slam.nodes.simulator_outputs import Frames, VehicleOutputs, clock_message
 from explore_slam.nodes.vehicle_support import (
@@ -37,8 +37,8 @@ from explore_slam.nodes.vehicle_support import (
 )
 from explore_slam.settings import Section, section, setting
 from explore_slam.simulation import SimulationConfig, Simulator, World
-from explore_slam.simulation.hardware_bridge import HardwareBridge
-from explore_slam.simulation.world import world_path
+from explore_slam.simulation.emulators.hardware_bridge import HardwareBridge
+from explore_slam.simulation.worlds.world import world_path
 
 REPORT_PERIOD = 1.0  # wall s between diagnostics
 CLOCK_REPEAT = 0.02  # wall s after which /clock is said again while time is held

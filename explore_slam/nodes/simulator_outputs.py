@@ -15,7 +15,7 @@ from sensor_msgs.msg import CameraInfo, Image, LaserScan
 from explore_slam.data import LaserScan as Scan
 from explore_slam.data import OdometryReading, RgbdFrame
 from explore_slam.geometry import Pose2
-from explore_slam.nodes.conversions import (
+from explore_slam.messages import (
     camera_info_message,
     image_message,
     odometry_message,

@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from explore_slam import messages
 from explore_slam.data import (
     LandmarkObservations,
     LaserScan,
@@ -12,10 +13,9 @@ from explore_slam.data import (
     VehicleSighting,
 )
 from explore_slam.geometry import Array, Pose2
-from explore_slam.nodes import conversions
+from explore_slam.messages.topics import MESSAGE_TYPES, TopicKind, topic_name
 from explore_slam.recording.bag import BagWriter
 from explore_slam.recording.messages import MESSAGES
-from explore_slam.recording.topics import MESSAGE_TYPES, TopicKind, topic_name
 
 
 class TruePose3(NamedTuple):
@@ -71,27 +71,27 @@ def _messages(event: Event) -> list[tuple[TopicKind, Any]]:
     base = f'{vehicle}/base_link'
     if isinstance(record, OdometryReading):
         if event.kind is TopicKind.INITIAL_POSE:
-            message = conversions.estimate_message(
+            message = messages.estimate_message(
                 MESSAGES, record.stamp, 'map', record.pose, _known(record.covariance)
             )
         else:
             truth = event.kind is TopicKind.GROUND_TRUTH
             frame = 'map' if truth else f'{vehicle}/odom'
-            message = conversions.odometry_message(MESSAGES, record, frame, base)
+            message = messages.odometry_message(MESSAGES, record, frame, base)
         return [(event.kind, message)]
     if isinstance(record, LaserScan):
-        return [(event.kind, conversions.scan_message(MESSAGES, record, f'{vehicle}/laser'))]
+        return [(event.kind, messages.scan_message(MESSAGES, record, f'{vehicle}/laser'))]
     if isinstance(record, LandmarkObservations):
-        return [(event.kind, conversions.landmarks_message(MESSAGES, record, base))]
+        return [(event.kind, messages.landmarks_message(MESSAGES, record, base))]
     if isinstance(record, VehicleSighting):
-        return [(event.kind, conversions.sighting_message(MESSAGES, record))]
+        return [(event.kind, messages.sighting_message(MESSAGES, record))]
     if isinstance(record, TruePose3):
         return [(event.kind, _true_message(event.stamp, record, base))]
     return _frame_messages(record, f'{vehicle}/camera_optical_frame')
 
 
 def _true_message(stamp: float, record: TruePose3, base: str) -> Any:
-    message = conversions.odometry_message(
+    message = messages.odometry_message(
         MESSAGES, OdometryReading(stamp, Pose2(0.0, 0.0, 0.0)), 'map', base
     )
     pose, (x, y, z) = message.pose.pose, record.position
@@ -112,14 +112,14 @@ def _frame_messages(record: RgbdFrame, frame: str) -> list[tuple[TopicKind, Any]
     return [
         (
             TopicKind.CAMERA_INFO,
-            conversions.camera_info_message(MESSAGES, stamp, frame, record.intrinsics),
+            messages.camera_info_message(MESSAGES, stamp, frame, record.intrinsics),
         ),
         (
             TopicKind.COLOR,
-            conversions.image_message(MESSAGES, stamp, frame, color, record.rgb),
+            messages.image_message(MESSAGES, stamp, frame, color, record.rgb),
         ),
         (
             TopicKind.DEPTH,
-            conversions.image_message(MESSAGES, stamp, frame, depth, record.depth),
+            messages.image_message(MESSAGES, stamp, frame, depth, record.depth),
         ),
     ]

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+from explore_slam import messages
 from explore_slam.data import (
     LandmarkObservations,
     LaserScan,
@@ -17,18 +18,17 @@ from explore_slam.data import (
 )
 from explore_slam.errors import ExploreSlamError, RecordingError
 from explore_slam.geometry import Array, Pose2
-from explore_slam.nodes import conversions
-from explore_slam.nodes.frame_pairing import FramePairing
-from explore_slam.recording.bag import BagReader
-from explore_slam.recording.events import Event
-from explore_slam.recording.ordering import StampOrder
-from explore_slam.recording.salvage import RawMessage
-from explore_slam.recording.topics import (
+from explore_slam.messages.frame_pairing import FramePairing
+from explore_slam.messages.topics import (
     TopicKind,
     VehicleTopic,
     one_kind_of_vision,
     vehicle_topics,
 )
+from explore_slam.recording.bag import BagReader
+from explore_slam.recording.events import Event
+from explore_slam.recording.ordering import StampOrder
+from explore_slam.recording.salvage import RawMessage
 
 logger = logging.getLogger(__name__)
 
@@ -158,7 +158,7 @@ class Replay:
 
     def _start_in(self, topic: VehicleTopic, message: RawMessage) -> Pose2 | None:
         try:
-            return conversions.planar_pose(self.bag.decode(message).pose.pose)
+            return messages.planar_pose(self.bag.decode(message).pose.pose)
         except ExploreSlamError as error:
             self.tally.refuse(topic.name, str(error))
             return None
@@ -239,13 +239,13 @@ class Replay:
     def _event(self, topic: VehicleTopic, stamp: float, message: Any) -> Event | None:
         kind, vehicle = topic.kind, topic.vehicle
         if kind in (TopicKind.ODOMETRY, TopicKind.GROUND_TRUTH, TopicKind.INITIAL_POSE):
-            return Event(stamp, vehicle, kind, conversions.odometry_record(message))
+            return Event(stamp, vehicle, kind, messages.odometry_record(message))
         if kind is TopicKind.SCAN:
-            return Event(stamp, vehicle, kind, conversions.scan_record(message))
+            return Event(stamp, vehicle, kind, messages.scan_record(message))
         if kind is TopicKind.LANDMARKS:
-            return Event(stamp, vehicle, kind, conversions.landmarks_record(message))
+            return Event(stamp, vehicle, kind, messages.landmarks_record(message))
         if kind is TopicKind.SIGHTINGS:
-            return Event(stamp, vehicle, kind, conversions.sighting_record(message))
+            return Event(stamp, vehicle, kind, messages.sighting_record(message))
         pairer = self._pairers[vehicle]
         frame: RgbdFrame | None = None
         if kind in _COLOR:

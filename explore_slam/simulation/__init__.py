@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from explore_slam.simulation.config import SimulationConfig
 from explore_slam.simulation.records import Collision, SimEvent, TruePose
-from explore_slam.simulation.world import World
+from explore_slam.simulation.worlds.world import World
 
 if TYPE_CHECKING:
-    from explore_slam.simulation.simulator import Simulator
+    from explore_slam.simulation.rendered.simulator import Simulator
 
 __all__ = [
     'Collision',
@@ -26,7 +26,7 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name == 'Simulator':
-        from explore_slam.simulation.simulator import Simulator
+        from explore_slam.simulation.rendered.simulator import Simulator
 
         return Simulator
     raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
@@ -34,6 +34,6 @@ def __getattr__(name: str) -> Any:
 
 def warm_up() -> None:
     """Compile the kernels of the grid world, or read them from the cache."""
-    from explore_slam.simulation import grid_simulator
+    from explore_slam.simulation.grid import grid_simulator
 
     grid_simulator.warm_up()

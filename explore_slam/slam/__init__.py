@@ -2,8 +2,8 @@
 
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.fast_slam import FastSlam
-from explore_slam.slam.landmark_map import Landmarks
-from explore_slam.slam.motion import OdometryNoise, compound, rotated
+from explore_slam.slam.landmarks.landmark_map import Landmarks
+from explore_slam.slam.particles.motion import OdometryNoise, compound, rotated
 from explore_slam.slam.summary import UpdateSummary
 from explore_slam.slam.team_belief import TeamBelief
 
@@ -26,10 +26,11 @@ def warm_up() -> None:
 
     from explore_slam.data import LandmarkObservations, VehicleSighting
     from explore_slam.geometry import Pose2
-    from explore_slam.slam import recovery, regularization
+    from explore_slam.slam import relocalization
+    from explore_slam.slam.update import kernel_shrinkage
 
-    recovery.warm_up()
-    regularization.warm_up()
+    relocalization.warm_up()
+    kernel_shrinkage.warm_up()
     random = np.random.default_rng(0)
     count = 10
     positions = random.uniform(1.0, 3.0, (count, 3))

@@ -10,10 +10,10 @@ from explore_slam.settings import values_of, with_values
 from explore_slam.slam import checkpoint
 from explore_slam.slam.checkpoint import State, part, under
 from explore_slam.slam.config import FastSlamConfig
-from explore_slam.slam.genealogy import Genealogy
-from explore_slam.slam.group import Group
-from explore_slam.slam.recovery import Matches, Recovery
-from explore_slam.slam.row_store import RowStore
+from explore_slam.slam.particles.group import Group
+from explore_slam.slam.relocalization import Matches, Recovery
+from explore_slam.slam.storage.ancestry import Genealogy
+from explore_slam.slam.storage.row_store import RowStore
 
 if TYPE_CHECKING:
     from explore_slam.slam.fast_slam import FastSlam

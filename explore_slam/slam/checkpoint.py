@@ -14,11 +14,11 @@ from typing import Any, Self
 import numpy as np
 
 from explore_slam.errors import SlamError
-from explore_slam.slam.descriptor_index import DescriptorTable, KdTreeIndex
-from explore_slam.slam.genealogy import Genealogy, Layout, Level
-from explore_slam.slam.kd_forest import KdForestIndex
-from explore_slam.slam.landmark_map import LandmarkMap
-from explore_slam.slam.row_store import RowStore
+from explore_slam.slam.descriptors.index import DescriptorTable, KdTreeIndex
+from explore_slam.slam.descriptors.kd_forest import KdForestIndex
+from explore_slam.slam.landmarks.landmark_map import LandmarkMap
+from explore_slam.slam.storage.ancestry import Genealogy, Layout, Level
+from explore_slam.slam.storage.row_store import RowStore
 
 FORMAT = 2  # 2: groups of vehicles
 State = dict[str, Any]

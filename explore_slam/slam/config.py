@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from explore_slam.settings import Section, section, setting
-from explore_slam.slam.motion import OdometryNoise
+from explore_slam.slam.particles.motion import OdometryNoise
 
 
 @dataclass(frozen=True)

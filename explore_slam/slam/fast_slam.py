@@ -11,24 +11,25 @@ from numpy.typing import NDArray
 from explore_slam.data import LandmarkObservations, VehicleSighting
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Array, Pose2, compose, wrap_angles
-from explore_slam.slam import belief_state, checkpoint, checks, engines
-from explore_slam.slam.candidates import Sighted, look_up
+from explore_slam.slam import belief_state, checkpoint, checks
+from explore_slam.slam.association.candidates import Sighted, look_up
 from explore_slam.slam.config import FastSlamConfig
-from explore_slam.slam.engines import Proposal
-from explore_slam.slam.genealogy import Genealogy, Index
-from explore_slam.slam.group import Group, Groups
-from explore_slam.slam.landmark_map import LandmarkMap, Landmarks, make_index
-from explore_slam.slam.map_keeper import MapKeeper, support
-from explore_slam.slam.motion import PendingMotion, rotated
-from explore_slam.slam.path_store import PathStore
-from explore_slam.slam.recovery import Recovery
-from explore_slam.slam.resampling import (
+from explore_slam.slam.landmarks.landmark_map import LandmarkMap, Landmarks, make_index
+from explore_slam.slam.particles.group import Group, Groups
+from explore_slam.slam.particles.motion import PendingMotion, rotated
+from explore_slam.slam.particles.path_store import PathStore
+from explore_slam.slam.particles.resampling import (
     mean_and_covariance,
     stratified_normals,
     systematic_ancestors,
 )
-from explore_slam.slam.sighting import sight
+from explore_slam.slam.relocalization import Recovery
+from explore_slam.slam.storage.ancestry import Genealogy, Index
 from explore_slam.slam.summary import UpdateSummary
+from explore_slam.slam.update import engines
+from explore_slam.slam.update.engines import Proposal
+from explore_slam.slam.update.inter_robot import sight
+from explore_slam.slam.update.map_management import MapKeeper, support
 
 
 class FastSlam(checkpoint.Checkpointed):

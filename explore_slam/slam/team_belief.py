@@ -11,7 +11,7 @@ from explore_slam.geometry import Array, Pose2
 from explore_slam.slam import checkpoint
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.fast_slam import FastSlam
-from explore_slam.slam.landmark_map import Landmarks
+from explore_slam.slam.landmarks.landmark_map import Landmarks
 from explore_slam.slam.summary import UpdateSummary
 
 

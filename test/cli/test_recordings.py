@@ -10,7 +10,7 @@ from synthetic import SyntheticWorld
 from explore_slam.cli.main import main
 from explore_slam.cli.progress import ProgressBar
 from explore_slam.geometry import Pose2
-from explore_slam.recording import intel
+from explore_slam.recording.importers import intel
 
 
 @pytest.fixture

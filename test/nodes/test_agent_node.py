@@ -21,12 +21,12 @@ from std_srvs.srv import SetBool, Trigger
 from synthetic import ROOM, SyntheticVehicle, SyntheticWorld
 from visualization_msgs.msg import MarkerArray
 
+from explore_slam import messages
 from explore_slam.data import Intrinsics
 from explore_slam.geometry import Pose2
+from explore_slam.live.processes import NodeProcess, NodeProcesses, one_machine_environment
 from explore_slam.mapping import load_map
-from explore_slam.nodes import conversions
 from explore_slam.nodes.messages import MESSAGES
-from explore_slam.nodes.processes import NodeProcess, NodeProcesses, one_machine_environment
 from explore_slam.nodes.vehicle_support import LATCHED
 
 DOMAIN = 93
@@ -102,18 +102,18 @@ class Team:
                 reading = vehicle.advance()
                 stamp = self.epoch + reading.stamp
                 moved = type(reading)(stamp, reading.pose)
-                odom = conversions.odometry_message(
+                odom = messages.odometry_message(
                     MESSAGES, moved, f'{name}/odom', f'{name}/base_link'
                 )
                 self.out[name, 'odom'].publish(odom)
                 if tick % 5 == 0:
                     seen = vehicle.world.landmarks_from(stamp, vehicle.pose)
-                    cloud = conversions.landmarks_message(MESSAGES, seen, f'{name}/base_link')
+                    cloud = messages.landmarks_message(MESSAGES, seen, f'{name}/base_link')
                     self.out[name, 'landmarks'].publish(cloud)
                 if tick % 3 == 0:
                     laser = vehicle.pose.compose(Pose2(0.1, 0.0, 0.0))
                     scan = vehicle.world.scan_from(stamp, laser)
-                    message = conversions.scan_message(MESSAGES, scan, f'{name}/laser')
+                    message = messages.scan_message(MESSAGES, scan, f'{name}/laser')
                     self.out[name, 'scan'].publish(message)
             self.spin(0.02)
 
@@ -186,26 +186,26 @@ def test_poses_come_and_are_right(live):
     for name, vehicle in team.vehicles.items():
         message = team.heard[f'{name}/pose']
         assert message.header.frame_id == 'map'
-        pose = conversions.planar_pose(message.pose.pose)
+        pose = messages.planar_pose(message.pose.pose)
         alone = STARTS[name].compose(vehicle.odometry)
         assert vehicle.error_of(pose) < 0.06 < vehicle.error_of(alone)
-        assert conversions.seconds(message.header.stamp) == pytest.approx(
+        assert messages.seconds(message.header.stamp) == pytest.approx(
             team.epoch + vehicle.stamp, abs=1e-3
         )
 
 
 def test_map_landmarks_particles_and_trajectory_come(live):
     team, _, _ = live
-    cells, resolution, origin = conversions.grid_arrays(team.heard['map'])
+    cells, resolution, origin = messages.grid_arrays(team.heard['map'])
     walls = (np.argwhere(cells > 65)[:, ::-1] + 0.5) * resolution + origin
     assert len(walls) > 200
     assert np.median(np.abs(np.abs(walls).max(axis=1) - ROOM)) < 0.06
-    columns = conversions.cloud_columns(team.heard['map_landmarks'])
+    columns = messages.cloud_columns(team.heard['map_landmarks'])
     assert len(columns['x']) >= 50
     assert columns['count'].max() > 3
     assert 0 < len(team.heard['robot1/particles'].poses) <= 100
     stamps = [
-        conversions.seconds(pose.header.stamp) for pose in team.heard['robot1/trajectory'].poses
+        messages.seconds(pose.header.stamp) for pose in team.heard['robot1/trajectory'].poses
     ]
     assert len(stamps) > 20
     assert (np.diff(stamps) >= 0.0).all()
@@ -243,14 +243,14 @@ def test_malformed_messages_are_named_and_nothing_is_lost(live):
     name, stamp = 'robot1', team.epoch + 100.0
     camera = Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0)
     rgb, depth = np.zeros((48, 64, 3), np.uint8), np.zeros((24, 32), np.uint16)
-    send = conversions.image_message
-    info = conversions.camera_info_message(MESSAGES, stamp, f'{name}/camera', camera)
+    send = messages.image_message
+    info = messages.camera_info_message(MESSAGES, stamp, f'{name}/camera', camera)
     scan = team.vehicles[name].world.scan_from(stamp, Pose2(0, 0, 0))
-    foreign = conversions.scan_message(MESSAGES, scan, 'robot2/laser')
+    foreign = messages.scan_message(MESSAGES, scan, 'robot2/laser')
     empty = LaserScan(range_max=8.0, angle_increment=0.1)
-    held = len(conversions.cloud_columns(team.heard['map_landmarks'])['x'])
-    cloud = conversions.cloud_message(MESSAGES, stamp, name, [('x', np.zeros(2, np.float32))])
-    lost = conversions.odometry_message(
+    held = len(messages.cloud_columns(team.heard['map_landmarks'])['x'])
+    cloud = messages.cloud_message(MESSAGES, stamp, name, [('x', np.zeros(2, np.float32))])
+    lost = messages.odometry_message(
         MESSAGES, team.vehicles[name].advance(), f'{name}/odom', f'{name}/base_link'
     )
     lost.pose.pose.position.x = math.nan
@@ -281,7 +281,7 @@ def test_malformed_messages_are_named_and_nothing_is_lost(live):
     processes.check()
     team.spin(1.5)
     assert int(team.parts['agent: vehicle robot1']['malformed']) >= 5
-    assert len(conversions.cloud_columns(team.heard['map_landmarks'])['x']) >= held
+    assert len(messages.cloud_columns(team.heard['map_landmarks'])['x']) >= held
 
 
 def test_parameters_are_described_checked_and_set(live):
@@ -312,7 +312,7 @@ def test_pause_resume_and_return_home(live):
     assert team.call(Trigger, 'return_home', Trigger.Request()).success
     team.drive_until(lambda: team.statuses[-1] == 'returning_to_origin')
     team.drive_until(lambda: len(team.heard['robot1/plan'].poses) > 1)
-    goal = conversions.plan_record(team.heard['robot1/plan'], 'robot1').goal
+    goal = messages.plan_record(team.heard['robot1/plan'], 'robot1').goal
     assert math.dist(goal[:2], STARTS['robot1'][:2]) < 0.2
 
 

@@ -13,7 +13,7 @@ from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import LaserScan
 
-from explore_slam.nodes.conversions import odometry_record, scan_record, seconds, twist_message
+from explore_slam.messages import odometry_record, scan_record, seconds, twist_message
 from explore_slam.nodes.messages import MESSAGES
 
 DOMAIN = '73'

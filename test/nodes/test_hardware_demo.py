@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from explore_slam.nodes.live_run import LiveRun, LiveRunOptions
+from explore_slam.live.live_run import LiveRun, LiveRunOptions
 
 
 @pytest.mark.timeout(240)

@@ -15,9 +15,9 @@ from geometry_msgs.msg import Twist
 from nav_msgs.msg import Path
 from std_msgs.msg import String
 
+from explore_slam import messages
 from explore_slam.data import LaserScan, OdometryReading
 from explore_slam.geometry import Pose2
-from explore_slam.nodes import conversions
 from explore_slam.nodes.messages import MESSAGES, message_class
 from explore_slam.nodes.vehicle_support import LATCHED
 
@@ -81,22 +81,22 @@ class Harness:
         if 'odom' in send:
             reading = OdometryReading(now, self.pose)
             self.out['odom'].publish(
-                conversions.odometry_message(MESSAGES, reading, 'odom', 'base_link')
+                messages.odometry_message(MESSAGES, reading, 'odom', 'base_link')
             )
         if 'pose' in send:
             self.out['pose'].publish(
-                conversions.estimate_message(MESSAGES, now, 'map', self.pose, np.eye(3) * 1e-4)
+                messages.estimate_message(MESSAGES, now, 'map', self.pose, np.eye(3) * 1e-4)
             )
         if 'scan' in send:
             ranges = np.full(181, 5.0, np.float32)
             if self.wall is not None:
                 ranges[80:101] = max(self.wall - self.pose.x - 0.1, 0.05)
             scan = LaserScan(now, -math.pi / 2, math.pi / 180, ranges, 0.01, 8.0)
-            self.out['scan'].publish(conversions.scan_message(MESSAGES, scan, 'laser'))
+            self.out['scan'].publish(messages.scan_message(MESSAGES, scan, 'laser'))
 
     def send_plan(self, points):
         self.plan.publish(
-            conversions.path_message(MESSAGES, self.now(), 'map', np.asarray(points, float))
+            messages.path_message(MESSAGES, self.now(), 'map', np.asarray(points, float))
         )
 
 

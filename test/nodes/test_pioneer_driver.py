@@ -15,10 +15,10 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import BatteryState, LaserScan, PointCloud2
 from std_srvs.srv import SetBool
 
-from explore_slam.nodes.conversions import odometry_record, scan_record, twist_message
+from explore_slam.messages import odometry_record, scan_record, twist_message
 from explore_slam.nodes.messages import MESSAGES
-from explore_slam.simulation.kinematic_body import KinematicBody
-from explore_slam.simulation.vehicle_emulator import VehicleEmulator
+from explore_slam.simulation.emulators.kinematic_body import KinematicBody
+from explore_slam.simulation.emulators.vehicle_emulator import VehicleEmulator
 
 DOMAIN = '72'
 PACKET = 0.1  # s between status packets

@@ -10,13 +10,13 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 
 from explore_slam.data import LandmarkObservations
-from explore_slam.evaluation.replay_run import replay_bag
 from explore_slam.geometry import Pose2
-from explore_slam.nodes.conversions import planar_pose, seconds
+from explore_slam.live.processes import NodeProcess, NodeProcesses, one_machine_environment
+from explore_slam.messages import planar_pose, seconds
 from explore_slam.nodes.player import Player
-from explore_slam.nodes.processes import NodeProcess, NodeProcesses, one_machine_environment
 from explore_slam.recording import BagReader, BagWriter, Event, TopicKind
 from explore_slam.recording.events import odometry_event, start_event, truth_event, write_event
+from explore_slam.results.replay_run import replay_bag
 
 DOMAIN = 88
 START = Pose2(0.5, -0.5, 0.2)

@@ -18,8 +18,8 @@ from rclpy.qos import qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, LaserScan
 
+from explore_slam import messages
 from explore_slam.geometry import Pose2
-from explore_slam.nodes import conversions
 from explore_slam.nodes.messages import MESSAGES
 
 DOMAIN = 76
@@ -58,7 +58,7 @@ class Listener:
         }
 
     def on_clock(self, message):
-        self.time = conversions.seconds(message.clock)
+        self.time = messages.seconds(message.clock)
 
     def on_parts(self, message):
         for status in message.status:
@@ -71,13 +71,13 @@ class Listener:
         return until()
 
     def say_pose(self, vehicle, stamp):
-        message = conversions.estimate_message(
+        message = messages.estimate_message(
             MESSAGES, stamp, 'map', Pose2(0, 0, 0), np.eye(3) * 1e-4
         )
         self.poses[vehicle].publish(message)
 
     def drive(self, linear, angular=0.0):
-        self.velocity.publish(conversions.twist_message(MESSAGES, linear, angular))
+        self.velocity.publish(messages.twist_message(MESSAGES, linear, angular))
 
 
 @pytest.fixture
@@ -130,7 +130,7 @@ def test_topics_frames_and_stamps_are_those_of_a_real_vehicle(start, listener):
         )  # fmt: skip
         truth = everything[f'{vehicle}/ground_truth'][-1]
         assert truth.header.frame_id == 'map'
-        assert conversions.scan_record(everything[f'{vehicle}/scan'][-1]).ranges.size == 361
+        assert messages.scan_record(everything[f'{vehicle}/scan'][-1]).ranges.size == 361
         assert everything[f'{vehicle}/scan'][-1].header.frame_id == f'{vehicle}/laser'
         color = everything[f'{vehicle}/camera/rgb/image_raw'][-1]
         by_stamp = {
@@ -143,12 +143,12 @@ def test_topics_frames_and_stamps_are_those_of_a_real_vehicle(start, listener):
         assert {m.header.frame_id for m in (color, depth, info)} == {
             f'{vehicle}/camera_optical_frame'
         }
-        frame = conversions.frame_record(color, depth, info)
+        frame = messages.frame_record(color, depth, info)
         assert frame.rgb.shape == (120, 160, 3)
         assert frame.rgb.std() > 5.0
         assert frame.depth.dtype == np.uint16
         assert (frame.depth > 0).any()
-    start_pose = conversions.planar_pose(everything['robot1/ground_truth'][0].pose.pose)
+    start_pose = messages.planar_pose(everything['robot1/ground_truth'][0].pose.pose)
     assert start_pose == pytest.approx((0.8, 2.0, 0.0))
 
 
@@ -158,7 +158,7 @@ def test_a_vehicle_drives_as_commanded_and_stops_when_commands_end(start, listen
     assert listener.spin(20.0, lambda: len(truths) > 2)
 
     def place():
-        return conversions.planar_pose(truths[-1].pose.pose).x
+        return messages.planar_pose(truths[-1].pose.pose).x
 
     def driven():
         listener.drive(0.3)

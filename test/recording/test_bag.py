@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 
+from explore_slam import messages
 from explore_slam.data import LaserScan, OdometryReading
 from explore_slam.errors import RecordingError
 from explore_slam.geometry import Pose2
-from explore_slam.nodes import conversions
+from explore_slam.messages.topics import TopicKind
 from explore_slam.recording.bag import BagReader, BagWriter
 from explore_slam.recording.events import Event, odometry_event, write_event
 from explore_slam.recording.messages import MESSAGES, serialize, typestore
-from explore_slam.recording.topics import TopicKind
 
 
 def scan_event(stamp: float, beams: int = 200) -> Event:
@@ -49,7 +49,7 @@ def test_round_trip(tmp_path, compress):
         assert [m.log_time for m in messages] == sorted(m.log_time for m in messages)
         scans = list(bag.messages(['/robot1/scan']))
         assert len(scans) == 50
-        scan = conversions.scan_record(bag.decode(scans[3]))
+        scan = messages.scan_record(bag.decode(scans[3]))
         np.testing.assert_array_equal(scan.ranges, scan_event(0.0).record.ranges)
         assert scan.stamp == pytest.approx(10.3, abs=1e-9)
         assert bag.warnings == []
@@ -60,13 +60,13 @@ def test_reads_a_single_file_and_sqlite(tmp_path):
     assert BagReader(tmp_path / 'bag' / 'bag.mcap').message_count == 6
     kind = 'nav_msgs/msg/Odometry'
     reading = OdometryReading(1.0, Pose2(1.0, 2.0, 0.5))
-    message = conversions.odometry_message(MESSAGES, reading, 'odom', 'base_link')
+    message = messages.odometry_message(MESSAGES, reading, 'odom', 'base_link')
     with Writer(tmp_path / 'db', version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
         connection = writer.add_connection('/a/odom', kind, typestore=typestore())
         writer.write(connection, 1_000_000_000, serialize(kind, message))
     with BagReader(tmp_path / 'db') as bag:
         (raw,) = bag.messages()
-        assert conversions.odometry_record(bag.decode(raw)).pose == pytest.approx((1.0, 2.0, 0.5))
+        assert messages.odometry_record(bag.decode(raw)).pose == pytest.approx((1.0, 2.0, 0.5))
 
 
 @pytest.mark.parametrize('compress', [False, True])

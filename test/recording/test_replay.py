@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from synthetic import SyntheticWorld
 
+from explore_slam import messages
 from explore_slam.agent.agent import Agent
 from explore_slam.data import Intrinsics, LandmarkObservations, LaserScan, RgbdFrame
 from explore_slam.errors import ConfigError, RecordingError
-from explore_slam.evaluation.replay_run import configuration, recorded_starts, replay_bag
 from explore_slam.geometry import Pose2
-from explore_slam.nodes import conversions
 from explore_slam.recording import BagReader, BagWriter, Event, Replay, TopicKind
 from explore_slam.recording.events import odometry_event, start_event, truth_event, write_event
-from explore_slam.recording.importing import write_settings
+from explore_slam.recording.importers.importing import write_settings
 from explore_slam.recording.messages import MESSAGES, serialize
+from explore_slam.results.replay_run import configuration, recorded_starts, replay_bag
 
 STARTS = {'robot1': Pose2(0.0, 0.0, 0.0), 'robot2': Pose2(0.0, -2.0, 0.3)}
 LANDMARKS = np.random.default_rng(5).uniform([-3, -5, 0], [6, 5, 1], (40, 3))
@@ -211,7 +211,7 @@ def damaged(make: Callable[[float], tuple[str, str, object]]) -> list[tuple[floa
 
 def scan_message(stamp: float, **changes):
     scan = LaserScan(stamp, -1.5, 0.01, np.full(10, 2.0, np.float32), 0.1, 8.0)
-    message = conversions.scan_message(MESSAGES, scan, 'laser')
+    message = messages.scan_message(MESSAGES, scan, 'laser')
     for name, value in changes.items():
         setattr(message, name, value)
     return message

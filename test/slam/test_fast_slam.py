@@ -7,7 +7,7 @@ from explore_slam.data import LandmarkObservations
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Pose2
 from explore_slam.slam import FastSlamConfig
-from explore_slam.slam.recovery import Recovery
+from explore_slam.slam.relocalization import Recovery
 
 STARTS = {'a': Pose2(1.0, 1.0, 0.0), 'b': Pose2(5.0, 4.0, 1.0)}
 

@@ -10,7 +10,7 @@ import pkgutil
 from numba.core.dispatcher import Dispatcher
 
 from explore_slam import slam
-from explore_slam.evaluation.experiments.scenarios import draw_scenario
+from explore_slam.studies.experiments.scenarios import draw_scenario
 from explore_slam.settings import with_values
 
 slam.warm_up()

@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 
 from explore_slam.errors import VehicleError
 from explore_slam.geometry import Pose2
-from explore_slam.simulation.arcos_robot import ArcosRobot
-from explore_slam.simulation.kinematic_body import KinematicBody
+from explore_slam.simulation.emulators.arcos_robot import ArcosRobot
+from explore_slam.simulation.emulators.kinematic_body import KinematicBody
 from explore_slam.vehicle.arcos_status import (
     CounterOdometry,
     StatusPacket,

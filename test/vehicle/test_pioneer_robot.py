@@ -6,10 +6,10 @@ import time
 import pytest
 
 from explore_slam.errors import VehicleError
-from explore_slam.simulation.arcos_robot import ArcosRobot
-from explore_slam.simulation.kinematic_body import KinematicBody
-from explore_slam.simulation.lms200_scanner import Lms200Scanner
-from explore_slam.simulation.serial_line import SerialLine
+from explore_slam.simulation.emulators.arcos_robot import ArcosRobot
+from explore_slam.simulation.emulators.kinematic_body import KinematicBody
+from explore_slam.simulation.emulators.lms200_scanner import Lms200Scanner
+from explore_slam.simulation.emulators.serial_line import SerialLine
 from explore_slam.vehicle import BaseConfig, PioneerRobot
 from explore_slam.vehicle.arcos_packets import Command
 

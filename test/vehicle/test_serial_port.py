@@ -3,7 +3,7 @@ import errno
 import pytest
 
 from explore_slam.errors import VehicleError
-from explore_slam.simulation.serial_line import SerialLine
+from explore_slam.simulation.emulators.serial_line import SerialLine
 from explore_slam.vehicle.serial_port import SerialPort, _advice
 
 

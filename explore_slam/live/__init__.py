@@ -1,0 +1,1 @@
+"""Orchestration of a live run: processes, monitor, run folder."""

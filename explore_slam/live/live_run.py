@@ -1,0 +1,285 @@
+"""A live exploration: simulator, drivers and agent as processes, followed to its end.
+
+The run folder is made from what the topics carry, as it would be beside real vehicles.
+"""
+
+import os
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+import yaml
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+
+from explore_slam.errors import ConfigError, ExploreSlamError
+from explore_slam.geometry import Pose2
+from explore_slam.live.processes import (
+    NodeProcess,
+    NodeProcesses,
+    config_folder,
+    interrupts_held,
+    one_machine_environment,
+)
+from explore_slam.live.run_monitor import RunMonitor, RunState
+from explore_slam.mapping import OccupancyGrid
+from explore_slam.nodes.agent_parameters import AgentNodeConfig
+from explore_slam.results.reachable_area import ReachableArea
+from explore_slam.results.run_data import RunData, RunRecorder
+from explore_slam.results.run_folder import RunFolder
+from explore_slam.settings import load_settings, save_settings, with_values
+from explore_slam.simulation import World
+from explore_slam.simulation.worlds.world import world_path
+
+ENDS = ('exploration_complete', 'returned_to_origin')
+SETTLE = 3.0  # wall s for the last results to come in
+# what the agent says of itself that goes into the metrics
+NUMBERS = (
+    'ros_latency_median_s', 'ros_latency_p95_s', 'wall_latency_median_s', 'wall_latency_p95_s',
+    'frame_mean_ms', 'plan_mean_ms', 'frame_count',
+)  # fmt: skip
+# emulated devices send the newest record at their own pace: it must be fresh
+HARDWARE_RATES = {'simulated_scan_rate': 25.0, 'simulated_odometry_rate': 50.0}
+SIM_TIME = {'use_sim_time': True}
+START_LIMIT = 240.0  # wall s in which all nodes must have begun to talk
+
+
+@dataclass(frozen=True)
+class LiveRunOptions:
+    """What a live run is made of; settings are agent parameters by name."""
+
+    world: str = 'office'
+    vehicles: int = 2
+    seed: int = 0
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    vision: str = 'agent'
+    hardware: bool = False
+    record: bool = False
+    real_time_factor: float = 0.0
+    time_limit: float = 900.0  # wall s
+
+
+class LiveRun:
+    """Starts the processes, lets a caller follow, and writes the run folder."""
+
+    def __init__(self, options: LiveRunOptions, runs: Path) -> None:
+        self.options = options
+        self.world = World.load(world_path(options.world))
+        self.starts = self._starts()
+        self.config = self._config()
+        radius = self.config.agent.exploration.paths.vehicle_radius
+        path = world_path(options.world)
+        self.area = ReachableArea.of_file(path, self.starts.values(), radius)
+        title = f'Live exploration of {self.world.name}, {options.vehicles} vehicles'
+        self.recorder = RunRecorder(title, self.starts, self.config.agent.slam.particles)
+        self.folder = RunFolder.create(runs)
+        self.monitor: RunMonitor | None = None
+        self.complete = False
+        self._last_status = ''  # of the end: an agent that is left running may find more
+
+    def _starts(self) -> dict[str, Pose2]:
+        known = dict(self.world.starts)
+        count = self.options.vehicles
+        if not 1 <= count <= len(known):
+            raise ConfigError(
+                f'vehicles is {count}, expected 1 to {len(known)}: '
+                f'world {self.world.name!r} has that many start poses'
+            )
+        return dict(list(known.items())[:count])
+
+    def _config(self) -> AgentNodeConfig:
+        base = load_settings(AgentNodeConfig(), config_folder() / 'agent.yaml')
+        values = {
+            'vehicles': list(self.starts),
+            'start_poses': [float(v) for pose in self.starts.values() for v in pose],
+            'seed': self.options.seed,
+            'vision': self.options.vision,
+            **self.options.settings,
+        }
+        return with_values(base, values)
+
+    # -- processes -------------------------------------------------------------------------------
+
+    def nodes(self) -> list[NodeProcess]:
+        """Return all nodes of the run."""
+        directory = self.folder.path
+        agent_file = directory / 'agent.yaml'
+        save_settings(with_values(self.config, {'run_directory': str(directory)}), agent_file)
+        nodes = [
+            NodeProcess('simulator', 'simulator', self._simulator_arguments()),
+            NodeProcess('agent', 'agent_node', _parameters(agent_file, SIM_TIME)),
+        ]
+        for name in self.starts:
+            nodes += self._driver(name)
+        if self.options.record:
+            bag = str(directory / 'bag')
+            arguments = [bag, '--sim-time', '--vehicles', *self.starts]
+            nodes.append(NodeProcess('recorder', 'recorder', arguments))
+        return nodes
+
+    def _simulator_arguments(self) -> list[str]:
+        values: dict[str, Any] = {
+            'world': str(world_path(self.options.world).resolve()),
+            'vehicles': list(self.starts),
+            'start_poses': [float(v) for pose in self.starts.values() for v in pose],
+            'seed': self.options.seed,
+            'real_time_factor': self.options.real_time_factor,
+        }
+        if self.options.hardware:
+            values.update(hardware=str(self._ports()), real_time_factor=1.0, **HARDWARE_RATES)
+        return _parameters(self._write('simulator', values), {})
+
+    def _ports(self) -> Path:
+        return self.folder.path / 'ports'
+
+    def _write(self, name: str, values: dict[str, Any]) -> Path:
+        path = self.folder.path / f'{name}.yaml'
+        path.write_text(yaml.safe_dump({'/**': {'ros__parameters': values}}), encoding='utf-8')
+        return path
+
+    def _driver(self, name: str) -> list[NodeProcess]:
+        """Return the processes of one vehicle."""
+        follower = _parameters(None, SIM_TIME, name)
+        nodes = [NodeProcess(f'{name}_follower', 'path_follower', follower)]
+        if self.options.vision == 'vehicle':
+            vision_file = self.folder.path / 'vision.yaml'
+            save_settings(self.config.agent.vision, vision_file)
+            arguments = _parameters(vision_file, SIM_TIME, name)
+            nodes.append(NodeProcess(f'{name}_features', 'feature_extractor', arguments))
+        if self.options.hardware:
+            ports = {
+                'base_port': f'{self._ports()}/{name}_base',
+                'laser_port': f'{self._ports()}/{name}_laser',
+                'use_camera': False,
+                'motors_at_start': True,
+                **SIM_TIME,
+            }
+            driver = _parameters(self._write(f'{name}_driver', ports), {}, name)
+            nodes.append(NodeProcess(f'{name}_driver', 'pioneer_driver', driver))
+        return nodes
+
+    # -- the run ---------------------------------------------------------------------------------
+
+    def run(self) -> Iterator[RunState]:
+        """Run to the end; yield the state about ten times a second. Ends all in any case."""
+        environment = one_machine_environment()
+        os.environ.update(environment)
+        processes = NodeProcesses(self.nodes(), self.folder.path / 'logs', environment)
+        with processes, self._monitor() as monitor:
+            executor = SingleThreadedExecutor()
+            executor.add_node(monitor)
+            began = time.monotonic()
+            try:
+                yield from self._follow(executor, monitor, processes, began)
+                self._settle(executor, monitor)
+            finally:
+                executor.remove_node(monitor)
+
+    @contextmanager
+    def _monitor(self) -> Iterator[RunMonitor]:
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        try:
+            self.monitor = RunMonitor(self.starts, self.recorder, self.area)
+            yield self.monitor
+            self.monitor.destroy_node()
+        finally:
+            rclpy.try_shutdown()
+
+    def _follow(
+        self,
+        executor: SingleThreadedExecutor,
+        monitor: RunMonitor,
+        processes: NodeProcesses,
+        began: float,
+    ) -> Iterator[RunState]:
+        while True:
+            until = time.monotonic() + 0.1
+            while time.monotonic() < until:
+                with interrupts_held():
+                    executor.spin_once(timeout_sec=0.05)
+            processes.check()
+            yield monitor.state
+            if monitor.state.status in ENDS:
+                self.complete = True
+                self._last_status = monitor.state.status
+                return
+            elapsed = time.monotonic() - began
+            if elapsed > START_LIMIT and not monitor.state.poses:
+                raise ExploreSlamError(
+                    f'no pose from the agent after {elapsed:.0f} s; see {self.folder.path}/logs'
+                )
+            if elapsed > self.options.time_limit:
+                self.recorder.add_note(
+                    f'The run was ended after its limit of {self.options.time_limit:.0f} s.'
+                )
+                return
+
+    def _settle(self, executor: SingleThreadedExecutor, monitor: RunMonitor) -> None:
+        """Wait for the last map, landmarks and trajectories, and have the map written."""
+        answer = monitor.ask_for_map()
+        end = time.monotonic() + SETTLE
+        while time.monotonic() < end and not (
+            answer.done() and time.monotonic() > end - SETTLE / 2
+        ):
+            with interrupts_held():
+                executor.spin_once(timeout_sec=0.1)
+
+    # -- results ---------------------------------------------------------------------------------
+
+    def finish(self) -> RunData:
+        """Return what the run was, and write its folder."""
+        state = RunState() if self.monitor is None else self.monitor.state
+        grid = None
+        if state.grid is not None:
+            cells, resolution, origin = state.grid
+            config = with_values(self.config.agent.mapping, {'resolution': round(resolution, 6)})
+            probability = np.where(cells >= 0, cells / 100.0, 0.5)
+            grid = OccupancyGrid.from_probability(probability, cells >= 0, origin, config)
+        data = self.recorder.finish(
+            state.trajectories,
+            grid=grid,
+            landmarks=state.landmarks,
+            settings=self.config,
+            extra=self._extra(state),
+        )
+        self.folder.write_run(data)
+        return data
+
+    def _extra(self, state: RunState) -> dict[str, Any]:
+        _, agent = self._values('agent: agent')
+        _, clock = self._values('simulator: time')
+        collisions = {
+            name: int(self._values(f'simulator: {name}')[1].get('collisions', 0))
+            for name in self.starts
+        }
+        health = {name: self._values(f'agent: vehicle {name}')[1] for name in self.starts}
+        return {
+            'status': self._last_status or state.status or 'never started',
+            'complete': self.complete,
+            'duration': state.stamp,
+            'real_time_factor': float(clock.get('real_time_factor', 'nan')),
+            'collisions': collisions,
+            'agent': {name: float(agent[name]) for name in NUMBERS if name in agent},
+            'dropped_frames': {
+                name: int(found.get('dropped_frames', 0)) for name, found in health.items()
+            },
+        }
+
+    def _values(self, name: str) -> tuple[str, dict[str, str]]:
+        return ('', {}) if self.monitor is None else self.monitor.values(name)
+
+
+def _parameters(path: Path | None, values: Mapping[str, Any], namespace: str = '') -> list[str]:
+    arguments = ['--ros-args']
+    if path is not None:
+        arguments += ['--params-file', str(path)]
+    for name, value in values.items():
+        arguments += ['-p', f'{name}:={str(value).lower() if isinstance(value, bool) else value}']
+    if namespace:
+        arguments += ['-r', f'__ns:=/{namespace}']
+    return arguments

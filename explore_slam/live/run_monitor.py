@@ -1,0 +1,155 @@
+"""Follows a live run over its topics and collects what the run folder and the terminal show."""
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import OccupancyGrid, Odometry, Path
+from numpy.typing import NDArray
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from explore_slam.geometry import Array, Pose2
+from explore_slam.messages import (
+    cloud_columns,
+    grid_arrays,
+    odometry_record,
+    planar_pose,
+    seconds,
+)
+from explore_slam.nodes.vehicle_support import LATCHED
+from explore_slam.results.reachable_area import ReachableArea
+from explore_slam.results.run_data import RunRecorder
+
+Values = dict[str, str]
+TRUTHS = 200  # newest true poses kept, for the error of the newest pose
+
+
+@dataclass
+class LandmarkCloud:
+    """Landmarks as the topic carries them: means (N, 3), covariances (N, 3, 3), counts (N,)."""
+
+    means: Array
+    covariances: Array
+    counts: NDArray[np.int64]
+
+
+@dataclass
+class RunState:
+    """What is known of the run right now."""
+
+    stamp: float = 0.0
+    status: str = ''
+    coverage: float = 0.0
+    diagnostics: dict[str, tuple[str, Values]] = field(default_factory=dict)
+    grid: Any = None
+    landmarks: LandmarkCloud | None = None
+    trajectories: dict[str, tuple[Array, Array]] = field(default_factory=dict)
+    truth: dict[str, deque[tuple[float, Pose2]]] = field(default_factory=dict)
+    poses: dict[str, tuple[float, Pose2]] = field(default_factory=dict)
+    messages: dict[str, int] = field(default_factory=dict)
+
+    def position_error(self, vehicle: str) -> float:
+        """Return how far (m) the newest pose is from the truth of its time; NaN if unknown."""
+        if vehicle not in self.poses or not self.truth.get(vehicle):
+            return math.nan
+        stamp, pose = self.poses[vehicle]
+        _, true = min(self.truth[vehicle], key=lambda known: abs(known[0] - stamp))
+        return math.hypot(true.x - pose.x, true.y - pose.y)
+
+
+class RunMonitor(Node):
+    """Listens to agent and simulator; `state` is the present, `recorder` the whole run."""
+
+    def __init__(
+        self, starts: dict[str, Pose2], recorder: RunRecorder, area: ReachableArea
+    ) -> None:
+        super().__init__('run_monitor')
+        self.state = RunState()
+        self.recorder = recorder
+        self._area = area
+        self.create_subscription(Clock, '/clock', self._on_clock, qos_profile_sensor_data)
+        self.create_subscription(OccupancyGrid, 'map', self._on_map, LATCHED)
+        self.create_subscription(PointCloud2, 'map_landmarks', self._on_landmarks, LATCHED)
+        self.create_subscription(String, 'explore/status', self._on_status, LATCHED)
+        deep = QoSProfile(depth=200)
+        self.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, deep)
+        for vehicle in starts:
+            self._follow(vehicle, deep)
+        self._save_map = self.create_client(Trigger, 'save_map')
+
+    def _follow(self, vehicle: str, qos: QoSProfile) -> None:
+        def on_pose(message: PoseWithCovarianceStamped) -> None:
+            stamp, pose = seconds(message.header.stamp), planar_pose(message.pose.pose)
+            self.state.poses[vehicle] = (stamp, pose)
+            self.recorder.add_pose(vehicle, stamp, pose)
+
+        def on_truth(message: Odometry) -> None:
+            reading = odometry_record(message)
+            newest = self.state.truth.setdefault(vehicle, deque(maxlen=TRUTHS))
+            newest.append((reading.stamp, reading.pose))
+            self.recorder.add_truth(vehicle, reading.stamp, reading.pose)
+
+        def on_odometry(message: Odometry) -> None:
+            self.state.messages[vehicle] = self.state.messages.get(vehicle, 0) + 1
+            self.recorder.add_odometry(vehicle, odometry_record(message))
+
+        def on_trajectory(message: Path) -> None:
+            poses = [planar_pose(stamped.pose) for stamped in message.poses]
+            stamps = [seconds(stamped.header.stamp) for stamped in message.poses]
+            self.state.trajectories[vehicle] = (
+                np.array(stamps),
+                np.array(poses, dtype=np.float64).reshape(-1, 3),
+            )
+
+        self.create_subscription(PoseWithCovarianceStamped, f'{vehicle}/pose', on_pose, qos)
+        self.create_subscription(Odometry, f'{vehicle}/ground_truth', on_truth, qos)
+        self.create_subscription(Odometry, f'{vehicle}/odom', on_odometry, qos)
+        self.create_subscription(Path, f'{vehicle}/trajectory', on_trajectory, qos)
+
+    def _on_clock(self, message: Clock) -> None:
+        self.state.stamp = seconds(message.clock)
+
+    def _on_map(self, message: OccupancyGrid) -> None:
+        cells, resolution, origin = grid_arrays(message)
+        self.state.grid = (cells.copy(), resolution, origin)
+        self.state.coverage = self._area.share_known(cells >= 0, resolution, origin)
+        self.recorder.add_coverage(seconds(message.header.stamp), self.state.coverage)
+
+    def _on_landmarks(self, message: PointCloud2) -> None:
+        columns = cloud_columns(message)
+        means = np.concatenate([columns[axis] for axis in 'xyz'], axis=1).astype(np.float64)
+        variances = columns['sigma'][:, 0].astype(np.float64) ** 2 / 3.0
+        covariances = variances[:, None, None] * np.eye(3)
+        counts = columns['count'][:, 0].astype(np.int64)
+        self.state.landmarks = LandmarkCloud(means, covariances, counts)
+
+    def _on_status(self, message: String) -> None:
+        self.state.status = message.data
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            values = {pair.key: pair.value for pair in status.values}
+            self.state.diagnostics[status.name] = (status.message, values)
+            if 'effective_particles' in values:
+                count = float(values['effective_particles'])
+                self.recorder.add_effective_particles(seconds(message.header.stamp), count)
+
+    def values(self, name: str) -> tuple[str, Values]:
+        """Return message and values of a diagnostics part whose name ends so; empty if unheard."""
+        for full, found in self.state.diagnostics.items():
+            if full.endswith(name):
+                return found
+        return '', {}
+
+    def ask_for_map(self) -> Any:
+        """Ask the agent to write its map; return the future of the answer."""
+        return self._save_map.call_async(Trigger.Request())

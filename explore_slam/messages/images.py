@@ -1,0 +1,128 @@
+"""Images, depth images and camera descriptions."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from explore_slam.data import Intrinsics, RgbdFrame
+from explore_slam.errors import DataError
+from explore_slam.messages.base import MessageFactory, header, seconds
+
+COLOR_CHANNELS = {'rgb8': 3, 'bgr8': 3, 'rgba8': 4, 'bgra8': 4, 'mono8': 1, '8UC1': 1, '8UC3': 3}
+DEPTH_TYPES: dict[str, type] = {'16UC1': np.uint16, 'mono16': np.uint16, '32FC1': np.float32}
+DISTORTION_MODELS = {'plumb_bob', 'rational_polynomial'}
+
+
+def _image_rows(message: Any, item: int, channels: int) -> NDArray[np.uint8]:
+    """Return the bytes of an image as (height, width * channels * item), padding cut off."""
+    height, width, step = int(message.height), int(message.width), int(message.step)
+    row = width * channels * item
+    data = np.frombuffer(message.data, np.uint8)
+    if step < row or data.size < step * height or height == 0 or width == 0:
+        raise DataError(
+            f'image {width} x {height} {message.encoding}: step {step} and {data.size} bytes, '
+            f'expected a step of at least {row} and step x height bytes'
+        )
+    return data[: step * height].reshape(height, step)[:, :row]
+
+
+def color_array(message: Any) -> NDArray[np.uint8]:
+    """Return a sensor_msgs/Image as RGB (H, W, 3) or grey (H, W)."""
+    channels = COLOR_CHANNELS.get(message.encoding)
+    if channels is None:
+        raise DataError(
+            f'colour image: encoding {message.encoding!r}, '
+            f'expected one of {sorted(COLOR_CHANNELS)}'
+        )
+    rows = _image_rows(message, 1, channels)
+    if channels == 1:
+        return rows
+    image = rows.reshape(rows.shape[0], -1, channels)[:, :, :3]
+    return image[:, :, ::-1] if message.encoding.startswith('bgr') else image
+
+
+def depth_array(message: Any) -> NDArray[np.uint16] | NDArray[np.float32]:
+    """Return a depth sensor_msgs/Image (REP-118) as uint16 mm or float32 m."""
+    kind = DEPTH_TYPES.get(message.encoding)
+    if kind is None:
+        raise DataError(
+            f'depth image: encoding {message.encoding!r}, expected one of {sorted(DEPTH_TYPES)}'
+        )
+    dtype = np.dtype(kind)
+    rows = _image_rows(message, dtype.itemsize, 1)
+    order = dtype.newbyteorder('>' if message.is_bigendian else '<')
+    depth: NDArray[Any] = np.ascontiguousarray(rows).view(order).astype(dtype, copy=False)
+    return depth
+
+
+def image_message(
+    factory: MessageFactory, stamp: float, frame: str, encoding: str, image: NDArray[Any]
+) -> Any:
+    """Return a sensor_msgs/Image of an array (H, W) or (H, W, C)."""
+    packed = np.ascontiguousarray(image)
+    height, width = packed.shape[:2]
+    raw = packed.view(np.uint8).reshape(-1)
+    return factory.make(
+        'sensor_msgs/Image',
+        header=header(factory, stamp, frame),
+        height=height,
+        width=width,
+        encoding=encoding,
+        is_bigendian=0,
+        step=raw.size // height,
+        data=factory.sequence(raw),
+    )
+
+
+def intrinsics_record(message: Any) -> Intrinsics:
+    """Return a sensor_msgs/CameraInfo as intrinsics: its matrix K and distortion D."""
+    k, distortion = message.k, tuple(map(float, message.d))
+    if not any(distortion):
+        distortion = ()
+    elif message.distortion_model not in DISTORTION_MODELS:
+        raise DataError(
+            f'camera info: distortion model {message.distortion_model!r}, '
+            f'expected one of {sorted(DISTORTION_MODELS)}'
+        )
+    size = (int(message.width), int(message.height))
+    return Intrinsics(*size, float(k[0]), float(k[4]), float(k[2]), float(k[5]), distortion)
+
+
+def camera_info_message(
+    factory: MessageFactory, stamp: float, frame: str, camera: Intrinsics
+) -> Any:
+    """Return a sensor_msgs/CameraInfo; without distortion D is five zeros."""
+    k = [camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0]
+    p = [*k[:3], 0.0, *k[3:6], 0.0, *k[6:], 0.0]
+    return factory.make(
+        'sensor_msgs/CameraInfo',
+        header=header(factory, stamp, frame),
+        height=camera.height,
+        width=camera.width,
+        distortion_model='rational_polynomial' if len(camera.distortion) == 8 else 'plumb_bob',
+        d=factory.sequence(np.array(camera.distortion or [0.0] * 5)),
+        k=np.array(k),
+        r=np.eye(3).reshape(9),
+        p=np.array(p),
+        binning_x=0,
+        binning_y=0,
+        roi=factory.make(
+            'sensor_msgs/RegionOfInterest',
+            x_offset=0,
+            y_offset=0,
+            height=0,
+            width=0,
+            do_rectify=False,
+        ),
+    )
+
+
+def frame_record(color: Any, depth: Any, camera_info: Any) -> RgbdFrame:
+    """Return an RGB-D frame of two images and the camera's description."""
+    return RgbdFrame(
+        seconds(color.header.stamp),
+        color_array(color),
+        depth_array(depth),
+        intrinsics_record(camera_info),
+    )

@@ -1,0 +1,55 @@
+"""Occupancy grids."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from explore_slam.errors import DataError
+from explore_slam.geometry import Pose2
+from explore_slam.messages.base import (
+    MessageFactory,
+    header,
+    pose_message,
+    time_message,
+)
+
+
+def grid_message(
+    factory: MessageFactory,
+    stamp: float,
+    frame: str,
+    occupancy: NDArray[np.int8],
+    resolution: float,
+    origin: tuple[float, float],
+) -> Any:
+    """Return a nav_msgs/OccupancyGrid of cells (H, W): -1 unknown, 0 to 100 occupied.
+
+    origin is the lower left corner (m) of cell [0, 0], resolution the side of a cell (m).
+    """
+    height, width = occupancy.shape
+    return factory.make(
+        'nav_msgs/OccupancyGrid',
+        header=header(factory, stamp, frame),
+        info=factory.make(
+            'nav_msgs/MapMetaData',
+            map_load_time=time_message(factory, stamp),
+            resolution=float(resolution),
+            width=int(width),
+            height=int(height),
+            origin=pose_message(factory, Pose2(origin[0], origin[1], 0.0)),
+        ),
+        data=factory.sequence(occupancy.astype(np.int8, copy=False).reshape(-1)),
+    )
+
+
+def grid_arrays(message: Any) -> tuple[NDArray[np.int8], float, tuple[float, float]]:
+    """Return cells (H, W), resolution (m) and origin (m) of a nav_msgs/OccupancyGrid."""
+    info = message.info
+    cells = np.frombuffer(message.data, np.int8)
+    if cells.size != info.width * info.height:
+        raise DataError(
+            f'grid: {cells.size} cells, expected {info.width} x {info.height} as its size says'
+        )
+    origin = (float(info.origin.position.x), float(info.origin.position.y))
+    return cells.reshape(info.height, info.width), float(info.resolution), origin

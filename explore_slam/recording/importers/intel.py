@@ -1,0 +1,130 @@
+"""Intel Research Lab: a real SICK laser and raw odometry of one robot (D. Hähnel).
+
+`intel_raw_odom_scans.npz`: ranges (N, 180) m from -90° to +90°, valid (N, 180), odom_inc (N, 3)
+the motion after each scan. The log has no usable times: stamps are made from the motion at a
+nominal speed, so that filters that think in time see a plausible one.
+
+`reference_pose_flirt.csv` (step, x, y, theta of a corrected log, in a frame of its own) becomes
+ground truth of those steps, moved so that it agrees with the odometry at its first step; the error
+after alignment is the one that tells.
+"""
+
+import logging
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from explore_slam.data import LaserScan
+from explore_slam.errors import RecordingError
+from explore_slam.geometry import IDENTITY, Array, Pose2, between, compose
+from explore_slam.messages.topics import TopicKind
+from explore_slam.recording.events import Event, odometry_event, start_event, truth_event
+from explore_slam.recording.importers.importing import read_table, require, write_bag
+
+logger = logging.getLogger(__name__)
+
+LOG, REFERENCE = 'intel_raw_odom_scans.npz', 'reference_pose_flirt.csv'
+VEHICLE = 'robot1'
+SPEED, TURN_RATE, SCAN_PERIOD = 0.5, 0.8, 0.1
+FIRST_STAMP = 1.0
+RANGE_MIN, RANGE_MAX = 0.05, 80.0
+# the laser stands in the middle of the robot, as far as the log tells; halls are long
+SETTINGS: dict[str, float | str] = {
+    'laser_x': 0.0,
+    'laser_y': 0.0,
+    'laser_yaw': 0.0,
+    'max_laser_range': 20.0,
+    'no_return_range': 0.0,
+}
+
+
+def import_intel(folder: Path, out: Path) -> dict[str, int]:
+    """Write the data set in the folder as a bag; return messages per topic."""
+    require(folder, [LOG], 'the Intel data set')
+    ranges, valid, increments = _read_log(folder / LOG)
+    stamps = synthetic_stamps(increments)
+    poses = odometry_poses(increments)
+    streams = [
+        iter([start_event(VEHICLE, FIRST_STAMP, IDENTITY)]),
+        _odometry(stamps, poses),
+        _scans(stamps, ranges, valid),
+    ]
+    if (folder / REFERENCE).exists():
+        streams.append(_truth(read_table(folder / REFERENCE, 4), stamps, poses))
+    else:
+        logger.warning('%s is missing: the bag has no ground truth', folder / REFERENCE)
+    return write_bag(out, streams, SETTINGS)
+
+
+def _read_log(path: Path) -> tuple[NDArray[np.float32], NDArray[np.bool_], Array]:
+    try:
+        with np.load(path) as log:
+            ranges = np.asarray(log['ranges'], dtype=np.float32)
+            valid = np.asarray(log['valid'], dtype=bool)
+            increments = np.asarray(log['odom_inc'], dtype=np.float64)
+    except (OSError, ValueError, KeyError) as error:
+        raise RecordingError(f'{path} is not the log of the data set: {error}') from error
+    count = len(ranges)
+    if ranges.ndim != 2 or valid.shape != ranges.shape or increments.shape != (count, 3):
+        raise RecordingError(
+            f'{path}: ranges {ranges.shape}, valid {valid.shape}, odom_inc {increments.shape}, '
+            'expected (N, B), (N, B), (N, 3)'
+        )
+    return ranges, valid, increments
+
+
+def synthetic_stamps(increments: Array) -> Array:
+    """Return rising stamps (N,) s of scans with increments (N, 3) after each of them."""
+    distance = np.hypot(increments[:, 0], increments[:, 1])
+    needed = np.maximum(distance / SPEED, np.abs(increments[:, 2]) / TURN_RATE)
+    steps = np.maximum(needed, SCAN_PERIOD)[:-1]
+    stamps: Array = FIRST_STAMP + np.concatenate([[0.0], np.cumsum(steps)])
+    return stamps
+
+
+def odometry_poses(increments: Array) -> Array:
+    """Return the odometry pose (N, 3) at each scan."""
+    pose, poses = IDENTITY, [IDENTITY]
+    for increment in increments[:-1].tolist():
+        pose = pose.compose(Pose2(*increment))
+        poses.append(pose)
+    return np.array(poses)
+
+
+def _odometry(stamps: Array, poses: Array) -> Iterator[Event]:
+    for stamp, pose in zip(stamps.tolist(), poses.tolist(), strict=True):
+        yield odometry_event(VEHICLE, stamp, Pose2(*pose))
+
+
+def _scans(
+    stamps: Array, ranges: NDArray[np.float32], valid: NDArray[np.bool_]
+) -> Iterator[Event]:
+    beams = ranges.shape[1]
+    increment = math.pi / max(beams - 1, 1)
+    for stamp, row, good in zip(stamps.tolist(), ranges, valid, strict=True):
+        # REP-117: beyond the laser's reach is +inf, what the log marks as bad otherwise is NaN
+        far = row > RANGE_MAX
+        values = np.where(good & ~far, row, np.where(far, np.inf, np.nan)).astype(np.float32)
+        scan = LaserScan(stamp, -0.5 * math.pi, increment, values, RANGE_MIN, RANGE_MAX)
+        yield Event(stamp, VEHICLE, TopicKind.SCAN, scan)
+
+
+def align_reference(reference: Array, stamps: Array, odometry: Array) -> tuple[Array, Array]:
+    """Return stamps (R,) and poses (R, 3) of the reference rows (step, x, y, theta) in the map."""
+    steps = reference[:, 0].astype(int)
+    if (steps < 0).any() or (steps >= len(stamps)).any():
+        raise RecordingError(
+            f'{REFERENCE}: step {int(steps.max())}, expected 0 to {len(stamps) - 1}'
+        )
+    order = np.argsort(steps, kind='stable')
+    steps, poses = steps[order], reference[order, 1:]
+    return stamps[steps], compose(odometry[steps[0]], between(poses[0], poses))
+
+
+def _truth(reference: Array, stamps: Array, odometry: Array) -> Iterator[Event]:
+    times, poses = align_reference(reference, stamps, odometry)
+    for stamp, pose in zip(times.tolist(), poses.tolist(), strict=True):
+        yield truth_event(VEHICLE, stamp, Pose2(*pose))

@@ -1,0 +1,191 @@
+"""UTIAS MR.CLAM: five robots, odometry, bar-coded landmarks, motion-capture truth.
+
+Leung, Halpern, Barfoot, Liu: The UTIAS Multi-Robot Cooperative Localization and Mapping Dataset,
+IJRR 30(8), 2011. Landmarks become observations with a descriptor per bar code: unit vectors, so
+far apart that any gate tells them (experiment 1's setting). Robots seen become sightings.
+
+Noise of a measurement, the same for all robots: the camera tells the range by the size of the
+code and the bearing by its place in the image, so sigma_range = 0.04 m + 0.035 range (within 30 %
+of the spread between 1 and 7 m) and sigma_bearing = 0.015 rad, which also covers the biases.
+Landmarks and robots lie in the plane: height 0 with sigma_height.
+"""
+
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from explore_slam.data import DESCRIPTOR_LENGTH, LandmarkObservations, VehicleSighting
+from explore_slam.errors import RecordingError
+from explore_slam.geometry import Array, Pose2, compose
+from explore_slam.messages.topics import TopicKind
+from explore_slam.recording.events import Event, odometry_event, start_event, truth_event
+from explore_slam.recording.importers.importing import read_table, require, write_bag
+
+logger = logging.getLogger(__name__)
+
+ROBOTS = range(1, 6)
+RANGE_SIGMA, RANGE_SIGMA_PER_METRE = 0.04, 0.035
+BEARING_SIGMA = 0.015
+HEIGHT_SIGMA = 0.05
+TRUTH_PERIOD = 0.04
+DESCRIPTOR_SEED = 2011
+
+
+@dataclass(frozen=True)
+class _Robot:
+    """One robot's tables: odometry (t, v, omega), measurements (t, subject, range, bearing)."""
+
+    number: int
+    odometry: Array
+    measurements: Array
+    truth: Array
+
+    @property
+    def name(self) -> str:
+        return f'robot{self.number}'
+
+
+def import_mrclam(folder: Path, out: Path) -> dict[str, int]:
+    """Write the data set in the folder as a bag; return messages per topic."""
+    kinds = ('Odometry', 'Measurement', 'Groundtruth')
+    names = [f'Robot{number}_{kind}.dat' for number in ROBOTS for kind in kinds]
+    require(folder, ['Barcodes.dat', *names], 'an MR.CLAM data set')
+    subjects = {
+        int(code): int(subject) for subject, code in read_table(folder / 'Barcodes.dat', 2)
+    }
+    robots = [_read_robot(folder, number, subjects) for number in ROBOTS]
+    begin = max(max(robot.odometry[0, 0], robot.truth[0, 0]) for robot in robots)
+    end = min(min(robot.odometry[-1, 0], robot.truth[-1, 0]) for robot in robots)
+    if begin >= end:
+        raise RecordingError(f'{folder}: the robots have no time in common')
+    streams = [stream for robot in robots for stream in _streams(robot, float(begin), float(end))]
+    return write_bag(out, streams, SETTINGS)
+
+
+# every landmark has a descriptor of its own and lies in the plane
+SETTINGS: dict[str, float | str] = {}
+
+
+def _read_robot(folder: Path, number: int, subjects: dict[int, int]) -> _Robot:
+    measurements = read_table(folder / f'Robot{number}_Measurement.dat', 4)
+    known = np.array([int(code) in subjects for code in measurements[:, 1]])
+    if not known.all():
+        codes = sorted({int(code) for code in measurements[~known, 1]})
+        logger.warning(
+            'Robot%d: %d measurements of unknown bar codes %s left out',
+            number,
+            np.count_nonzero(~known),
+            codes,
+        )
+    measurements = measurements[known]
+    measurements[:, 1] = [subjects[int(code)] for code in measurements[:, 1]]
+    return _Robot(
+        number,
+        _in_order(read_table(folder / f'Robot{number}_Odometry.dat', 3)),
+        measurements[np.argsort(measurements[:, 0], kind='stable')],
+        _in_order(read_table(folder / f'Robot{number}_Groundtruth.dat', 4)),
+    )
+
+
+def _in_order(table: Array) -> Array:
+    """Sort rows by time; of rows with the same time the last one stays."""
+    ordered: Array = table[np.argsort(table[:, 0], kind='stable')]
+    return np.concatenate([ordered[:-1][np.diff(ordered[:, 0]) > 0.0], ordered[-1:]])
+
+
+def _streams(robot: _Robot, begin: float, end: float) -> list[Iterator[Event]]:
+    start = _pose_at(robot.truth, begin)
+    return [
+        iter([start_event(robot.name, begin, start)]),
+        _odometry(robot, begin, end),
+        _measurements(robot, begin, end),
+        _truth(robot, begin, end),
+    ]
+
+
+def _pose_at(truth: Array, stamp: float) -> Pose2:
+    headings = np.unwrap(truth[:, 3])
+    x, y, theta = (np.interp(stamp, truth[:, 0], c) for c in (truth[:, 1], truth[:, 2], headings))
+    return Pose2.from_array([x, y, theta])
+
+
+def integrate_velocities(table: Array, begin: float, end: float) -> tuple[Array, Array]:
+    """Return stamps (T,) and poses (T, 3) from the origin at `begin`.
+
+    table (N, 3): time, forward velocity (m/s), angular velocity (rad/s), each held until the next
+    row; between rows the vehicle drives an arc of a circle.
+    """
+    inside = (table[:, 0] > begin) & (table[:, 0] < end)
+    stamps = np.concatenate([[begin], table[inside, 0], [end]])
+    held = np.clip(np.searchsorted(table[:, 0], stamps[:-1], 'right') - 1, 0, None)
+    step = np.diff(stamps)
+    distance, turn = table[held, 1] * step, table[held, 2] * step
+    half = 0.5 * turn
+    chord = distance * np.sinc(half / np.pi)
+    headings = np.concatenate([[0.0], np.cumsum(turn)])
+    direction = headings[:-1] + half
+    x = np.concatenate([[0.0], np.cumsum(chord * np.cos(direction))])
+    y = np.concatenate([[0.0], np.cumsum(chord * np.sin(direction))])
+    return stamps, compose(np.column_stack([x, y, headings]), np.zeros(3))
+
+
+def _odometry(robot: _Robot, begin: float, end: float) -> Iterator[Event]:
+    stamps, poses = integrate_velocities(robot.odometry, begin, end)
+    for stamp, pose in zip(stamps.tolist(), poses.tolist(), strict=True):
+        yield odometry_event(robot.name, stamp, Pose2(*pose))
+
+
+def _truth(robot: _Robot, begin: float, end: float) -> Iterator[Event]:
+    """Yield the truth, thinned to 25 Hz."""
+    last = -np.inf
+    for stamp, x, y, theta in robot.truth.tolist():
+        if begin <= stamp <= end and stamp - last >= TRUTH_PERIOD:
+            last = stamp
+            yield truth_event(robot.name, stamp, Pose2.from_array([x, y, theta]))
+
+
+def _measurements(robot: _Robot, begin: float, end: float) -> Iterator[Event]:
+    rows = robot.measurements
+    rows = rows[(rows[:, 0] >= begin) & (rows[:, 0] <= end)]
+    for stamp in np.unique(rows[:, 0]):
+        seen = rows[rows[:, 0] == stamp]
+        landmarks = seen[seen[:, 1] > len(ROBOTS)]
+        if len(landmarks):
+            observations = observe(float(stamp), landmarks[:, 1], landmarks[:, 2:])
+            yield Event(float(stamp), robot.name, TopicKind.LANDMARKS, observations)
+        for subject, distance, bearing in seen[seen[:, 1] <= len(ROBOTS), 1:].tolist():
+            if int(subject) != robot.number:
+                position, covariance = planar_measurement(distance, bearing)
+                sighting = VehicleSighting(
+                    float(stamp), f'robot{int(subject)}', position, covariance
+                )
+                yield Event(float(stamp), robot.name, TopicKind.SIGHTINGS, sighting)
+
+
+def planar_measurement(distance: float, bearing: float) -> tuple[Array, Array]:
+    """Return position (2,) and covariance (2, 2) in the robot frame of a range and bearing."""
+    c, s = np.cos(bearing), np.sin(bearing)
+    rotation = np.array([[c, -s], [s, c]])
+    along = RANGE_SIGMA + RANGE_SIGMA_PER_METRE * distance
+    spread = np.diag([along**2, (distance * BEARING_SIGMA) ** 2])
+    return distance * rotation[:, 0], rotation @ spread @ rotation.T
+
+
+def observe(stamp: float, subjects: Array, measurements: Array) -> LandmarkObservations:
+    """Return the observations of landmarks: subjects (K,), measurements (K, 2) range, bearing."""
+    count = len(subjects)
+    positions, covariances = np.zeros((count, 3)), np.zeros((count, 3, 3))
+    covariances[:, 2, 2] = HEIGHT_SIGMA**2
+    for row, (distance, bearing) in enumerate(measurements.tolist()):
+        positions[row, :2], covariances[row, :2, :2] = planar_measurement(distance, bearing)
+    descriptors = np.stack([landmark_descriptor(int(subject)) for subject in subjects])
+    return LandmarkObservations(stamp, positions, covariances, descriptors)
+
+
+def landmark_descriptor(subject: int) -> np.ndarray[tuple[int], np.dtype[np.float32]]:
+    """Return the descriptor (128,) of a bar-coded landmark: always the same unit vector."""
+    values = np.random.default_rng([DESCRIPTOR_SEED, subject]).normal(size=DESCRIPTOR_LENGTH)
+    return np.asarray(values / np.linalg.norm(values), dtype=np.float32)

@@ -1,0 +1,344 @@
+"""The figures of a report, each as the text of one SVG element.
+
+Figures are made without pyplot, so that no display, backend or global state matters.
+"""
+
+import io
+import math
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+
+from explore_slam.results.run_data import Panel, RunData, Series, VehicleRun, error_series
+from explore_slam.results.trajectory import Trajectory
+from explore_slam.geometry import Array
+
+# Okabe and Ito's colours, which color-blind readers tell apart too
+COLORS = ('#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9', '#7a5195', '#404040')
+INK, MUTED, GRID = '#1f2933', '#7b8794', '#e4e7eb'
+UNKNOWN, FREE, OCCUPIED = '#dfe4ea', '#ffffff', '#323f4b'
+MOST_POINTS = 1500
+STYLE: dict[str, Any] = {
+    'svg.fonttype': 'none',
+    'font.family': 'sans-serif',
+    'font.size': 10,
+    'text.color': INK,
+    'axes.labelcolor': INK,
+    'axes.edgecolor': '#9aa5b1',
+    'axes.linewidth': 0.8,
+    'axes.grid': True,
+    'axes.axisbelow': True,
+    'axes.spines.top': False,
+    'axes.spines.right': False,
+    'grid.color': GRID,
+    'grid.linewidth': 0.8,
+    'xtick.color': '#52606d',
+    'ytick.color': '#52606d',
+    'legend.frameon': False,
+    'legend.fontsize': 9,
+}
+
+
+def color_of(index: int) -> str:
+    """Return the color of the vehicle with this index."""
+    return COLORS[index % len(COLORS)]
+
+
+def map_figure(data: RunData) -> str | None:
+    """Draw grid, landmarks and trajectories seen from above; None without any of them."""
+    extent = _view(data)
+    if extent is None:
+        return None
+    left, right, bottom, top = extent
+    width = 10.0
+    height = float(np.clip(width * (top - bottom) / max(right - left, 1e-6) + 0.9, 3.0, 10.0))
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(width, height), layout='constrained')
+        axes = figure.add_subplot()
+        axes.set_aspect('equal')
+        axes.grid(visible=data.grid is None)
+        if data.grid is not None:
+            _draw_grid(axes, data.grid)
+        if data.landmarks is not None and len(data.landmarks.means):
+            means = _thin(np.asarray(data.landmarks.means), 4000)
+            size = 5.0 if len(means) > 100 else 28.0
+            axes.scatter(
+                means[:, 0],
+                means[:, 1],
+                s=size,
+                color='#b7791f',
+                alpha=0.55,
+                linewidths=0,
+                label='landmarks',
+            )
+        for index, run in enumerate(data.vehicles):
+            _draw_vehicle(axes, run, color_of(index))
+        axes.set(xlim=(left, right), ylim=(bottom, top), xlabel='x (m)', ylabel='y (m)')
+        _legend(axes, min(6, 2 + 2 * len(data.vehicles)))
+        return _svg(figure, 'map', bbox_inches='tight', pad_inches=0.05)
+
+
+def _draw_grid(axes: Axes, grid: Any) -> None:
+    probability, known = np.asarray(grid.probability()), np.asarray(grid.known())
+    shade = np.where(known, np.clip((probability - 0.25) / 0.5, 0.0, 1.0), 0.0)
+    levels = np.where(known, 1.0 + np.rint(254.0 * shade), 0.0).astype(np.uint8)
+    free, occupied = np.array(mpl.colors.to_rgb(FREE)), np.array(mpl.colors.to_rgb(OCCUPIED))
+    ramp = free + np.linspace(0.0, 1.0, 255)[:, None] * (occupied - free)
+    colors = ListedColormap(np.vstack([mpl.colors.to_rgb(UNKNOWN), ramp]))
+    x, y = float(grid.origin[0]), float(grid.origin[1])
+    rows, columns = levels.shape
+    axes.imshow(
+        levels,
+        cmap=colors,
+        vmin=0,
+        vmax=255,
+        origin='lower',
+        interpolation='none',
+        extent=(x, x + columns * grid.resolution, y, y + rows * grid.resolution),
+    )
+
+
+def _draw_vehicle(axes: Axes, run: VehicleRun, color: str) -> None:
+    path = run.estimated if len(run.estimated) else run.online
+    if len(run.odometry):
+        _draw_path(axes, run.odometry, color=color, lw=0.9, ls=(0, (1, 2.5)), alpha=0.45)
+    if len(path):
+        _draw_path(axes, path, color=color, lw=2.2, label=run.name)
+    if len(run.truth):
+        _draw_path(axes, run.truth, color=INK, lw=0.8, ls=(0, (5, 3)), alpha=0.8)
+    if not len(path):
+        return
+    axes.plot(*path.poses[0, :2], 'o', ms=7, mfc='white', mec=color, mew=1.8)
+    x, y, theta = path.poses[-1]
+    axes.plot(x, y, marker=(3, 0, math.degrees(theta) - 90.0), ms=11, mfc=color, mec='white')
+
+
+def _draw_path(axes: Axes, path: Trajectory, **style: Any) -> None:
+    axes.plot(*_thin(path.poses)[:, :2].T, **style)
+
+
+def _view(data: RunData) -> tuple[float, float, float, float] | None:
+    """Return left, right, bottom, top (m) of what is worth seeing; odometry alone may leave it."""
+    parts = [
+        path.poses[:, :2]
+        for run in data.vehicles
+        for path in (run.estimated, run.online, run.truth)
+        if len(path)
+    ]
+    if data.grid is not None:
+        rows, columns = np.nonzero(np.asarray(data.grid.known()))
+        if rows.size:
+            corners = np.array([[columns.min(), rows.min()], [columns.max() + 1, rows.max() + 1]])
+            parts.append(np.asarray(data.grid.origin)[:2] + corners * data.grid.resolution)
+    elif data.landmarks is not None and len(data.landmarks.means):
+        # a few landmarks far out must not shrink the rest
+        means = np.asarray(data.landmarks.means)[:, :2]
+        parts.append(np.quantile(means, [0.01, 0.99], axis=0))
+    if not parts:
+        return None
+    points = np.concatenate(parts)
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 0.03 * float((high - low).max()) + 0.3
+    return (
+        float(low[0] - margin),
+        float(high[0] + margin),
+        float(low[1] - margin),
+        float(high[1] + margin),
+    )
+
+
+def error_figure(data: RunData) -> str | None:
+    """Draw position and heading errors over time, odometry alone faint; None without a truth."""
+    begin = _begin(data)
+    found: list[tuple[str, str, tuple[Series, Series], tuple[Series, Series]]] = []
+    for index, run in enumerate(data.vehicles):
+        path = run.online if len(run.online) else run.estimated
+        errors, alone = error_series(path, run.truth), error_series(run.odometry, run.truth)
+        if len(errors[0]):
+            found.append((run.name, color_of(index), errors, alone))
+    if not found:
+        return None
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(10.0, 5.0), layout='constrained')
+        upper, lower = figure.subplots(2, 1, sharex=True)
+        for panel, (axes, scale) in enumerate(((upper, 1.0), (lower, 180.0 / math.pi))):
+            highest = 0.0
+            for name, color, errors, alone in found:
+                values = scale * errors[panel].values
+                highest = max(highest, float(np.quantile(values, 0.995)))
+                if len(alone[panel]):
+                    times, odometry = _binned(alone[panel], np.mean)
+                    axes.plot(
+                        times - begin, scale * odometry, color=color, lw=0.9, ls=':', alpha=0.6
+                    )
+                times, worst = _binned(errors[panel], np.max)
+                axes.plot(times - begin, scale * worst, color=color, lw=1.4, label=name)
+            axes.set_ylim(0.0, 1.25 * highest + 1e-3)
+        upper.set_ylabel('position error (m)')
+        lower.set_ylabel('heading error (°)')
+        lower.set_xlabel('time (s)')
+        _legend(upper, 6)
+        return _svg(figure, 'errors')
+
+
+def coverage_figure(data: RunData) -> str | None:
+    """Draw what is explored over time; None when it was not measured."""
+    if len(data.coverage) < 2:
+        return None
+    values = data.coverage.values * (100.0 if data.coverage_unit == '%' else 1.0)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(10.0, 2.6), layout='constrained')
+        axes = figure.add_subplot()
+        times = data.coverage.stamps - _begin(data)
+        axes.fill_between(times, values, step='post', color=COLORS[0], alpha=0.12, linewidth=0)
+        axes.step(times, values, where='post', color=COLORS[0], lw=1.8)
+        axes.annotate(
+            f'{values[-1]:.1f} {data.coverage_unit}',
+            (times[-1], values[-1]),
+            xytext=(-4, -12),
+            textcoords='offset points',
+            ha='right',
+            color=COLORS[0],
+            fontweight='bold',
+        )
+        top = 102.0 if data.coverage_unit == '%' else 1.06 * float(values.max()) + 1e-3
+        axes.set(ylim=(0.0, top), xlabel='time (s)', ylabel=f'explored ({data.coverage_unit})')
+        axes.set_xlim(left=min(0.0, float(times[0])))
+        return _svg(figure, 'coverage')
+
+
+def particles_figure(data: RunData) -> str | None:
+    """Draw the effective particles over time; None when there were no updates."""
+    if len(data.effective_particles) < 2:
+        return None
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(10.0, 2.6), layout='constrained')
+        axes = figure.add_subplot()
+        begin = _begin(data)
+        times, low = _binned(data.effective_particles, np.min)
+        _, high = _binned(data.effective_particles, np.max)
+        _, middle = _binned(data.effective_particles, np.median)
+        axes.fill_between(times - begin, low, high, color=COLORS[2], alpha=0.18, linewidth=0)
+        axes.plot(times - begin, middle, color=COLORS[2], lw=1.4)
+        top = float(max(data.particles, high.max()))
+        if data.particles:
+            axes.axhline(data.particles, color=MUTED, lw=0.9, ls='--')
+            axes.annotate(
+                f'{data.particles} particles',
+                (0.0, data.particles),
+                xytext=(4, 3),
+                textcoords='offset points',
+                color=MUTED,
+                fontsize=9,
+            )
+        axes.set(ylim=(0.0, 1.15 * top), xlabel='time (s)', ylabel='effective particles')
+        axes.set_xlim(left=0.0)
+        return _svg(figure, 'particles')
+
+
+def panel_figure(panel: Panel, name: str) -> str | None:
+    """Draw one more series over its own time; None when it is empty."""
+    if not len(panel.series):
+        return None
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(10.0, 2.6), layout='constrained')
+        axes = figure.add_subplot()
+        times, values = _binned(panel.series, np.mean)
+        axes.plot(times - times[0], values, color=COLORS[0], lw=1.6, marker='o', ms=2.5)
+        top = float(values.max())
+        axes.set(ylim=(0.0, 1.15 * top + 1e-9), xlabel='time (s)', ylabel=panel.label)
+        return _svg(figure, name)
+
+
+def _begin(data: RunData) -> float:
+    firsts = [
+        float(path.stamps[0])
+        for run in data.vehicles
+        for path in (run.online, run.estimated, run.odometry)
+        if len(path)
+    ]
+    firsts += [float(series.stamps[0]) for series in (data.coverage,) if len(series)]
+    return min(firsts, default=0.0)
+
+
+def _thin(points: Array, most: int = MOST_POINTS) -> Array:
+    """Return at most about `most` rows, evenly, the last one among them."""
+    if len(points) <= most:
+        return points
+    chosen = np.unique(np.linspace(0, len(points) - 1, most).astype(int))
+    thinned: Array = points[chosen]
+    return thinned
+
+
+def _binned(series: Series, reduce: Any, bins: int = 500) -> tuple[Array, Array]:
+    """Return times and values reduced over equal spans of time, so that no peak is lost."""
+    if len(series) <= bins:
+        return series.stamps, series.values
+    edges = np.linspace(series.stamps[0], series.stamps[-1], bins + 1)
+    starts = np.unique(np.searchsorted(series.stamps, edges[:-1]))
+    parts = np.split(np.arange(len(series)), starts[1:])
+    times = np.array([series.stamps[part].mean() for part in parts])
+    return times, np.array([reduce(series.values[part]) for part in parts])
+
+
+def _legend(axes: Axes, columns: int) -> None:
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(
+            loc='lower left',
+            bbox_to_anchor=(0.0, 1.0),
+            ncols=columns,
+            borderaxespad=0.2,
+            markerscale=2.5,
+        )
+
+
+def _svg(figure: Figure, name: str, **options: Any) -> str:
+    buffer = io.StringIO()
+    # the salt keeps ids of several figures on one page apart, and the same from run to run
+    with mpl.rc_context({'svg.hashsalt': name}):
+        figure.savefig(buffer, format='svg', metadata={'Date': None}, **options)
+    text = buffer.getvalue()
+    text = text[text.index('<svg') :]
+    text = re.sub(r' id="[A-Za-z0-9.]+_[0-9]+"', '', text)
+    text = re.sub(r'<metadata>.*?</metadata>', '', text, flags=re.DOTALL)
+    size = re.search(r'viewBox="[^"]*"', text)
+    head = f'<svg {size.group(0) if size else ""} role="img" xmlns="http://www.w3.org/2000/svg"'
+    body = text[text.index('>') :]
+    return f'{head} xmlns:xlink="http://www.w3.org/1999/xlink"{body}'
+
+
+def figures(data: RunData) -> Sequence[tuple[str, str, str]]:
+    """Return (title, caption, SVG) of every figure that the data allow."""
+    drawn = (
+        (
+            'Map and trajectories',
+            'Colored: estimated path of each vehicle, circle at its start, arrow at its end. '
+            'Dashed: true path. Dotted: odometry alone.',
+            map_figure(data),
+        ),
+        (
+            'Errors over time',
+            'Error of the pose as it was estimated at each time, against the truth; where there '
+            'are many, the largest of each short span. Dotted: odometry alone, which may leave '
+            'the picture.',
+            error_figure(data),
+        ),
+        ('Coverage over time', 'What the team has explored.', coverage_figure(data)),
+        (
+            'Effective particles',
+            'Particles that carry weight after each update: median, and the band from the least '
+            'to the most.',
+            particles_figure(data),
+        ),
+    )
+    more = (
+        (panel.title, panel.caption, panel_figure(panel, f'panel{index}'))
+        for index, panel in enumerate(data.panels)
+    )
+    return [(title, text, svg) for title, text, svg in (*drawn, *more) if svg is not None]

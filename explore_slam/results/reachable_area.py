@@ -1,0 +1,45 @@
+"""How much of what the vehicles can reach a map knows."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from explore_slam.errors import EvaluationError
+from explore_slam.geometry import Array, Pose2
+from explore_slam.simulation.grid.grid_world import GridWorld
+
+
+class ReachableArea:
+    """The free cells of a world that a disc of the vehicles' radius (m) can cover from the starts.
+
+    The map to be judged is in the same frame: the start poses are known.
+    """
+
+    def __init__(self, world: GridWorld, starts: Iterable[Pose2], radius: float) -> None:
+        points = np.array([[pose.x, pose.y] for pose in starts])
+        if points.size == 0:
+            raise EvaluationError('reachable area: no start pose, expected one or more')
+        mask = world.reachable(points, radius)
+        if not mask.any():
+            raise EvaluationError(f'reachable area: nothing is free around {points.tolist()}')
+        self.cells: Array = world.to_point(np.argwhere(mask))
+        self.area = float(mask.sum()) * world.resolution**2
+
+    @classmethod
+    def of_file(cls, path: Path, starts: Iterable[Pose2], radius: float) -> 'ReachableArea':
+        """Read a world file or a map_server map."""
+        return cls(GridWorld.load(path), starts, radius)
+
+    def share_known(
+        self, known: NDArray[np.bool_], resolution: float, origin: tuple[float, float]
+    ) -> float:
+        """Return the share (0 to 1) of the reachable cells that lie in known (H, W) map cells."""
+        index = np.floor((self.cells - np.asarray(origin)) / resolution).astype(np.int64)
+        columns, rows = index[:, 0], index[:, 1]
+        height, width = known.shape
+        inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+        found = np.zeros(len(index), np.bool_)
+        found[inside] = known[rows[inside], columns[inside]]
+        return float(found.mean())

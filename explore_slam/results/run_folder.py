@@ -1,0 +1,211 @@
+"""What a run leaves behind: one folder per run, with maps, trajectories, metrics and a report.
+
+Contents: map.pgm + map.yaml (map_server), `<vehicle>_<kind>.tum` trajectories, landmarks.ply,
+settings.yaml (effective configuration), metrics.json, report.html; `latest` links to the newest.
+"""
+
+import json
+import logging
+import math
+import os
+import re
+from collections.abc import Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from explore_slam.errors import EvaluationError
+from explore_slam.results.trajectory import Trajectory, save_tum
+from explore_slam.geometry import Array
+from explore_slam.settings import Section, save_settings
+
+if TYPE_CHECKING:
+    from explore_slam.results.run_data import RunData
+
+logger = logging.getLogger(__name__)
+
+KINDS = ('estimated', 'online', 'true', 'odometry')
+LATEST = 'latest'
+
+
+class LandmarkMap(Protocol):
+    """The landmarks of the best particle, as `slam` returns them."""
+
+    @property
+    def means(self) -> Array:
+        """Positions (N, 3) m in the map."""
+        ...
+
+    @property
+    def covariances(self) -> Array:
+        """Covariances (N, 3, 3) m²."""
+        ...
+
+    @property
+    def counts(self) -> NDArray[Any]:
+        """How often each landmark was observed (N,)."""
+        ...
+
+
+class RunFolder:
+    """Writes the results of one run; every file appears whole or not at all."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @classmethod
+    def create(cls, base: Path, now: datetime | None = None) -> 'RunFolder':
+        """Make `base/<local time>/` and let `base/latest` point to it."""
+        stem = (now or datetime.now().astimezone()).strftime('%Y-%m-%d_%H-%M-%S')
+        try:
+            base.mkdir(parents=True, exist_ok=True)
+            for number in range(1, 1000):
+                path = base / (stem if number == 1 else f'{stem}_{number}')
+                try:
+                    path.mkdir()
+                    break
+                except FileExistsError:
+                    continue
+            else:
+                raise EvaluationError(f'{base} holds 999 runs of {stem}: no name is left')
+            _link_latest(base, path.name)
+        except OSError as error:
+            raise EvaluationError(f'a run folder cannot be made in {base}: {error}') from error
+        return cls(path)
+
+    def write_map(self, grid: Any) -> Path:
+        """Write map.pgm and map.yaml; return the path of the YAML file."""
+        from explore_slam.mapping import save_map
+
+        save_map(grid, self.path / 'map')
+        return self.path / 'map.yaml'
+
+    def write_trajectory(
+        self, vehicle: str, kind: str, stamps: ArrayLike, poses: ArrayLike
+    ) -> Path:
+        """Write `<vehicle>_<kind>.tum`; kind: estimated, online, true or odometry."""
+        if kind not in KINDS:
+            raise EvaluationError(f'trajectory kind is {kind!r}, expected one of {list(KINDS)}')
+        path = self.path / f'{file_name(vehicle)}_{kind}.tum'
+        trajectory = Trajectory.of(stamps, poses)
+        with _whole(path) as partial:
+            save_tum(partial, trajectory)
+        return path
+
+    def write_landmarks(self, landmarks: LandmarkMap) -> Path:
+        """Write landmarks.ply: x y z, standard deviation (m), number of observations."""
+        path = self.path / 'landmarks.ply'
+        with _whole(path) as partial:
+            save_ply(partial, landmarks)
+        return path
+
+    def write_config(self, section: Section) -> Path:
+        """Write settings.yaml, a ROS parameter file that `--config` takes again."""
+        path = self.path / 'settings.yaml'
+        with _whole(path) as partial:
+            save_settings(section, partial)
+        return path
+
+    def write_metrics(self, metrics: Mapping[str, Any]) -> Path:
+        """Write metrics.json; a value that is not finite becomes null."""
+        path = self.path / 'metrics.json'
+        text = json.dumps(_plain(metrics), indent=2, sort_keys=False, allow_nan=False)
+        with _whole(path) as partial:
+            partial.write_text(text + '\n', encoding='utf-8')
+        return path
+
+    def write_report(self, data: 'RunData') -> Path:
+        """Write report.html, which needs no other file."""
+        from explore_slam.results.report import render_report
+
+        path = self.path / 'report.html'
+        text = render_report(data)
+        with _whole(path) as partial:
+            partial.write_text(text, encoding='utf-8')
+        return path
+
+    def write_run(self, data: 'RunData') -> Path:
+        """Write everything that the data of a run hold; return the path of the report."""
+        if data.grid is not None:
+            self.write_map(data.grid)
+        for vehicle in data.vehicles:
+            for kind, trajectory in vehicle.trajectories().items():
+                self.write_trajectory(vehicle.name, kind, trajectory.stamps, trajectory.poses)
+        if data.landmarks is not None:
+            self.write_landmarks(data.landmarks)
+        if data.settings is not None:
+            self.write_config(data.settings)
+        self.write_metrics(data.metrics)
+        return self.write_report(data)
+
+
+class _whole:  # noqa: N801 -- used like contextlib's lower-case managers
+    """Give a partial path to write to; move it to its place when the block ends well."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._partial = path.with_name(path.name + '.part')
+
+    def __enter__(self) -> Path:
+        return self._partial
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            os.replace(self._partial, self._path)
+        else:
+            self._partial.unlink(missing_ok=True)
+
+
+def file_name(vehicle: str) -> str:
+    """Return a vehicle's name (perhaps a namespace with slashes) as part of a file's name."""
+    return re.sub(r'[^A-Za-z0-9.-]+', '_', vehicle).strip('_') or 'vehicle'
+
+
+def save_ply(path: Path, landmarks: LandmarkMap) -> None:
+    """Write landmarks as a binary PLY point cloud, which MeshLab, CloudCompare and Open3D read."""
+    means = np.asarray(landmarks.means, dtype=np.float64).reshape(-1, 3)
+    table = np.empty(
+        len(means), [('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('sigma', '<f4'), ('count', '<u4')]
+    )
+    table['x'], table['y'], table['z'] = means.T
+    covariances = np.asarray(landmarks.covariances).reshape(-1, 3, 3)
+    table['sigma'] = np.sqrt(np.maximum(np.trace(covariances, axis1=1, axis2=2), 0.0))
+    table['count'] = np.asarray(landmarks.counts).reshape(-1)
+    header = (
+        'ply\nformat binary_little_endian 1.0\n'
+        'comment landmarks of the best particle, map frame, m\n'
+        f'element vertex {len(table)}\n'
+        'property float x\nproperty float y\nproperty float z\n'
+        'property float sigma\nproperty uint count\nend_header\n'
+    )
+    path.write_bytes(header.encode('ascii') + table.tobytes())
+
+
+def _link_latest(base: Path, name: str) -> None:
+    link, fresh = base / LATEST, base / f'.{LATEST}.{os.getpid()}'
+    if link.exists() and not link.is_symlink():
+        logger.warning('%s is not a link and stays as it is', link)
+        return
+    try:
+        fresh.unlink(missing_ok=True)
+        fresh.symlink_to(name)
+        os.replace(fresh, link)
+    except OSError as error:
+        logger.warning('%s cannot be linked to %s: %s', link, name, error)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, bool | int | str) or value is None:
+        return value
+    return str(value)

@@ -1,0 +1,1 @@
+"""Emulated hardware: the device side of the serial protocols."""

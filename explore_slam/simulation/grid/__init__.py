@@ -1,0 +1,1 @@
+"""The light simulator on a grid of cells, for planning studies."""

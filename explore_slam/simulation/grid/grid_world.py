@@ -1,0 +1,198 @@
+"""A flat world of cells for planning studies: walls, glass, clearance, what can be reached.
+
+Row = y index, col = x index, row 0 at the lowest y. Made of a map_server map (PGM with or
+without YAML), of a drawing, or of arrays.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from explore_slam.errors import SimulationError
+from explore_slam.geometry import Array, Pose2
+from explore_slam.mapping import load_map, read_pgm
+from explore_slam.mapping.map_files import FREE_THRESHOLD, OCCUPIED_THRESHOLD
+from explore_slam.simulation.grid.grid_world_kernels import FREE, GLASS, SOLID
+from explore_slam.simulation.worlds.world import MAP_KEY, World
+from explore_slam.simulation.worlds.world_file import read_yaml
+
+Mask = NDArray[np.bool_]
+
+_DRAWING = {' ': FREE, '.': FREE, '#': SOLID, 'g': GLASS}
+
+
+@dataclass(frozen=True)
+class GridWorld:
+    """Cells (H, W) int8: FREE, SOLID or GLASS; resolution (m); origin (x, y) of the corner (m)."""
+
+    cells: NDArray[np.int8]
+    resolution: float
+    origin: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if self.cells.ndim != 2 or self.cells.size == 0:
+            raise SimulationError(
+                f'grid world: cells have shape {self.cells.shape}, expected (H, W) with H, W >= 1'
+            )
+        if not (math.isfinite(self.resolution) and self.resolution > 0.0):
+            raise SimulationError(f'grid world: resolution is {self.resolution}, expected > 0 m')
+        if not all(map(math.isfinite, self.origin)):
+            raise SimulationError(f'grid world: origin is {self.origin}, expected finite metres')
+
+    @classmethod
+    def load(cls, path: Path, resolution: float = 0.05) -> 'GridWorld':
+        """Read a map_server map (YAML, or PGM alone) or a world file (YAML), by what it holds."""
+        if path.suffix.lower() in ('.yaml', '.yml') and MAP_KEY not in read_yaml(path):
+            world = World.load(path)
+            solid, origin = world.occupied(resolution)
+            return cls(np.where(solid, SOLID, FREE).astype(np.int8), resolution, origin)
+        return cls.from_map(path, resolution)
+
+    @classmethod
+    def from_map(cls, path: Path, resolution: float = 0.05) -> 'GridWorld':
+        """Read a map_server map: a YAML with its image, or a PGM alone with this resolution (m).
+
+        Free is what map_server calls free, with its usual thresholds for a PGM alone; all else is
+        solid, except specks of unknown of up to ten cells without an occupied one: those are
+        holes of the recording, not things.
+        """
+        if path.suffix in ('.yaml', '.yml'):
+            grid = load_map(path)
+            probability, resolution, origin = grid.probability(), grid.resolution, grid.origin
+            free, occupied = grid.known() & (probability < 0.5), probability > 0.5
+        else:
+            shade = 1.0 - read_pgm(path)[::-1] / 255.0
+            free, occupied = shade < FREE_THRESHOLD, shade > OCCUPIED_THRESHOLD
+            origin = (0.0, 0.0)
+        solid = ~(free | _specks(~free, occupied, largest=10))
+        return cls(np.where(solid, SOLID, FREE).astype(np.int8), resolution, origin)
+
+    @classmethod
+    def from_drawing(
+        cls, rows: Sequence[str], size: float = 0.5, resolution: float = 0.05
+    ) -> 'GridWorld':
+        """Make a world of lines of text, the top one first: '#' wall, 'g' glass, ' ' or '.' free.
+
+        Each sign is a square of `size` metres.
+        """
+        if not rows or len({len(row) for row in rows}) != 1:
+            raise SimulationError('grid world: a drawing needs rows, all of the same length')
+        unknown = set(''.join(rows)) - set(_DRAWING)
+        if unknown:
+            raise SimulationError(
+                f'grid world: signs {sorted(unknown)} in the drawing, expected {list(_DRAWING)}'
+            )
+        times = round(size / resolution)
+        small = np.array([[_DRAWING[sign] for sign in row] for row in rows], np.int8)[::-1]
+        return cls(np.kron(small, np.ones((times, times), np.int8)), resolution)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.cells.shape[0], self.cells.shape[1]
+
+    @cached_property
+    def clearance(self) -> NDArray[np.float32]:
+        """Distance (H, W) m of each cell's center from the edge of the nearest obstacle."""
+        framed = np.pad(self.cells == FREE, 1)
+        distance = ndimage.distance_transform_edt(framed)[1:-1, 1:-1]
+        metres: NDArray[np.float32] = np.maximum(distance - 0.5, 0.0).astype(np.float32)
+        metres *= np.float32(self.resolution)
+        return metres
+
+    def to_cell(self, points: ArrayLike) -> NDArray[np.intp]:
+        """Return cells (N, 2) row, col of points (N, 2) m."""
+        shifted = (np.asarray(points, dtype=np.float64)[:, :2] - self.origin) / self.resolution
+        return np.floor(shifted[:, ::-1]).astype(np.intp)
+
+    def to_point(self, cells: ArrayLike) -> Array:
+        """Return the centers (N, 2) m of cells (N, 2) row, col."""
+        centers = (np.asarray(cells, dtype=np.float64)[:, ::-1] + 0.5) * self.resolution
+        moved: Array = centers + self.origin
+        return moved
+
+    def is_inside(self, point: ArrayLike) -> bool:
+        """Tell whether a point (2,) lies in the world."""
+        row, col = self.to_cell(np.asarray(point)[None, :2])[0]
+        return bool(0 <= row < self.shape[0] and 0 <= col < self.shape[1])
+
+    def reachable(self, starts: ArrayLike, radius: float) -> Mask:
+        """Return the free cells (H, W) that a disc of this radius (m) can cover.
+
+        starts (V, 2) m is where discs begin. A start that is itself too tight reaches
+        what the disc covers there and no more.
+        """
+        labels, _ = ndimage.label(self.clearance >= radius)
+        centers = np.zeros(self.shape, np.bool_)
+        for row, col in self.to_cell(starts):
+            if not (0 <= row < self.shape[0] and 0 <= col < self.shape[1]):
+                raise SimulationError(
+                    f'grid world: start {np.asarray(starts).tolist()} outside the world'
+                )
+            centers[row, col] = True
+            if labels[row, col]:
+                centers |= labels == labels[row, col]
+        reach = ndimage.distance_transform_edt(~centers) * self.resolution
+        covered: Mask = (reach <= radius) & (self.cells == FREE)
+        return covered
+
+    def start_poses(
+        self, count: int, seed: int, radius: float, spacing: float = 0.9
+    ) -> list[Pose2]:
+        """Draw start poses near each other: the first anywhere roomy in the largest free part.
+
+        The others stand at least `spacing` (m) from each other, as near to the first as can be;
+        the poses of fewer vehicles are the first ones of more vehicles.
+        """
+        rng = np.random.default_rng(seed)
+        roomy, parts = ndimage.label(self.clearance >= radius + 2.0 * self.resolution)
+        if parts == 0:
+            raise SimulationError(f'grid world: no place has room for a radius of {radius} m')
+        sizes = np.bincount(roomy.ravel())
+        sizes[0] = 0
+        home = np.argwhere(roomy == sizes.argmax())
+        first = home[rng.integers(len(home))]
+        window = np.abs(home - first).max(axis=1) <= 5.0 / self.resolution
+        near = self._joined(home[window], first)
+        order = np.argsort(np.hypot(*(near - first).T), kind='stable')
+        points = self.to_point(near[order])
+        chosen = [points[0]]
+        for point in points:
+            if len(chosen) == count:
+                break
+            if min(math.dist(point, other) for other in chosen) >= spacing:
+                chosen.append(point)
+        if len(chosen) < count:
+            raise SimulationError(
+                f'grid world: room for {len(chosen)} vehicles near {points[0]}, expected {count}'
+            )
+        return [
+            Pose2(float(x), float(y), float(rng.uniform(-math.pi, math.pi))) for x, y in chosen
+        ]
+
+    def _joined(self, cells: NDArray[np.intp], first: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return those of the cells (N, 2) that hang together with the first one."""
+        low = cells.min(axis=0)
+        local = np.zeros(cells.max(axis=0) - low + 1, np.bool_)
+        local[tuple((cells - low).T)] = True
+        labels, _ = ndimage.label(local)
+        kept = labels[tuple((cells - low).T)] == labels[tuple(first - low)]
+        joined: NDArray[np.intp] = cells[kept]
+        return joined
+
+
+def _specks(solid: Mask, occupied: Mask, largest: int) -> Mask:
+    """Return the parts (8-connected) of at most `largest` cells without an occupied cell."""
+    labels, count = ndimage.label(solid, np.ones((3, 3)))
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)
+    touched = np.bincount(labels[occupied], minlength=count + 1) > 0
+    small = (sizes <= largest) & ~touched
+    small[0] = False
+    specks: Mask = small[labels]
+    return specks

@@ -1,0 +1,1 @@
+"""The rendered simulator: MuJoCo scene, camera, laser, differential drive."""

@@ -1,0 +1,66 @@
+"""The simulated laser scanner: rays against walls, furniture and vehicle bodies."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from explore_slam.data import LaserScan
+from explore_slam.geometry import Pose2
+from explore_slam.simulation.config import SimulatedLaserConfig
+from explore_slam.simulation.rendered.mujoco_import import mujoco
+from explore_slam.simulation.rendered.scene import BODY, PAINTED, Scene
+
+RANGE_MIN = 0.05  # m
+
+
+class LaserScanner:
+    """Casts the beams of one vehicle's scanner."""
+
+    def __init__(self, config: SimulatedLaserConfig, body: int, rng: np.random.Generator) -> None:
+        self._config = config
+        self._body = body
+        self._rng = rng
+        span, beams = math.radians(config.simulated_field_of_view), config.simulated_beams
+        self.angle_min = -0.5 * span
+        self.angle_increment = span / (beams - 1)
+        self._angles = self.angle_min + self.angle_increment * np.arange(beams)
+        self._hit = np.zeros(beams, np.int32)
+        self._distance = np.zeros(beams)
+        self._groups = np.zeros(6, np.uint8)
+        self._groups[[BODY, PAINTED]] = 1
+
+    def measure(self, stamp: float, pose: Pose2, scene: Scene, data: Any) -> LaserScan:
+        """Return the scan of a vehicle at its true pose; +inf where nothing is in range."""
+        config = self._config
+        mount = pose.compose(Pose2(config.simulated_laser_x, 0.0, 0.0))
+        directions = np.zeros((self._angles.size, 3))
+        directions[:, 0] = np.cos(self._angles + mount.theta)
+        directions[:, 1] = np.sin(self._angles + mount.theta)
+        limit = config.simulated_scan_range
+        scene.show_near(mount.x, mount.y, limit)
+        mujoco.mj_multiRay(
+            scene.model,
+            data,
+            np.array([mount.x, mount.y, config.simulated_laser_z]),
+            directions.ravel(),
+            self._groups,
+            1,
+            self._body,
+            self._hit,
+            self._distance,
+            None,
+            self._angles.size,
+            limit,
+        )
+        noise = self._rng.standard_normal(self._angles.size) * config.simulated_scan_noise
+        ranges = np.maximum(self._distance + noise, RANGE_MIN)
+        ranges[(self._distance < 0.0) | (ranges > limit)] = np.inf
+        return LaserScan(
+            stamp,
+            self.angle_min,
+            self.angle_increment,
+            ranges.astype(np.float32),
+            RANGE_MIN,
+            limit,
+        )

@@ -1,0 +1,91 @@
+"""Renders what a simulated camera sees: one pass gives colour and depth."""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from explore_slam.errors import SimulationError
+from explore_slam.simulation.rendered.mujoco_import import mujoco, rendering_error
+from explore_slam.simulation.rendered.scene import FLOOR, HIDDEN, Z_FAR, Z_NEAR, Scene
+
+VIEW = 12.0  # m; what is farther away is left out of pictures
+
+
+class Renderer:
+    """Off-screen OpenGL of one model; use it from one thread only, close() frees it."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._model = model = scene.model
+        self._walls = scene
+        self.width = int(model.vis.global_.offwidth)
+        self.height = int(model.vis.global_.offheight)
+        self._context: Any = None
+        self._gl: Any = None
+        try:
+            self._gl = mujoco.GLContext(self.width, self.height)
+            self._gl.make_current()
+            self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
+        except (ImportError, RuntimeError, AttributeError, OSError, mujoco.FatalError) as error:
+            self.close()
+            raise rendering_error(error) from error
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+        self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
+        self._scene = mujoco.MjvScene(model, maxgeom=64 + 16 * int(model.nbody))
+        for name in ('SHADOW', 'REFLECTION', 'SKYBOX', 'HAZE', 'FOG'):
+            self._scene.flags[getattr(mujoco.mjtRndFlag, f'mjRND_{name}')] = 0
+        self._options = mujoco.MjvOption()
+        self._options.geomgroup[FLOOR], self._options.geomgroup[HIDDEN] = 1, 0
+        self._camera = mujoco.MjvCamera()
+        self._viewport = mujoco.MjrRect(0, 0, self.width, self.height)
+
+    def render(self, data: Any, camera: int) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        """Return colour (H, W, 3) and distance along the optical axis (H, W) m of a camera.
+
+        The row 0 is the lowest, as OpenGL has it.
+        """
+        self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        self._camera.fixedcamid = camera
+        x, y, _ = data.cam_xpos[camera]
+        self._walls.show_near(float(x), float(y), VIEW)
+        return self._draw(data)
+
+    def render_from_above(
+        self, data: Any, center: tuple[float, float], width: float
+    ) -> NDArray[np.uint8]:
+        """Return a picture (H, W, 3) from above, about width (m) wide; row 0 on top."""
+        self._camera.type = mujoco.mjtCamera.mjCAMERA_FREE
+        self._camera.lookat[:] = (*center, 0.0)
+        self._camera.azimuth, self._camera.elevation = 90.0, -89.9
+        half_angle = math.radians(float(self._model.vis.global_.fovy)) / 2
+        self._camera.distance = 0.5 * width * self.height / self.width / math.tan(half_angle)
+        self._walls.show_near(*center, math.inf)
+        depth_range = self._model.vis.map
+        depth_range.zfar = max(Z_FAR, 2.0 * self._camera.distance)
+        picture = self._draw(data)[0][::-1]
+        depth_range.zfar = Z_FAR
+        return picture
+
+    def _draw(self, data: Any) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        if self._gl is None:
+            raise SimulationError('the renderer is closed')
+        self._gl.make_current()
+        category = mujoco.mjtCatBit.mjCAT_ALL
+        mujoco.mjv_updateScene(
+            self._model, data, self._options, None, self._camera, category, self._scene
+        )
+        mujoco.mjr_render(self._viewport, self._scene, self._context)
+        color = np.empty((self.height, self.width, 3), np.uint8)
+        depth = np.empty((self.height, self.width), np.float32)
+        mujoco.mjr_readPixels(color, depth, self._viewport, self._context)
+        near, far = np.float32(Z_NEAR), np.float32(Z_FAR)
+        return color, near * far / (near + depth * (far - near))
+
+    def close(self) -> None:
+        """Free the OpenGL context; more calls do nothing."""
+        if self._context is not None:
+            self._context.free()
+        if self._gl is not None:
+            self._gl.free()
+        self._context = self._gl = None

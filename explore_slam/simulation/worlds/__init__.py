@@ -1,0 +1,1 @@
+"""Worlds: files, maps, solids and painted surfaces."""

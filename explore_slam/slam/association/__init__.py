@@ -1,0 +1,1 @@
+"""Data association: which landmark an observation belongs to, in every particle."""

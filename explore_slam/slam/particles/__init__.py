@@ -1,0 +1,1 @@
+"""Particles: groups of vehicles, motion, resampling, per-particle paths."""

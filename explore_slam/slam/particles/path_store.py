@@ -1,0 +1,38 @@
+"""Poses of keyframes in all particles, kept along the lineages that are left."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from explore_slam.geometry import Array
+from explore_slam.slam.storage.ancestry import Genealogy
+from explore_slam.slam.storage.row_store import ParticleOf, RowStore
+
+
+class PathStore:
+    """Keyframes 0, 1, 2 … over all vehicles: stamp, vehicle and a pose per particle."""
+
+    def __init__(self, particles: int) -> None:
+        self.rows = RowStore(particles, 3)
+        self.stamps: list[float] = []
+        self.vehicles: list[int] = []
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    def append(self, vehicle: int, stamp: float, poses: Array, home: Genealogy) -> int:
+        """Store the poses (M, 3) of a keyframe and return its number."""
+        number = len(self.stamps)
+        slots = self.rows.new_slots(1)
+        self.rows.present_data[slots[0]] = poses.T
+        self.rows.commit(np.array([number], np.int64), slots, home)
+        self.stamps.append(stamp)
+        self.vehicles.append(vehicle)
+        return number
+
+    def of_particle(self, particle_of: ParticleOf) -> Array:
+        """Return the poses (K, 3) of all keyframes along the lineage of a particle."""
+        return self.rows.read_particle(np.arange(len(self), dtype=np.int64), particle_of)
+
+    def of_vehicle(self, vehicle: int) -> NDArray[np.int64]:
+        """Return the numbers of the keyframes of one vehicle."""
+        return np.flatnonzero(np.array(self.vehicles, np.int64) == vehicle)

@@ -1,0 +1,1 @@
+"""Storage of landmark rows and of the ancestry of particles."""

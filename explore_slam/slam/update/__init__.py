@@ -1,0 +1,1 @@
+"""The update step: proposal, landmark filters, map management, inter-robot observations."""

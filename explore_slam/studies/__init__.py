@@ -1,0 +1,1 @@
+"""The paper's experiments, and studies of strategies and accuracy."""

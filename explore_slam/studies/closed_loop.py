@@ -1,0 +1,138 @@
+"""Exploration in one process, without ROS: simulator, path followers and agent in lock step.
+
+The same seed gives the same run, bit for bit; the live demo does the same over topics.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from explore_slam.agent import Agent, AgentConfig, TeamPlanner
+from explore_slam.data import LaserScan, OdometryReading, Plan, RgbdFrame
+from explore_slam.exploration import ExplorationStatus, PlanningResult
+from explore_slam.geometry import Pose2
+from explore_slam.results.reachable_area import ReachableArea
+from explore_slam.results.run_data import RunData, RunRecorder
+from explore_slam.settings import Section, section, setting
+from explore_slam.simulation import SimulationConfig, Simulator, World
+from explore_slam.simulation.records import TruePose
+from explore_slam.vehicle import PathFollower, PathFollowerConfig
+
+_NO_POINTS = np.empty((0, 2))
+ENDED = (ExplorationStatus.COMPLETE, ExplorationStatus.RETURNED)
+
+
+@dataclass(frozen=True)
+class ClosedLoopConfig(Section):
+    """Everything that a run in one process is made of."""
+
+    planning_period: float = setting(
+        2.0, 'time between planning cycles', unit='s', low=0.1, high=60.0
+    )
+    time_limit: float = setting(
+        1200.0, 'simulated time after which a run ends', unit='s', low=1.0, high=1e5
+    )
+    agent: AgentConfig = section(AgentConfig)
+    simulation: SimulationConfig = section(SimulationConfig)
+
+
+@dataclass
+class ClosedLoop:
+    """One run; `step` advances the simulator by a tick, `run` goes on to the end."""
+
+    world_path: Path
+    config: ClosedLoopConfig = field(default_factory=ClosedLoopConfig)
+    vehicles: int = 2
+    seed: int = 0
+    follower: PathFollowerConfig = field(default_factory=PathFollowerConfig)
+
+    def __post_init__(self) -> None:
+        world = World.load(self.world_path)
+        starts: dict[str, Pose2] = dict(list(world.starts.items())[: self.vehicles])
+        self.simulator = Simulator(world, starts, self.config.simulation, self.seed)
+        self.agent = Agent(self.config.agent, starts, self.seed)
+        self.planner = TeamPlanner(self.agent)
+        self.followers = {name: PathFollower(self.follower) for name in starts}
+        self.recorder = RunRecorder(
+            f'{world.name}, seed {self.seed}', starts, self.config.agent.slam.particles
+        )
+        radius = self.config.agent.exploration.paths.vehicle_radius
+        self.area = ReachableArea.of_file(self.world_path, starts.values(), radius)
+        self.coverage = 0.0
+        self._next_plan = 1.0
+        self._sent: dict[str, Plan | None] = {}
+
+    @property
+    def ended(self) -> bool:
+        """Tell whether nothing is left to explore or the time is up."""
+        status = self.planner.result.status
+        return status in ENDED or self.simulator.time >= self.config.time_limit
+
+    def step(self) -> PlanningResult | None:
+        """Advance a tick; return the result of planning when there was one."""
+        for event in self.simulator.step():
+            self._take(event.vehicle, event.record)
+        now = self.simulator.time
+        for name, follower in self.followers.items():
+            command = follower.command(now)
+            self.simulator.set_velocity(name, command.linear, command.angular)
+            self.planner.report_follower(name, command.state.value, now)
+        if now < self._next_plan:
+            return None
+        self._next_plan = now + self.config.planning_period
+        return self._plan(now)
+
+    def run(self) -> RunData:
+        """Explore to the end; return the data of the run."""
+        while not self.ended:
+            self.step()
+        self.simulator.close()
+        return self.recorder.finish(
+            {name: self.agent.trajectory(name) for name in self.agent.vehicles},
+            grid=self.agent.grid,
+            landmarks=self.agent.landmarks(),
+            settings=self.config,
+            extra={
+                'duration': self.simulator.time,
+                'collisions': self.simulator.collisions,
+                'status': self.planner.result.status.value,
+                'counts': self.agent.summary(),
+            },
+        )
+
+    def _take(self, name: str, record: OdometryReading | LaserScan | RgbdFrame | TruePose) -> None:
+        follower = self.followers[name]
+        if isinstance(record, TruePose):
+            self.recorder.add_truth(name, record.stamp, record.pose)
+            return
+        if isinstance(record, OdometryReading):
+            self.agent.add_odometry(name, record)
+            self.recorder.add_odometry(name, record)
+            follower.set_odometry(record)
+            follower.set_pose(record.stamp, self.agent.map_pose(name))
+        elif isinstance(record, LaserScan):
+            self.agent.add_scan(name, record)
+            follower.set_scan(record)
+        else:
+            self.agent.add_frame(name, record)
+        for event in self.agent.take_events():
+            self.recorder.add_pose(event.vehicle, event.stamp, event.pose)
+            if event.update is not None:
+                self.recorder.add_effective_particles(
+                    event.stamp, event.update.effective_particles
+                )
+
+    def _plan(self, now: float) -> PlanningResult:
+        result = self.planner.plan(now)
+        for name, follower in self.followers.items():
+            plan = result.plans.get(name)
+            if plan is not None and plan is not self._sent.get(name):
+                follower.set_plan(plan)
+            elif plan is None and self._sent.get(name) is not None:
+                follower.set_plan(Plan(now, name, Pose2(0.0, 0.0, 0.0), _NO_POINTS))
+            self._sent[name] = plan
+        grid = self.agent.laser_map.grid
+        self.coverage = self.area.share_known(grid.known(), grid.resolution, grid.origin)
+        self.recorder.add_coverage(now, self.coverage)
+        return result

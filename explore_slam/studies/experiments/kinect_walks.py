@@ -1,0 +1,173 @@
+"""Walks of the simulated Kinect: drive stops along a path, look at each, keep what is seen.
+
+The images are rendered once; seeds differ in the odometry noise that is drawn afterwards, as the
+paper ran its filter over recorded images "in a simulated manner".
+"""
+
+import logging
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from explore_slam.data import LandmarkObservations, RgbdFrame
+from explore_slam.errors import EvaluationError
+from explore_slam.geometry import Array, Pose2, wrap_angle
+from explore_slam.settings import with_values
+from explore_slam.simulation import SimulationConfig, Simulator, World
+from explore_slam.studies.experiments.scenarios import (
+    Noise,
+    Scenario,
+    VehicleStep,
+    from_polar,
+    path_poses,
+)
+from explore_slam.vision import CameraMount, FeatureExtractor, VisionConfig
+
+logger = logging.getLogger(__name__)
+
+SPEED, TURN_RATE = 0.6, 1.0
+PATIENCE = 60.0  # simulated seconds for one leg
+NEAR, ALIGNED = 0.01, 0.004
+
+
+@dataclass(frozen=True)
+class Stop:
+    """One stop of a walk: true pose, what the Kinect sees there, seconds it took to extract."""
+
+    pose: Pose2
+    observations: LandmarkObservations
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Walk:
+    """The stops of one vehicle, the start first."""
+
+    vehicle: str
+    stops: list[Stop]
+
+
+def find_world(name: str) -> Path:
+    """Return the world file of this name, in the source tree or where the package is installed."""
+    here = Path(__file__).resolve()
+    places = [here.parents[3] / 'config' / 'worlds', Path.cwd() / 'config' / 'worlds']
+    places += [up / 'share' / 'explore_slam' / 'config' / 'worlds' for up in here.parents]
+    for place in places:
+        if (place / f'{name}.yaml').is_file():
+            return place / f'{name}.yaml'
+    raise EvaluationError(f'world {name!r} is not found in {places[0]}: name a file with --world')
+
+
+def record_walk(
+    world: Path, vehicle: str, corners: Sequence[tuple[float, float]], step: float,
+    config: VisionConfig | None = None,
+) -> Walk:  # fmt: skip
+    """Drive along a path with a stop after every step (m) and look; the truth steers."""
+    planned = path_poses(list(corners), step)
+    simulation = with_values(
+        SimulationConfig(), {'simulated_scan_rate': 0.0, 'simulated_camera_rate': 2.0}
+    )
+    stops = []
+    with Simulator(World.load(world), {vehicle: planned[0]}, simulation, seed=1) as simulator:
+        settings = simulation.kinect
+        mount = CameraMount(settings.simulated_camera_x, 0.0, settings.simulated_camera_z)
+        extractor = FeatureExtractor(config, mount)
+        for goal in planned:
+            _drive(simulator, vehicle, goal)
+            stops.append(_look(simulator, vehicle, extractor))
+    if any(simulator.collisions.values()):
+        raise EvaluationError(
+            f'walk of {vehicle} in {world} ran into {simulator.collision_log[0]}'
+        )
+    logger.info('%s: %d stops in %s', vehicle, len(stops), world)
+    return Walk(vehicle, stops)
+
+
+def _drive(simulator: Simulator, vehicle: str, goal: Pose2) -> None:
+    """Turn towards the goal, drive there, turn to its heading."""
+    pose = simulator.true_pose(vehicle)
+    if math.hypot(goal.x - pose.x, goal.y - pose.y) > NEAR:
+        _turn(simulator, vehicle, math.atan2(goal.y - pose.y, goal.x - pose.x))
+        end = simulator.time + PATIENCE
+        while simulator.time < end:
+            pose = simulator.true_pose(vehicle)
+            ahead = pose.between(goal)
+            if ahead.x <= NEAR:
+                break
+            bend = 1.5 * math.atan2(ahead.y, max(ahead.x, 0.1))
+            simulator.set_velocity(vehicle, min(SPEED, 0.8 * ahead.x + 0.02), bend)
+            simulator.step()
+        else:
+            raise EvaluationError(f'{vehicle} did not come from {pose} to {goal}')
+    _turn(simulator, vehicle, goal.theta)
+
+
+def _turn(simulator: Simulator, vehicle: str, heading: float) -> None:
+    end = simulator.time + PATIENCE
+    while simulator.time < end:
+        rest = wrap_angle(heading - simulator.true_pose(vehicle).theta)
+        linear, angular = simulator.velocity(vehicle)
+        if abs(rest) < ALIGNED and abs(linear) < 1e-3 and abs(angular) < 0.05:
+            simulator.set_velocity(vehicle, 0.0, 0.0)
+            return
+        turn = math.copysign(min(TURN_RATE, 2.0 * abs(rest)), rest)
+        simulator.set_velocity(vehicle, 0.0, turn)
+        simulator.step()
+    raise EvaluationError(f'{vehicle} did not turn to {heading:.2f} rad')
+
+
+def _look(simulator: Simulator, vehicle: str, extractor: FeatureExtractor) -> Stop:
+    """Stand still until a frame comes."""
+    simulator.set_velocity(vehicle, 0.0, 0.0)
+    end = simulator.time + 2.0
+    while simulator.time < end:
+        for event in simulator.step():
+            still = max(map(abs, simulator.velocity(vehicle))) < 1e-3
+            if isinstance(event.record, RgbdFrame) and still:
+                began = time.perf_counter()
+                seen = extractor.extract(event.record)
+                return Stop(simulator.true_pose(vehicle), seen, time.perf_counter() - began)
+    raise EvaluationError(f'{vehicle}: no frame came within 2 s')
+
+
+def scenario_of(walks: Sequence[Walk], seed: int, *, table_one: bool = False) -> Scenario:
+    """Return the walks as a scenario, vehicles in turn, with drawn odometry noise (table I).
+
+    What is seen at the start counts too: a motion of zero comes before it. With table_one the
+    covariances of what is seen are the paper's, 5 % of the range, instead of the Kinect's.
+    """
+    noise = Noise()
+    rng = np.random.default_rng(np.random.SeedSequence([seed, len(walks)]))
+    starts = {walk.vehicle: walk.stops[0].pose for walk in walks}
+    steps = []
+    for number in range(max(len(walk.stops) for walk in walks)):
+        for walk in walks:
+            if number >= len(walk.stops):
+                continue
+            stop = walk.stops[number]
+            if number == 0:
+                increment, covariance = Pose2(0.0, 0.0, 0.0), 1e-12 * np.eye(3)
+            else:
+                true = walk.stops[number - 1].pose.between(stop.pose)
+                covariance = noise.motion_covariance(true)
+                wander = rng.multivariate_normal(np.zeros(3), covariance, method='cholesky')
+                increment = Pose2.from_array(np.add(true, wander))
+            seen = replace(stop.observations, stamp=float(number))
+            if table_one:
+                seen = replace(seen, covariances=_table_one(seen.positions, noise))
+            unknown = np.full(len(seen), -1, np.int64)
+            steps.append(
+                VehicleStep(walk.vehicle, stop.pose, increment, covariance, seen, unknown)
+            )
+    return Scenario('walk', np.empty((0, 3)), starts, steps)
+
+
+def _table_one(positions: Array, noise: Noise) -> Array:
+    """Return the covariances (K, 3, 3) that table I gives to observations (K, 3) m."""
+    x, y, z = positions.T
+    tau = np.sqrt(x**2 + y**2 + z**2)
+    return from_polar(tau, np.arctan2(y, x), np.arcsin(z / tau), noise)[1]

@@ -1,0 +1,280 @@
+"""One run of a planning study: the planner explores a grid world with a team.
+
+The same grid and planner as in the agent, poses known up to a wandering error instead of SLAM,
+so that what is measured is the planning. Every run ends by itself: done, stuck, or out of time.
+"""
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from explore_slam.data import Plan
+from explore_slam.errors import EvaluationError
+from explore_slam.exploration import (
+    ExplorationConfig,
+    ExplorationStatus,
+    Planner,
+    PlanningMode,
+    PlanningResult,
+    VehicleSnapshot,
+)
+from explore_slam.geometry import Pose2
+from explore_slam.mapping import GridConfig, OccupancyGrid
+from explore_slam.results.coverage import CoverageCurve, GoalCounter
+from explore_slam.settings import Section, setting, with_values
+from explore_slam.simulation.grid.grid_simulator import GridSimulator, GridSimulatorConfig
+from explore_slam.simulation.grid.grid_world import GridWorld
+
+STRATEGIES = ('default', 'paper', 'nearest', 'random')
+TIME_LIMIT = 'time_limit'
+
+
+@dataclass(frozen=True)
+class StudyConfig(Section):
+    """How runs of a study go, beside the vehicles and the planner."""
+
+    cell_size: float = setting(0.1, 'side of a cell of the map', unit='m', low=0.02, high=0.5)
+    scan_period: float = setting(0.5, 'between scans of a vehicle', unit='s', low=0.05, high=10.0)
+    planning_period: float = setting(2.0, 'between plannings', unit='s', low=0.1, high=60.0)
+    stall_time: float = setting(
+        8.0, 'without getting on until a goal counts as blocked', unit='s', low=1.0, high=120.0
+    )
+    stuck_time: float = setting(
+        60.0, 'without any plan until the run ends', unit='s', low=1.0, high=600.0
+    )
+    time_limit: float = setting(7200.0, 'of a run', unit='s', low=1.0, high=1e6)
+    position_error: float = setting(
+        0.02, 'deviation of the known position', unit='m', low=0.0, high=1.0
+    )
+    heading_error: float = setting(
+        0.003, 'deviation of the known heading', unit='rad', low=0.0, high=0.5
+    )
+    home_at_end: bool = setting(False, 'the team drives home when nothing is left')
+
+
+@dataclass(frozen=True)
+class ExplorationRun:
+    """What came out of one run; lengths in metres, times in seconds of the simulation."""
+
+    strategy: str
+    vehicles: int
+    seed: int
+    status: str
+    reason: str
+    duration: float
+    curve: CoverageCurve
+    mapped: float
+    paths: tuple[float, ...]
+    goals_given: int
+    goals_changed: int
+    vehicle_collisions: int
+    wall_collisions: int
+    stalls: int
+    plannings: int
+    planning_seconds: float
+    wall_seconds: float
+
+    @property
+    def longest_path(self) -> float:
+        """Path of the vehicle that drove most."""
+        return max(self.paths)
+
+    @property
+    def path_spread(self) -> float:
+        """Standard deviation of the paths over the vehicles, divided by their mean."""
+        mean = float(np.mean(self.paths))
+        return float(np.std(self.paths)) / mean if mean > 0.0 else 0.0
+
+    @property
+    def real_time_factor(self) -> float:
+        """Simulated seconds per second of computing, planning included."""
+        return self.duration / self.wall_seconds if self.wall_seconds > 0.0 else math.inf
+
+
+@dataclass
+class _Team:
+    """The moving parts of one run."""
+
+    simulator: GridSimulator
+    planner: Planner
+    grid: OccupancyGrid
+    homes: Mapping[str, Pose2]
+    goals: dict[str, GoalCounter]
+    plans: dict[str, Plan | None] = field(default_factory=dict)
+    stalls: int = 0
+    plannings: int = 0
+    planning_seconds: float = 0.0
+
+
+def explore(
+    world: GridWorld,
+    starts: Mapping[str, Pose2],
+    strategy: str = 'default',
+    seed: int = 0,
+    config: StudyConfig | None = None,
+    planner_settings: Mapping[str, Any] | None = None,
+    vehicle_config: GridSimulatorConfig | None = None,
+) -> ExplorationRun:
+    """Let one team explore a world from its start poses until it is done, stuck or out of time.
+
+    planner_settings: settings of ExplorationConfig by name, beside the strategy.
+    """
+    config = config or StudyConfig()
+    team = _make_team(
+        world, starts, strategy, seed, config, planner_settings or {}, vehicle_config
+    )
+    simulator, curve = team.simulator, CoverageCurve()
+    begun = time.perf_counter()
+    status, reason = TIME_LIMIT, f'not done after {config.time_limit:g} s'
+    next_scan = next_plan = last_plan = last_active = 0.0
+    while simulator.time < config.time_limit:
+        now = simulator.time
+        if now >= next_scan - 1e-9:
+            next_scan = now + config.scan_period
+            _look(team)
+        waiting = any(map(simulator.is_idle, simulator.vehicles))
+        if now >= next_plan - 1e-9 or (
+            waiting and now >= last_plan + 0.5 * config.planning_period
+        ):
+            next_plan, last_plan = now + config.planning_period, now
+            result = _plan(team, config)
+            own = (simulator.own_coverage(vehicle) for vehicle in simulator.vehicles)
+            curve.add(now, simulator.team_coverage(), own)
+            if any(result.plans.values()):
+                last_active = now
+            if _is_over(result.status, config.home_at_end) or (
+                now - last_active >= config.stuck_time
+            ):
+                status, reason = result.status.value, result.reason
+                break
+        simulator.step()
+    return _summarize(team, strategy, seed, status, reason, curve, time.perf_counter() - begun)
+
+
+def _is_over(status: ExplorationStatus, home_at_end: bool) -> bool:
+    return status is ExplorationStatus.RETURNED or (
+        status is ExplorationStatus.COMPLETE and not home_at_end
+    )
+
+
+def _make_team(
+    world: GridWorld,
+    starts: Mapping[str, Pose2],
+    strategy: str,
+    seed: int,
+    config: StudyConfig,
+    planner_settings: Mapping[str, Any],
+    vehicle_config: GridSimulatorConfig | None,
+) -> _Team:
+    if strategy not in STRATEGIES:
+        raise EvaluationError(f'strategy is {strategy!r}, expected one of {list(STRATEGIES)}')
+    noise = {'position_noise': config.position_error, 'heading_noise': config.heading_error}
+    simulator_config = with_values(vehicle_config or GridSimulatorConfig(), noise)
+    simulator = GridSimulator(world, starts, simulator_config, seed)
+    settings = {
+        'strategy': strategy,
+        'exploration_seed': seed,
+        'return_to_init': config.home_at_end,
+        **planner_settings,
+    }
+    grid = OccupancyGrid(
+        GridConfig(
+            resolution=config.cell_size,
+            max_laser_range=simulator_config.beam_range,
+            no_return_range=simulator_config.beam_range,
+        )
+    )
+    return _Team(
+        simulator,
+        Planner(with_values(ExplorationConfig(), settings)),
+        grid,
+        {vehicle: simulator.known_pose(vehicle) for vehicle in simulator.vehicles},
+        {vehicle: GoalCounter() for vehicle in simulator.vehicles},
+    )
+
+
+def _look(team: _Team) -> None:
+    """Let every vehicle scan and draw what it saw where it believes to be."""
+    simulator = team.simulator
+    poses = {vehicle: simulator.known_pose(vehicle) for vehicle in simulator.vehicles}
+    radius = simulator.config.body_radius
+    for vehicle, pose in poses.items():
+        bodies = [(p.x, p.y, radius) for other, p in poses.items() if other != vehicle]
+        team.grid.insert_scan(pose, simulator.scan(vehicle), np.reshape(bodies, (-1, 3)))
+
+
+def _plan(team: _Team, config: StudyConfig) -> PlanningResult:
+    """Report what is blocked, plan, and hand out the plans that are new."""
+    simulator, now = team.simulator, team.simulator.time
+    for vehicle in simulator.vehicles:
+        plan = team.plans.get(vehicle)
+        if plan is not None and simulator.stalled_for(vehicle) >= config.stall_time:
+            team.planner.report_blocked(vehicle, plan.goal, now)
+            simulator.set_plan(vehicle, None)
+            team.plans[vehicle] = None
+            team.stalls += 1
+    snapshots = {
+        vehicle: VehicleSnapshot(simulator.known_pose(vehicle), True, team.homes[vehicle])
+        for vehicle in simulator.vehicles
+    }
+    begun = time.perf_counter()
+    result = team.planner.plan(team.grid, now, snapshots, PlanningMode.EXPLORE)
+    team.planning_seconds += time.perf_counter() - begun
+    team.plannings += 1
+    for vehicle in simulator.vehicles:
+        plan = result.plans.get(vehicle)
+        pose = simulator.known_pose(vehicle)
+        if plan is None or simulator.is_idle(vehicle):
+            team.goals[vehicle].clear()
+        if plan is not None:
+            team.goals[vehicle].see((plan.goal.x, plan.goal.y), (pose.x, pose.y))
+        if plan is not team.plans.get(vehicle):
+            simulator.set_plan(vehicle, plan)
+            team.plans[vehicle] = plan
+    return result
+
+
+def _mapped_share(team: _Team) -> float:
+    """Return the share of the reachable cells whose center the map holds as free."""
+    simulator, grid = team.simulator, team.grid
+    cells = grid.to_cell(simulator.world.to_point(np.argwhere(simulator.reachable)))
+    inside = grid.contains(cells)
+    rows, cols = cells[inside].T
+    free = grid.known()[rows, cols] & (grid.probability()[rows, cols] < 0.5)
+    return int(np.count_nonzero(free)) / simulator.reachable_cells
+
+
+def _summarize(
+    team: _Team,
+    strategy: str,
+    seed: int,
+    status: str,
+    reason: str,
+    curve: CoverageCurve,
+    wall_seconds: float,
+) -> ExplorationRun:
+    simulator = team.simulator
+    contacts = [contact.other is not None for contact in simulator.collisions]
+    return ExplorationRun(
+        strategy=strategy,
+        vehicles=len(simulator.vehicles),
+        seed=seed,
+        status=status,
+        reason=reason,
+        duration=simulator.time,
+        curve=curve,
+        mapped=_mapped_share(team),
+        paths=tuple(simulator.travelled(vehicle) for vehicle in simulator.vehicles),
+        goals_given=sum(counter.given for counter in team.goals.values()),
+        goals_changed=sum(counter.changed for counter in team.goals.values()),
+        vehicle_collisions=sum(contacts),
+        wall_collisions=len(contacts) - sum(contacts),
+        stalls=team.stalls,
+        plannings=team.plannings,
+        planning_seconds=team.planning_seconds,
+        wall_seconds=wall_seconds,
+    )

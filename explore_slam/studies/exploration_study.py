@@ -1,0 +1,121 @@
+"""Planning studies: which strategies, team sizes and seeds, run by several processes."""
+
+import logging
+import multiprocessing
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from explore_slam import exploration, mapping, simulation
+from explore_slam.errors import EvaluationError
+from explore_slam.exploration import ExplorationConfig
+from explore_slam.settings import values_of, with_values
+from explore_slam.simulation.grid.grid_simulator import GridSimulatorConfig
+from explore_slam.simulation.grid.grid_world import GridWorld
+from explore_slam.studies.exploration_run import (
+    STRATEGIES,
+    ExplorationRun,
+    StudyConfig,
+    explore,
+)
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Study:
+    """Which runs to make: every strategy with every team size from every seed's start."""
+
+    map_path: Path
+    team_sizes: Sequence[int]
+    strategies: Sequence[str]
+    seeds: Sequence[int]
+    config: StudyConfig = field(default_factory=StudyConfig)
+    planner_settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def tasks(self) -> Iterator[tuple[str, int, int]]:
+        """Yield strategy, team size and seed of every run."""
+        for seed in self.seeds:
+            for size in sorted(self.team_sizes):
+                for strategy in self.strategies:
+                    yield strategy, size, seed
+
+    def run_one(self, strategy: str, size: int, seed: int) -> ExplorationRun:
+        """Make one run: the seed gives the start place and all noise."""
+        world = _world(self.map_path)
+        radius = GridSimulatorConfig().reach_clearance
+        poses = world.start_poses(size, seed, radius)
+        starts = {f'robot{index + 1}': pose for index, pose in enumerate(poses)}
+        run = explore(world, starts, strategy, seed, self.config, self.planner_settings)
+        logger.info(
+            '%s, %d vehicles, seed %d: %s after %.0f s, 99 %% after %.0f s, %.0f x real time',
+            strategy, size, seed, run.status, run.duration, run.curve.time_to(0.99),
+            run.real_time_factor,
+        )  # fmt: skip
+        return run
+
+
+def make_study(
+    map_path: Path,
+    team_sizes: Sequence[int],
+    strategies: Sequence[str],
+    seeds: Sequence[int],
+    changes: Sequence[str] = (),
+) -> Study:
+    """Make a study of plain values; changes are 'name=value' of study and planner settings."""
+    for name, values in (('vehicles', team_sizes), ('strategies', strategies), ('seeds', seeds)):
+        if not values:
+            raise EvaluationError(f'study: no {name} given')
+    if min(team_sizes) < 1:
+        raise EvaluationError(f'study: team of {min(team_sizes)} vehicles, expected 1 or more')
+    for strategy in strategies:
+        if strategy not in STRATEGIES:
+            raise EvaluationError(f'strategy is {strategy!r}, expected one of {list(STRATEGIES)}')
+    own: dict[str, Any] = {}
+    planner: dict[str, Any] = {}
+    for change in changes:
+        name, equals, text = change.partition('=')
+        if not equals:
+            raise EvaluationError(f'study: {change!r}, expected name=value')
+        (own if name in values_of(StudyConfig()) else planner)[name] = yaml.safe_load(text)
+    with_values(ExplorationConfig(), planner)  # a wrong one is told at once
+    config = with_values(StudyConfig(), own)
+    return Study(map_path, team_sizes, strategies, seeds, config, planner)
+
+
+_WORLDS: dict[Path, GridWorld] = {}
+
+
+def _world(path: Path) -> GridWorld:
+    """Return the world of a file; read once per process."""
+    if path not in _WORLDS:
+        _WORLDS[path] = GridWorld.load(path)
+    return _WORLDS[path]
+
+
+def warm_up() -> None:
+    """Compile all kernels of a run, so that the first one is timed like the others."""
+    for room in (simulation, mapping, exploration):
+        room.warm_up()
+
+
+def _run_task(task: tuple[Study, str, int, int]) -> ExplorationRun:
+    study, strategy, size, seed = task
+    return study.run_one(strategy, size, seed)
+
+
+def run_study(study: Study, workers: int = 2) -> Iterator[ExplorationRun]:
+    """Yield the runs of a study in their order, made by this many processes."""
+    _world(study.map_path)  # a file that cannot be read is told at once
+    tasks: Iterable[tuple[Study, str, int, int]] = [(study, *task) for task in study.tasks()]
+    if workers <= 1:
+        warm_up()
+        yield from map(_run_task, tasks)
+        return
+    context = multiprocessing.get_context('spawn')
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=warm_up) as pool:
+        yield from pool.map(_run_task, tasks)

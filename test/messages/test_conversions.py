@@ -1,0 +1,141 @@
+"""Records to messages and back with the real rclpy classes, through real serialisation."""
+
+import math
+
+import numpy as np
+import pytest
+from rclpy.serialization import deserialize_message, serialize_message
+
+from explore_slam import messages
+from explore_slam.data import (
+    Intrinsics,
+    LandmarkObservations,
+    LaserScan,
+    OdometryReading,
+    VehicleSighting,
+)
+from explore_slam.errors import DataError
+from explore_slam.geometry import Pose2
+from explore_slam.nodes.messages import MESSAGES
+
+CAMERA = Intrinsics(64, 48, 60.0, 61.0, 31.5, 23.5)
+
+
+def over_the_wire(message):
+    return deserialize_message(serialize_message(message), type(message))
+
+
+def test_odometry_survives_the_wire():
+    reading = OdometryReading(12.345678901, Pose2(1.0, -2.0, 3.0), np.diag([0.1, 0.2, 0.3]))
+    message = messages.odometry_message(MESSAGES, reading, 'r/odom', 'r/base_link', (0.4, 0.1))
+    back = messages.odometry_record(over_the_wire(message))
+    assert back.stamp == pytest.approx(reading.stamp, abs=1e-9)
+    assert tuple(back.pose) == pytest.approx(tuple(reading.pose))
+    np.testing.assert_array_equal(back.covariance, reading.covariance)
+
+
+def test_scan_keeps_rep_117_values():
+    ranges = np.array([1.0, np.inf, -np.inf, np.nan, 8.0], np.float32)
+    scan = LaserScan(1.0, -1.5, 0.75, ranges, 0.05, 8.0)
+    back = messages.scan_record(over_the_wire(messages.scan_message(MESSAGES, scan, 'l')))
+    np.testing.assert_array_equal(back.ranges, ranges)
+    assert back.angle_min == pytest.approx(-1.5)
+    assert back.range_max == pytest.approx(8.0)
+
+
+@pytest.mark.parametrize('encoding', ['rgb8', 'bgr8', 'rgba8', 'mono8'])
+def test_colour_encodings(encoding):
+    rng = np.random.default_rng(0)
+    rgb = rng.integers(0, 255, (48, 64, 3), dtype=np.uint8)
+    sent = {
+        'rgb8': rgb,
+        'bgr8': rgb[:, :, ::-1],
+        'rgba8': np.concatenate([rgb, rgb[:, :, :1]], axis=2),
+        'mono8': rgb[:, :, 0],
+    }[encoding]
+    message = messages.image_message(MESSAGES, 1.0, 'c', encoding, sent)
+    expected = rgb[:, :, 0] if encoding == 'mono8' else rgb
+    np.testing.assert_array_equal(messages.color_array(over_the_wire(message)), expected)
+
+
+def test_depth_in_mm_and_in_m_and_of_the_other_byte_order():
+    mm = np.arange(48 * 64, dtype=np.uint16).reshape(48, 64)
+    meters = (mm / 1000).astype(np.float32)
+    for encoding, depth in (('16UC1', mm), ('32FC1', meters)):
+        message = messages.image_message(MESSAGES, 1.0, 'c', encoding, depth)
+        np.testing.assert_array_equal(messages.depth_array(over_the_wire(message)), depth)
+    swapped = messages.image_message(MESSAGES, 1.0, 'c', '16UC1', mm.byteswap())
+    swapped.is_bigendian = 1
+    np.testing.assert_array_equal(messages.depth_array(swapped), mm)
+
+
+def test_frame_of_another_size_is_refused_with_both_sizes():
+    rgb = messages.image_message(MESSAGES, 1.0, 'c', 'rgb8', np.zeros((48, 64, 3), np.uint8))
+    depth = messages.image_message(MESSAGES, 1.0, 'c', '16UC1', np.zeros((24, 32), np.uint16))
+    info = messages.camera_info_message(MESSAGES, 1.0, 'c', CAMERA)
+    with pytest.raises(DataError, match=r'depth has shape \(24, 32\), expected \(48, 64\)'):
+        messages.frame_record(rgb, depth, info)
+
+
+def test_truncated_and_unknown_images_are_refused():
+    message = messages.image_message(MESSAGES, 1.0, 'c', 'rgb8', np.zeros((4, 4, 3), np.uint8))
+    message.data = message.data[:-1]
+    with pytest.raises(DataError, match='47 bytes'):
+        messages.color_array(message)
+    message.encoding = 'yuv422'
+    with pytest.raises(DataError, match='yuv422'):
+        messages.color_array(message)
+    with pytest.raises(DataError, match='yuv422'):
+        messages.depth_array(message)
+
+
+@pytest.mark.parametrize('compact', [False, True])
+def test_landmarks_survive_the_wire(compact):
+    rng = np.random.default_rng(1)
+    descriptors = np.abs(rng.normal(size=(5, 128))).astype(np.float32)
+    descriptors /= np.linalg.norm(descriptors, axis=1, keepdims=True)
+    root = rng.normal(size=(5, 3, 3))
+    observations = LandmarkObservations(
+        3.5, rng.normal(size=(5, 3)), root @ root.transpose(0, 2, 1), descriptors
+    )
+    message = messages.landmarks_message(MESSAGES, observations, 'r/base_link', compact)
+    back = messages.landmarks_record(over_the_wire(message))
+    np.testing.assert_allclose(back.positions, observations.positions, rtol=1e-6)
+    np.testing.assert_allclose(back.covariances, observations.covariances, rtol=1e-6)
+    np.testing.assert_allclose(back.descriptors, descriptors, atol=2e-3 if compact else 1e-6)
+
+
+def test_no_landmarks_and_wrong_landmarks():
+    empty = messages.landmarks_message(MESSAGES, LandmarkObservations.empty(1.0), 'r')
+    assert len(messages.landmarks_record(over_the_wire(empty))) == 0
+    wrong = messages.cloud_message(
+        MESSAGES, 1.0, 'r', [(axis, np.zeros(2, np.float32)) for axis in 'xyz']
+    )
+    with pytest.raises(DataError, match="'covariance' has 0 values, expected 6"):
+        messages.landmarks_record(wrong)
+
+
+def test_path_and_plan():
+    points = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]])
+    message = over_the_wire(messages.path_message(MESSAGES, 2.0, 'map', points))
+    plan = messages.plan_record(message, 'robot1')
+    np.testing.assert_allclose(plan.waypoints, points)
+    assert plan.goal.theta == pytest.approx(math.pi / 2)
+    stop = messages.plan_record(
+        messages.path_message(MESSAGES, 2.0, 'map', np.empty((0, 2))), 'robot1'
+    )
+    assert len(stop.waypoints) == 0
+
+
+def test_sighting_names_the_vehicle_seen():
+    sighting = VehicleSighting(1.0, 'robot2', np.array([1.0, 0.5]), np.diag([0.01, 0.02]))
+    back = messages.sighting_record(over_the_wire(messages.sighting_message(MESSAGES, sighting)))
+    assert back.vehicle == 'robot2'
+    np.testing.assert_array_equal(back.covariance, sighting.covariance)
+
+
+def test_a_pose_without_rotation_is_refused():
+    message = messages.pose_message(MESSAGES, Pose2(0.0, 0.0, 0.0))
+    message.orientation.w = 0.0
+    with pytest.raises(DataError, match='no rotation'):
+        messages.planar_pose(message)

@@ -1,0 +1,292 @@
+"""Public data sets as bags: against made-up ones with known content, and the recordings."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from explore_slam import messages
+from explore_slam.agent.config import AgentConfig
+from explore_slam.errors import RecordingError
+from explore_slam.recording import BagReader, Replay, TopicKind
+from explore_slam.recording.importers import intel, mrclam, tum
+from explore_slam.settings import values_of, with_values
+
+
+def events(path: Path) -> list:
+    with BagReader(path) as bag:
+        return list(Replay(bag).events())
+
+
+def of_kind(found: list, kind: TopicKind, vehicle: str = 'robot1') -> list:
+    return [event for event in found if event.kind is kind and event.vehicle == vehicle]
+
+
+# -- MR.CLAM ------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def small_mrclam(tmp_path) -> Path:
+    """Five robots on circles of 1 m; robot 1 sees landmark 6 (code 63), robot 2, and a code 99."""
+    folder = tmp_path / 'set'
+    folder.mkdir(exist_ok=True)
+    (folder / 'Barcodes.dat').write_text(
+        '# Subject Barcode\n' + ''.join(f'{s} {60 + s}\n' for s in range(1, 21))
+    )
+    for number in range(1, 6):
+        begin = 100.0 + 0.1 * number
+        stamps = np.arange(begin, 110.0, 0.02)
+        odometry = np.column_stack([stamps, np.full((len(stamps), 2), 0.5)])
+        np.savetxt(folder / f'Robot{number}_Odometry.dat', odometry, fmt='%.3f')
+        times = np.arange(99.0, 111.0, 0.01)
+        angle = 0.5 * (times - 99.0) + number
+        truth = np.column_stack(
+            [times, np.sin(angle), -np.cos(angle), np.mod(angle + np.pi, 2 * np.pi) - np.pi]
+        )
+        np.savetxt(folder / f'Robot{number}_Groundtruth.dat', truth, fmt='%.8f')
+        rows = [[99.5, 66, 1.0, 0.0], [102.0, 66, 2.0, 0.5], [102.0, 67, 4.0, -0.1]]
+        rows += [[103.0, 62, 1.5, 0.2], [104.0, 99, 1.0, 0.0]]
+        np.savetxt(folder / f'Robot{number}_Measurement.dat', np.array(rows), fmt='%.3f')
+    return folder
+
+
+def test_mrclam_becomes_odometry_landmarks_sightings_and_truth(small_mrclam, tmp_path, caplog):
+    counts = mrclam.import_mrclam(small_mrclam, tmp_path / 'bag')
+    assert 'unknown bar codes [99]' in caplog.text
+    found = events(tmp_path / 'bag')
+    assert sum(counts.values()) == len(found)
+
+    with BagReader(tmp_path / 'bag') as bag:
+        starts = Replay(bag).start_poses()
+    angle = 0.5 * 1.5 + 1.0  # all robots have odometry from 100.5 s on
+    assert starts['robot1'] == pytest.approx((np.sin(angle), -np.cos(angle), angle), abs=1e-6)
+
+    odometry = of_kind(found, TopicKind.ODOMETRY)
+    assert odometry[0].stamp == pytest.approx(100.5)
+    assert odometry[0].record.pose == pytest.approx((0, 0, 0))
+    assert odometry[-1].stamp == pytest.approx(109.98)
+    final = starts['robot1'].compose(odometry[-1].record.pose)
+    end = 0.5 * 10.98 + 1.0
+    assert final[:2] == pytest.approx((np.sin(end), -np.cos(end)), abs=1e-6)
+
+    seen = of_kind(found, TopicKind.LANDMARKS)
+    assert [round(event.stamp, 3) for event in seen] == [102.0]
+    record = seen[0].record
+    assert record.positions[0] == pytest.approx(
+        (2.0 * np.cos(0.5), 2.0 * np.sin(0.5), 0.0), abs=1e-6
+    )
+    assert np.linalg.norm(record.descriptors, axis=1) == pytest.approx([1.0, 1.0], abs=1e-6)
+    assert record.descriptors[0] == pytest.approx(mrclam.landmark_descriptor(6), abs=1e-7)
+
+    sighted = of_kind(found, TopicKind.SIGHTINGS)
+    assert [event.record.vehicle for event in sighted] == ['robot2']
+    assert of_kind(found, TopicKind.SIGHTINGS, 'robot2') == []  # nobody sights itself
+    truth = of_kind(found, TopicKind.GROUND_TRUTH)
+    assert truth[0].record.pose == pytest.approx(starts['robot1'], abs=1e-6)
+
+
+def test_the_noise_of_a_measurement_lies_along_and_across_the_line_of_sight():
+    position, covariance = mrclam.planar_measurement(4.0, np.pi / 2)
+    assert position == pytest.approx((0.0, 4.0))
+    assert np.sqrt(np.diag(covariance)) == pytest.approx((4.0 * 0.015, 0.04 + 0.035 * 4.0))
+    assert covariance[0, 1] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_descriptors_are_unit_vectors_far_apart_and_always_the_same():
+    vectors = np.stack([mrclam.landmark_descriptor(subject) for subject in range(6, 21)])
+    squared = 2.0 - 2.0 * vectors @ vectors.T
+    assert squared[~np.eye(15, dtype=bool)].min() > 1.2
+    again = np.stack([mrclam.landmark_descriptor(subject) for subject in range(6, 21)])
+    np.testing.assert_array_equal(vectors, again)
+
+
+def test_velocities_are_held_and_integrated_along_arcs():
+    table = np.array([[0.0, 1.0, 0.0], [1.0, 0.5 * np.pi, 0.5 * np.pi], [2.0, 0.0, 0.0]])
+    stamps, poses = mrclam.integrate_velocities(table, 0.5, 3.0)
+    assert stamps.tolist() == [0.5, 1.0, 2.0, 3.0]
+    assert poses[1] == pytest.approx((0.5, 0.0, 0.0))
+    assert poses[2] == pytest.approx((1.5, 1.0, 0.5 * np.pi))
+    assert poses[3] == pytest.approx(poses[2])
+
+
+def test_two_imports_are_the_same_bag(small_mrclam, tmp_path):
+    for name in ('a', 'b'):
+        mrclam.import_mrclam(small_mrclam, tmp_path / name / 'bag')
+    first, second = ((tmp_path / n / 'bag' / 'bag.mcap').read_bytes() for n in ('a', 'b'))
+    assert first == second
+
+
+@pytest.mark.data
+def test_the_recording_mrclam6(recordings, tmp_path):
+    counts = mrclam.import_mrclam(recordings('mrclam6'), tmp_path / 'bag')
+    assert {topic.split('/')[1] for topic in counts} == {f'robot{n}' for n in range(1, 6)}
+    with BagReader(tmp_path / 'bag') as bag:
+        assert (bag.end - bag.start) * 1e-9 == pytest.approx(755.9, abs=0.2)
+        assert Replay(bag).start_poses()['robot5'].is_finite()
+
+
+# -- Intel --------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def small_intel(tmp_path) -> Path:
+    folder = tmp_path / 'set'
+    folder.mkdir(exist_ok=True)
+    ranges = np.full((6, 180), 2.0, np.float32)
+    valid = np.ones((6, 180), np.uint8)
+    ranges[2, 5], valid[2, 6] = 81.8, 0
+    increments = np.tile([0.5, 0.0, 0.1], (6, 1))
+    increments[0] = 0.0
+    np.savez(folder / intel.LOG, ranges=ranges, valid=valid, odom_inc=increments)
+    (folder / intel.REFERENCE).write_text('# step x y theta\n2 10 10 1.0\n4 11 10 1.0\n')
+    return folder
+
+
+def test_intel_becomes_scans_odometry_and_truth(small_intel, tmp_path):
+    counts = intel.import_intel(small_intel, tmp_path / 'bag')
+    assert counts == {
+        '/robot1/initialpose': 1,
+        '/robot1/odom': 6,
+        '/robot1/scan': 6,
+        '/robot1/ground_truth': 2,
+    }
+    found = events(tmp_path / 'bag')
+    odometry = of_kind(found, TopicKind.ODOMETRY)
+    stamps = np.array([event.stamp for event in odometry])
+    assert np.diff(stamps) == pytest.approx([0.1, 1.0, 1.0, 1.0, 1.0])
+    assert odometry[2].record.pose == pytest.approx((0.5, 0.0, 0.1))
+    scan = of_kind(found, TopicKind.SCAN)[2].record
+    assert scan.angles[[0, -1]] == pytest.approx([-np.pi / 2, np.pi / 2], abs=1e-5)
+    assert np.isposinf(scan.ranges[5])
+    assert np.isnan(scan.ranges[6])
+    assert scan.ranges[7] == 2.0
+    truth = of_kind(found, TopicKind.GROUND_TRUTH)
+    assert truth[0].record.pose == pytest.approx(odometry[2].record.pose)
+    moved = truth[0].record.pose.between(truth[1].record.pose)
+    assert moved == pytest.approx((np.cos(1.0), -np.sin(1.0), 0.0))
+
+
+def test_intel_without_a_reference_has_no_truth(small_intel, tmp_path, caplog):
+    (small_intel / intel.REFERENCE).unlink()
+    assert '/robot1/ground_truth' not in intel.import_intel(small_intel, tmp_path / 'bag')
+    assert intel.REFERENCE in caplog.text
+
+
+@pytest.mark.data
+def test_the_recording_intel(recordings, tmp_path):
+    counts = intel.import_intel(recordings('intel_lab'), tmp_path / 'bag')
+    assert counts['/robot1/scan'] == 2726
+    found = events(tmp_path / 'bag')
+    path = np.array([e.record.pose for e in of_kind(found, TopicKind.ODOMETRY)])
+    assert np.hypot(*np.diff(path[:, :2], axis=0).T).sum() == pytest.approx(506, abs=1)
+    stamps = [event.stamp for event in of_kind(found, TopicKind.SCAN)]
+    assert (np.diff(stamps) > 0).all()
+
+
+# -- TUM ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def small_tum(tmp_path) -> Path:
+    folder = tmp_path / 'set'
+    for name in ('rgb', 'depth'):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    color = np.zeros((48, 64, 3), np.uint8)
+    color[:, :] = (200, 100, 50)  # RGB
+    depth = np.full((48, 64), 5000, np.uint16)
+    depth[0, 0] = 0
+    lines = []
+    for stamp in ('1.000000', '1.100000'):
+        cv2.imwrite(str(folder / 'rgb' / f'{stamp}.png'), color[:, :, ::-1])
+        cv2.imwrite(str(folder / 'depth' / f'{stamp}.png'), depth)
+        lines.append(f'{stamp} rgb/{stamp}.png {stamp} depth/{stamp}.png\n')
+    (folder / tum.ASSOCIATIONS).write_text(''.join(lines))
+    # an optical frame that looks along the map's y axis, level: body heading is pi / 2
+    quaternion = '-0.70710678 0 0 0.70710678'
+    (folder / tum.TRUTH).write_text(
+        '# t x y z q\n' + ''.join(f'{t} 1 2 3 {quaternion}\n' for t in (0.95, 1.05, 1.15, 9.0))
+    )
+    return folder
+
+
+def test_tum_becomes_frames_and_truth(small_tum, tmp_path):
+    tum.import_tum(small_tum, tmp_path / 'bag')
+    found = events(tmp_path / 'bag')
+    frames = of_kind(found, TopicKind.COLOR)
+    assert [event.stamp for event in frames] == pytest.approx([1.0, 1.1])
+    frame = frames[0].record
+    assert frame.rgb[5, 5].tolist() == [200, 100, 50]
+    assert frame.depth[0].tolist()[:2] == [0, 1000]
+    assert (frame.intrinsics.fx, frame.intrinsics.cy) == (517.3, 255.3)
+    assert frame.intrinsics.distortion == (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)
+    truth = of_kind(found, TopicKind.GROUND_TRUTH)
+    assert len(truth) == 3
+    assert truth[0].record.pose == pytest.approx((1.0, 2.0, np.pi / 2), abs=1e-6)
+
+
+def test_tum_truth_is_kept_in_space(small_tum, tmp_path):
+    tum.import_tum(small_tum, tmp_path / 'bag')
+    with BagReader(tmp_path / 'bag') as bag:
+        raw = next(bag.messages(['/robot1/ground_truth']))
+        pose = bag.decode(raw).pose.pose
+    assert pose.position.z == 3.0
+    assert messages.planar_pose(pose).theta == pytest.approx(np.pi / 2, abs=1e-6)
+
+
+@pytest.mark.data
+def test_the_recording_tum(recordings, tmp_path):
+    counts = tum.import_tum(recordings('tum_fr1_rpy'), tmp_path / 'bag')
+    assert counts['/robot1/camera/rgb/image_raw'] == 80
+    found = events(tmp_path / 'bag')
+    depths = [e.record.depth for e in of_kind(found, TopicKind.COLOR)]
+    assert 500 < np.median([np.median(d[d > 0]) for d in depths]) < 3000
+
+
+# -- all ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize('module', [mrclam, intel, tum])
+def test_settings_of_the_recordings_are_settings_of_the_agent(module):
+    tree = with_values(AgentConfig(), module.SETTINGS)
+    values = values_of(tree)
+    assert all(values[name] == value for name, value in module.SETTINGS.items())
+
+
+@pytest.mark.parametrize('importer', [mrclam.import_mrclam, intel.import_intel, tum.import_tum])
+def test_a_folder_that_is_no_data_set_is_named(importer, tmp_path):
+    with pytest.raises(RecordingError, match='absent is not a folder'):
+        importer(tmp_path / 'absent', tmp_path / 'bag')
+    with pytest.raises(RecordingError, match='is missing'):
+        importer(tmp_path, tmp_path / 'bag')
+    assert not (tmp_path / 'bag').exists()
+
+
+def test_damaged_files_are_named_and_nothing_is_left_behind(
+    small_mrclam, small_intel, small_tum, tmp_path
+):
+    out = tmp_path / 'bag'
+    # all three fixtures share the folder
+    (small_mrclam / 'Robot3_Odometry.dat').write_text('1 2 three\n')
+    with pytest.raises(RecordingError, match=r'Robot3_Odometry\.dat is not a table'):
+        mrclam.import_mrclam(small_mrclam, out)
+    (small_mrclam / 'Robot3_Odometry.dat').write_text('1 2\n')
+    with pytest.raises(RecordingError, match=r'1 rows of 2 numbers, expected .* of 3'):
+        mrclam.import_mrclam(small_mrclam, out)
+    (small_intel / intel.LOG).write_bytes(b'PK no archive')
+    with pytest.raises(RecordingError, match='is not the log'):
+        intel.import_intel(small_intel, out)
+    (small_tum / 'depth' / '1.100000.png').write_bytes(b'no image')
+    with pytest.raises(RecordingError, match=r'1\.100000\.png cannot be read'):
+        tum.import_tum(small_tum, out)
+    (small_tum / tum.ASSOCIATIONS).write_text('1.0 one.png\n')
+    with pytest.raises(RecordingError, match='line 1'):
+        tum.import_tum(small_tum, out)
+    assert not out.exists()
+    assert not list(tmp_path.glob('.bag*'))
+
+
+def test_an_existing_bag_is_not_overwritten(small_intel, tmp_path):
+    intel.import_intel(small_intel, tmp_path / 'bag')
+    with pytest.raises(RecordingError, match='exists already'):
+        intel.import_intel(small_intel, tmp_path / 'bag')

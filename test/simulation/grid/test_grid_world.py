@@ -1,0 +1,361 @@
+"""The grid world: cells, beams, what is reachable, and how vehicles move in it."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from explore_slam.data import Plan
+from explore_slam.errors import ConfigError, ExploreSlamError, SimulationError
+from explore_slam.geometry import Pose2
+from explore_slam.simulation.grid.grid_simulator import GridSimulator, GridSimulatorConfig
+from explore_slam.simulation.grid.grid_world import GridWorld
+
+ROOM = ['##########', *['#........#'] * 6, '##########']  # 4 m x 3 m inside
+EXACT = GridSimulatorConfig(range_noise=0.0)
+
+
+def plan(vehicle, *points, stamp=0.0):
+    return Plan(stamp, vehicle, Pose2(*points[-1], 0.0), np.array(points, dtype=np.float64))
+
+
+def drive(simulator, seconds):
+    for _ in range(round(seconds / simulator.config.tick)):
+        simulator.step()
+
+
+def distance_to_walls(pose, angle):
+    """Distance to the inner walls of ROOM along the angle, by hand."""
+    dx, dy = math.cos(angle), math.sin(angle)
+    reach = [((4.5 if dx > 0 else 0.5) - pose.x) / dx] if abs(dx) > 1e-12 else []
+    reach += [((3.5 if dy > 0 else 0.5) - pose.y) / dy] if abs(dy) > 1e-12 else []
+    return min(value for value in reach if value >= 0)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.floats(0.6, 4.4), st.floats(0.6, 3.4), st.floats(-math.pi, math.pi))
+@example(1.0, 1.0, -5e-324)
+def test_beams_in_an_empty_room_end_in_its_walls(x, y, theta):
+    pose = Pose2(x, y, theta)
+    simulator = GridSimulator(GridWorld.from_drawing(ROOM), {'a': pose}, EXACT)
+    scan = simulator.scan('a')
+    expected = np.array([distance_to_walls(pose, theta + angle) for angle in scan.angles])
+    # a hit lies inside of the wall's first cell, at most one diagonal behind its face
+    excess = scan.ranges - expected
+    assert excess.min() > -1e-5
+    assert excess.max() <= 0.05 * math.sqrt(2.0)
+
+
+def test_other_vehicles_are_seen_and_shade_what_lies_behind():
+    world = GridWorld.from_drawing(ROOM)
+    starts = {'a': Pose2(1.0, 2.0, 0.0), 'b': Pose2(3.0, 2.0, 0.0)}
+    simulator = GridSimulator(world, starts, EXACT)
+    middle = simulator.scan('a').ranges[180]
+    assert middle == pytest.approx(2.0 - 0.22, abs=1e-6)
+    row, col = world.to_cell(np.array([[4.0, 2.0]]))[0]
+    assert not simulator.seen('a')[row, col]
+    simulator.scan('b')
+    assert simulator.seen('b')[row, col]
+
+
+def test_no_return_beyond_the_longest_range_and_from_glass():
+    long_hall = GridWorld.from_drawing(['#' * 40, '#' + ' ' * 38 + '#', '#' * 40])
+    simulator = GridSimulator(long_hall, {'a': Pose2(1.0, 0.75, 0.0)}, EXACT)
+    assert simulator.scan('a').ranges[180] == np.inf
+    behind_glass = GridWorld.from_drawing(['######', '#  g #', '######'])
+    simulator = GridSimulator(behind_glass, {'a': Pose2(0.8, 0.75, 0.0)}, EXACT)
+    assert simulator.scan('a').ranges[180] == np.inf
+    row, col = behind_glass.to_cell(np.array([[2.25, 0.75]]))[0]
+    assert not simulator.seen('a')[row, col]
+
+
+def test_range_noise_has_the_deviation_asked_for():
+    simulator = GridSimulator(
+        GridWorld.from_drawing(ROOM),
+        {'a': Pose2(2.5, 2.0, 0.0)},
+        GridSimulatorConfig(range_noise=0.03),
+        seed=5,
+    )
+    exact = GridSimulator(GridWorld.from_drawing(ROOM), {'a': Pose2(2.5, 2.0, 0.0)}, EXACT).scan(
+        'a'
+    )
+    errors = np.concatenate([simulator.scan('a').ranges - exact.ranges for _ in range(20)])
+    assert errors.std() == pytest.approx(0.03, rel=0.05)
+    assert abs(errors.mean()) < 0.002
+
+
+def test_coverage_counts_every_reachable_cell_once():
+    world = GridWorld.from_drawing(ROOM)
+    simulator = GridSimulator(
+        world, {'a': Pose2(1.0, 1.0, 0.0), 'b': Pose2(4.0, 3.0, math.pi)}, EXACT
+    )
+    assert simulator.team_coverage() == 0.0
+    for _ in range(2):  # looking twice from one place adds nothing
+        simulator.scan('a')
+        simulator.scan('b')
+    seen = [simulator.seen(name) & simulator.reachable for name in ('a', 'b')]
+    cells = simulator.reachable_cells
+    assert simulator.own_coverage('a') == pytest.approx(seen[0].sum() / cells)
+    assert simulator.own_coverage('b') == pytest.approx(seen[1].sum() / cells)
+    assert simulator.team_coverage() == pytest.approx((seen[0] | seen[1]).sum() / cells)
+
+
+@pytest.mark.parametrize(('radius', 'passes'), [(0.22, True), (0.26, False)])
+def test_reachable_ends_at_a_door_that_is_too_narrow(radius, passes):
+    rows = ['#' * 21, *['#.........#.........#'] * 7, '#' * 21]
+    rows[4] = rows[4].replace('.#.', '...')  # a door of 0.5 m
+    world = GridWorld.from_drawing(rows, 0.5)
+    row, col = world.to_cell(np.array([[8.0, 2.25]]))[0]
+    assert world.reachable(np.array([[1.5, 2.25]]), radius)[row, col] == passes
+
+
+def test_reachable_holds_no_wall_and_all_of_an_open_room_but_its_corners():
+    world = GridWorld.from_drawing(ROOM)
+    reached = world.reachable(np.array([[1.0, 1.0]]), 0.26)
+    assert not reached[world.cells != 0].any()
+    assert 0.98 < reached.sum() * 0.05**2 / 12.0 <= 1.0
+
+
+def test_a_start_too_tight_reaches_only_its_own_place():
+    world = GridWorld.from_drawing(['###', '# #', '###'], size=0.4)
+    reached = world.reachable(np.array([[0.6, 0.6]]), 0.3)
+    assert 0 < reached.sum() <= 64
+
+
+def test_start_poses_are_near_each_other_roomy_and_nested():
+    world = GridWorld.from_drawing(ROOM)
+    for seed in range(5):
+        four = world.start_poses(4, seed, 0.26)
+        two = world.start_poses(2, seed, 0.26)
+        assert [pose[:2] for pose in two] == [pose[:2] for pose in four[:2]]
+        for index, pose in enumerate(four):
+            row, col = world.to_cell(np.array([pose[:2]]))[0]
+            assert world.clearance[row, col] >= 0.26
+            assert all(math.dist(pose[:2], other[:2]) >= 0.9 for other in four[:index])
+    assert world.start_poses(2, 1, 0.26) != world.start_poses(2, 2, 0.26)
+
+
+def test_start_poses_stay_on_one_side_of_a_wall():
+    rows = ['#' * 17, *['#.......#.......#'] * 8, '#' * 17]
+    world = GridWorld.from_drawing(rows, 0.5)
+    for seed in range(10):
+        sides = {pose.x > 4.25 for pose in world.start_poses(4, seed, 0.26)}
+        assert len(sides) == 1
+
+
+def test_a_crowd_that_does_not_fit_is_refused():
+    with pytest.raises(SimulationError, match='room for'):
+        GridWorld.from_drawing(ROOM).start_poses(30, 0, 0.26)
+
+
+def test_a_vehicle_drives_its_plan_within_its_limits():
+    config = GridSimulatorConfig(range_noise=0.0)
+    simulator = GridSimulator(
+        GridWorld.from_drawing(ROOM), {'a': Pose2(1.0, 1.0, math.pi)}, config
+    )
+    path = plan('a', (1.0, 1.0), (4.0, 1.0), (4.0, 3.0))
+    simulator.set_plan('a', path)
+    speeds, poses = [0.0], [simulator.true_pose('a')]
+    while not simulator.is_idle('a') and simulator.time < 60:
+        simulator.step()
+        poses.append(simulator.true_pose('a'))
+        speeds.append(math.dist(poses[-1][:2], poses[-2][:2]) / config.tick)
+    assert math.dist(poses[-1][:2], (4.0, 3.0)) <= config.arrival_distance
+    assert max(speeds) <= config.cruise_speed + 1e-9
+    assert max(np.diff(speeds)) <= config.acceleration * config.tick + 1e-9
+    turns = [abs(a.between(b).theta) / config.tick for a, b in itertools.pairwise(poses)]
+    assert max(turns) <= config.turn_rate + 1e-9
+    # pure pursuit cuts the corner at (4, 1) but never leaves the path by more than its lookahead
+    off = [min(abs(p.y - 1.0) if p.x < 4.0 else 9.0, abs(p.x - 4.0)) for p in poses]
+    assert max(off) < config.pursuit_distance
+    assert simulator.travelled('a') == pytest.approx(5.0, abs=0.5)
+    assert simulator.time == pytest.approx(math.pi / 1.0 + 5.0 / 0.5, abs=5.0)
+    assert simulator.collisions == []
+
+
+def test_a_plan_through_a_wall_ends_before_it_without_contact():
+    simulator = GridSimulator(GridWorld.from_drawing(ROOM), {'a': Pose2(2.0, 2.0, 0.0)}, EXACT)
+    simulator.set_plan('a', plan('a', (2.0, 2.0), (6.0, 2.0)))
+    drive(simulator, 30)
+    pose = simulator.true_pose('a')
+    assert 3.9 < pose.x <= 4.5 - 0.22
+    assert simulator.collisions == []
+    assert simulator.stalled_for('a') > 10
+    assert not simulator.is_idle('a')
+
+
+def test_a_vehicle_without_a_plan_stays_where_it_is():
+    start = Pose2(2.0, 2.0, 0.5)
+    simulator = GridSimulator(GridWorld.from_drawing(ROOM), {'a': start}, EXACT)
+    simulator.set_plan('a', plan('a', (2.0, 2.0), (3.0, 2.0)))
+    simulator.set_plan('a', None)
+    drive(simulator, 30)
+    assert simulator.true_pose('a') == start
+
+
+def test_glass_stops_a_vehicle_too():
+    rows = ['##########', *['#.....g..#'] * 6, '##########']
+    simulator = GridSimulator(GridWorld.from_drawing(rows), {'a': Pose2(1.0, 2.0, 0.0)}, EXACT)
+    simulator.set_plan('a', plan('a', (1.0, 2.0), (4.0, 2.0)))
+    drive(simulator, 20)
+    assert simulator.true_pose('a').x < 3.0 - 0.22 + 1e-6
+    assert simulator.collisions == []
+
+
+def test_contacts_with_walls_are_counted_where_nothing_brakes():
+    blind = GridSimulatorConfig(range_noise=0.0, wall_margin=0.0, braking=10.0, tick=0.5)
+    simulator = GridSimulator(
+        GridWorld.from_drawing(['###', '# #', '###'], size=0.5),
+        {'a': Pose2(0.75, 0.75, 0.3)},
+        blind,
+    )
+    simulator._safe_speed = lambda _index: 1.0
+    simulator.set_plan('a', plan('a', (0.75, 0.75), (3.0, 0.75)))
+    drive(simulator, 10)
+    assert [contact.other for contact in simulator.collisions] == [None]
+    assert math.dist(simulator.true_pose('a')[:2], (0.75, 0.75)) < 0.3
+
+
+@pytest.mark.parametrize('seed', range(6))
+def test_vehicles_sent_across_each_other_never_touch(seed):
+    world = GridWorld.from_drawing(ROOM)
+    rng = np.random.default_rng(seed)
+    poses = world.start_poses(4, seed, 0.26)
+    simulator = GridSimulator(world, {f'r{i}': pose for i, pose in enumerate(poses)}, EXACT)
+    closest = np.inf
+    for tick in range(1200):
+        for name in simulator.vehicles:
+            if simulator.is_idle(name) or simulator.stalled_for(name) > 2.0:
+                place = simulator.true_pose(name)[:2]
+                goal = (rng.uniform(0.8, 4.2), rng.uniform(0.8, 3.2))
+                simulator.set_plan(name, plan(name, place, goal, stamp=simulator.time))
+        simulator.step()
+        if tick % 5 == 0:
+            places = np.array([simulator.true_pose(name)[:2] for name in simulator.vehicles])
+            gaps = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1))
+            closest = min(closest, gaps[np.triu_indices(4, 1)].min())
+    assert simulator.collisions == []
+    assert closest >= 2 * 0.22
+    assert sum(simulator.travelled(name) for name in simulator.vehicles) > 3.0
+
+
+def test_known_pose_wanders_about_the_true_one():
+    noisy = GridSimulatorConfig(position_noise=0.05, heading_noise=0.02, noise_time=1.0)
+    simulator = GridSimulator(
+        GridWorld.from_drawing(ROOM), {'a': Pose2(2.0, 2.0, 0.0)}, noisy, seed=3
+    )
+    errors = []
+    for _ in range(5000):
+        simulator.step()
+        errors.append(simulator.true_pose('a').between(simulator.known_pose('a')))
+    deviation = np.std(np.array(errors), axis=0)
+    np.testing.assert_allclose(deviation, [0.05, 0.05, 0.02], rtol=0.15)
+    steps = np.diff([error.x for error in errors])
+    assert steps.std() < 0.6 * deviation[0]  # it wanders, it does not jump
+    exact = GridSimulator(GridWorld.from_drawing(ROOM), {'a': Pose2(2.0, 2.0, 0.0)}, EXACT)
+    drive(exact, 1.0)
+    assert exact.known_pose('a') == exact.true_pose('a')
+
+
+def test_the_same_seed_gives_the_same_run():
+    def run(seed):
+        simulator = GridSimulator(
+            GridWorld.from_drawing(ROOM),
+            {'a': Pose2(1.0, 1.0, 0.0), 'b': Pose2(4.0, 3.0, 0.0)},
+            GridSimulatorConfig(position_noise=0.02, heading_noise=0.01),
+            seed,
+        )
+        simulator.set_plan('a', plan('a', (1.0, 1.0), (4.0, 2.0)))
+        drive(simulator, 5)
+        return simulator.true_pose('a'), simulator.scan('b').ranges.tobytes()
+
+    assert run(1) == run(1)
+    assert run(1) != run(2)
+
+
+def write_map(folder, values, name='map'):
+    image = folder / f'{name}.pgm'
+    height, width = values.shape
+    image.write_bytes(b'P5\n%d %d\n255\n' % (width, height) + values.astype(np.uint8).tobytes())
+    return image
+
+
+def test_a_map_alone_and_with_its_yaml(tmp_path):
+    values = np.full((20, 30), 254)
+    values[0, :] = values[-1, :] = values[:, 0] = values[:, -1] = 0
+    values[5, 7] = 0
+    values[15:, 20:] = 205
+    values[10, 10] = 205  # a speck: a hole of the recording
+    image = write_map(tmp_path, values)
+    alone = GridWorld.load(image)
+    assert (alone.resolution, alone.origin, alone.shape) == (0.05, (0.0, 0.0), (20, 30))
+    expected = (values != 254)[::-1]
+    expected[20 - 1 - 10, 10] = False
+    np.testing.assert_array_equal(alone.cells != 0, expected)
+    facts = tmp_path / 'map.yaml'
+    facts.write_text(
+        'image: map.pgm\nresolution: 0.1\norigin: [-1.0, 2.0, 0.0]\nnegate: 0\n'
+        'occupied_thresh: 0.65\nfree_thresh: 0.196\n'
+    )
+    named = GridWorld.load(facts)
+    assert named.resolution == 0.1
+    assert named.origin == pytest.approx((-1.0, 2.0))
+    np.testing.assert_array_equal(named.cells, alone.cells)
+
+
+def test_a_world_file(tmp_path):
+    path = tmp_path / 'hall.yaml'
+    path.write_text('size: [6.0, 4.0]\nfurniture:\n  - {kind: crate, at: [3.0, 2.0]}\n')
+    world = GridWorld.load(path)
+    row, col = world.to_cell(np.array([[3.0, 2.0]]))[0]
+    assert world.cells[row, col] != 0
+    row, col = world.to_cell(np.array([[1.0, 1.0]]))[0]
+    assert world.cells[row, col] == 0
+    assert 22.0 < world.reachable(np.array([[1.0, 1.0]]), 0.26).sum() * 0.05**2 < 24.0
+
+
+def test_the_willow_map_is_one_large_place(recordings):
+    world = GridWorld.load(recordings('maps') / 'willow-full-0.05.pgm')
+    assert world.shape == (945, 1165)
+    (pose,) = world.start_poses(1, 0, 0.26)
+    area = world.reachable(np.array([pose[:2]]), 0.26).sum() * 0.05**2
+    assert 1150.0 < area < 1300.0
+
+
+@pytest.mark.parametrize(
+    'content', [b'', b'P6\n2 2\n255\n', b'P5\n20 20\n255\nabc', b'P5\nx y\n255\n']
+)
+def test_damaged_maps_are_refused(tmp_path, content):
+    path = tmp_path / 'map.pgm'
+    path.write_bytes(content)
+    with pytest.raises(ExploreSlamError, match=r'map\.pgm'):
+        GridWorld.load(path)
+
+
+def test_bad_worlds_starts_and_settings_are_refused(tmp_path):
+    with pytest.raises(ExploreSlamError, match=r'none\.pgm'):
+        GridWorld.load(tmp_path / 'none.pgm')
+    with pytest.raises(SimulationError, match='same length'):
+        GridWorld.from_drawing(['##', '#'])
+    with pytest.raises(SimulationError, match='signs'):
+        GridWorld.from_drawing(['#x#'])
+    with pytest.raises(SimulationError, match='resolution'):
+        GridWorld(np.zeros((2, 2), np.int8), 0.0)
+    with pytest.raises(SimulationError, match='shape'):
+        GridWorld(np.zeros((0, 2), np.int8), 0.05)
+    world = GridWorld.from_drawing(ROOM)
+    with pytest.raises(SimulationError, match='outside'):
+        GridSimulator(world, {'a': Pose2(50.0, 1.0, 0.0)})
+    with pytest.raises(SimulationError, match='in an obstacle'):
+        GridSimulator(world, {'a': Pose2(0.1, 0.1, 0.0)})
+    with pytest.raises(SimulationError, match='upon another'):
+        GridSimulator(world, {'a': Pose2(1.0, 1.0, 0.0), 'b': Pose2(1.1, 1.0, 0.0)})
+    with pytest.raises(SimulationError, match='0 vehicles'):
+        GridSimulator(world, {})
+    with pytest.raises(ConfigError, match='cruise_speed'):
+        GridSimulatorConfig(cruise_speed=-1.0)
+    with pytest.raises(SimulationError, match='no place'):
+        GridWorld.from_drawing(['###', '# #', '###'], 0.3).start_poses(1, 0, 0.26)

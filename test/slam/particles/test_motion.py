@@ -1,0 +1,71 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from explore_slam.geometry import IDENTITY, Pose2, compose
+from explore_slam.slam import OdometryNoise, compound
+from explore_slam.slam.particles.motion import PendingMotion, rotated, split_heading
+
+NOISE = OdometryNoise(heading_variance_per_metre=0.01)
+
+
+def test_a_way_in_many_steps_is_as_uncertain_as_in_few():
+    def drive(steps):
+        mean, covariance = IDENTITY, np.zeros((3, 3))
+        for _ in range(steps):
+            step = Pose2(2.0 / steps, 0.0, 0.0)
+            mean, covariance = compound(mean, covariance, step, NOISE.covariance(step))
+        return mean, covariance
+
+    (mean, many), (_, more) = drive(100), drive(200)
+    assert mean == pytest.approx((2.0, 0.0, 0.0))
+    np.testing.assert_allclose(many, more, rtol=0.01, atol=1e-6)
+    # heading error of the way becomes lateral error: var = q · L³ / 3 beside what is lateral noise
+    lateral = NOISE.lateral_variance_per_metre * 2.0
+    assert more[1, 1] - lateral == pytest.approx(0.01 * 2.0**3 / 3, rel=0.02)
+
+
+def test_compounding_agrees_with_sampling():
+    random = np.random.default_rng(0)
+    poses = np.zeros((40_000, 3))
+    mean, covariance = IDENTITY, np.zeros((3, 3))
+    Q = np.diag([0.01, 0.005, 0.02]) ** 2
+    for turn in (0.2, -0.4, 0.3, 0.5):
+        step = Pose2(0.5, 0.1, turn)
+        mean, covariance = compound(mean, covariance, step, Q)
+        noise = random.multivariate_normal(np.zeros(3), Q, len(poses))
+        poses = compose(poses, np.asarray(step) + noise)
+    np.testing.assert_allclose(np.cov((poses - np.asarray(mean)).T), covariance, atol=1.5e-5)
+
+
+@given(st.floats(-3, 3), st.floats(-3, 3), st.floats(-3, 3))
+def test_odometry_noise_is_a_covariance_and_turns_with_the_motion(x, y, theta):
+    Q = NOISE.covariance(Pose2(x, y, theta))
+    assert np.linalg.eigvalsh(Q)[0] >= -1e-12
+    along = NOISE.covariance(Pose2(np.hypot(x, y), 0.0, theta))
+    np.testing.assert_allclose(Q, rotated(along, -np.arctan2(y, x)), atol=1e-12)
+
+
+def test_split_heading_takes_out_what_it_says():
+    A = np.array([[0.3, 0.1, 0.0], [0.0, 0.2, 0.1], [0.1, 0.2, 0.5]])
+    P = A @ A.T
+    direction, rest = split_heading(P, 0.05)
+    np.testing.assert_allclose(rest + np.outer(direction, direction), P)
+    assert rest[2, 2] == pytest.approx(0.05**2)
+    assert np.linalg.eigvalsh(rest)[0] >= -1e-12
+
+
+def test_long_gap_is_sampled_along_its_bend():
+    """Heading uncertain by a radian: samples lie on an arc, not on its tangent."""
+    motion = PendingMotion()
+    for _ in range(100):
+        motion.append(Pose2(0.05, 0.0, 0.0), np.diag([1e-6, 1e-6, 0.01]), 0.1)
+    assert motion.mean.x == pytest.approx(5.0)
+    poses, left = motion.move(np.zeros((4000, 3)), 0.1, np.random.default_rng(0))
+    assert np.std(poses[:, 2]) == pytest.approx(1.0, abs=0.05)
+    assert left[2, 2] <= 0.1**2
+    assert np.hypot(poses[:, 0], poses[:, 1]).max() < 5.3
+    # E[cos] of a random walk in heading: mean x = Σ step · exp(-σ²/2)
+    expected = sum(0.05 * np.exp(-0.005 * n) for n in range(100))
+    assert poses[:, 0].mean() == pytest.approx(expected, abs=0.1)

@@ -1,0 +1,52 @@
+"""Exploration in one process: the same seed gives the same run; coverage is judged by reach."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from explore_slam.errors import EvaluationError
+from explore_slam.geometry import Pose2
+from explore_slam.results.reachable_area import ReachableArea
+from explore_slam.settings import with_values
+from explore_slam.simulation.grid.grid_world import GridWorld
+from explore_slam.studies.closed_loop import ClosedLoop, ClosedLoopConfig
+
+SMALL = Path(__file__).resolve().parents[2] / 'config' / 'worlds' / 'small.yaml'
+CONFIG = with_values(
+    ClosedLoopConfig(),
+    {'particles': 60, 'time_limit': 12.0, 'feature_orientation': 'upright'},
+)
+
+
+@pytest.fixture(scope='module')
+def runs():
+    return [ClosedLoop(SMALL, CONFIG, vehicles=2, seed=3).run() for _ in range(2)]
+
+
+def test_the_same_seed_gives_the_same_run(runs):
+    first, second = runs
+    assert first.metrics == second.metrics
+    assert first.grid.same_as(second.grid)
+    np.testing.assert_array_equal(first.landmarks.means, second.landmarks.means)
+
+
+def test_vehicles_drive_map_and_know_where_they_are(runs):
+    metrics = runs[0].metrics
+    assert metrics['collisions'] == {'robot1': 0, 'robot2': 0}
+    assert metrics['coverage'] > 0.5
+    assert metrics['mean_online_position_rms'] < 0.05
+    assert sum(found['distance'] for found in metrics['vehicles'].values()) > 1.0
+
+
+def test_reachable_area_is_what_the_vehicle_can_cover():
+    world = GridWorld.from_drawing(['########', '#   #  #', '#   #  #', '#   #  #', '########'])
+    area = ReachableArea(world, [Pose2(1.0, 1.0, 0.0)], radius=0.2)
+    assert area.area == pytest.approx(1.5 * 1.5, abs=0.1)
+    known = np.ones((50, 80), np.bool_)
+    assert area.share_known(known, 0.05, (0.0, 0.0)) == 1.0
+    known[:, :25] = False  # everything left of x = 1.25 m
+    assert area.share_known(known, 0.05, (0.0, 0.0)) == pytest.approx(0.5, abs=0.05)
+    assert area.share_known(known[:0], 0.05, (0.0, 0.0)) == 0.0
+    with pytest.raises(EvaluationError, match='no start pose'):
+        ReachableArea(world, [], radius=0.2)

@@ -1,0 +1,231 @@
+"""Studies of the planner in the grid world: they end, in the right status, without contacts."""
+
+import math
+
+import pytest
+
+from explore_slam.errors import ConfigError, EvaluationError, ExploreSlamError
+from explore_slam.geometry import Pose2
+from explore_slam.simulation.grid.grid_world import GridWorld
+from explore_slam.studies.exploration_run import StudyConfig, explore
+from explore_slam.studies.exploration_study import make_study, run_study
+from explore_slam.studies.exploration_tables import (
+    HEADER,
+    markdown_table,
+    run_values,
+    save_study,
+    table_rows,
+    time_ratio,
+)
+
+TWO_ROOMS = [
+    '#########################',
+    *['#...........#...........#'] * 4,
+    *['#.......................#'] * 3,
+    *['#...........#...........#'] * 4,
+    '#########################',
+]
+LOOP = [
+    '####################',
+    *['#..................#'] * 4,
+    *['#....##########....#'] * 5,
+    *['#..................#'] * 4,
+    '####################',
+]
+
+
+def narrow(rows, width):
+    """Two rooms, at 0.1 m per sign, with a door of `width` m between them."""
+    fine = [''.join(sign * 5 for sign in row) for row in rows for _ in range(5)]
+    middle, half = len(fine) // 2, round(width / 0.2)
+    closed = [
+        row if abs(index - middle + 0.5) < half else row[:60] + '#####' + row[65:]
+        for index, row in enumerate(fine)
+    ]
+    return GridWorld.from_drawing(closed, 0.1)
+
+
+def run(world, *starts, strategy='default', limit=900.0, **settings):
+    poses = {f'robot{index + 1}': Pose2(*start) for index, start in enumerate(starts)}
+    return explore(world, poses, strategy, 1, StudyConfig(time_limit=limit, **settings))
+
+
+@pytest.mark.parametrize('strategy', ['default', 'paper', 'nearest', 'random'])
+def test_two_rooms_are_explored_by_every_strategy(strategy):
+    done = run(GridWorld.from_drawing(TWO_ROOMS), (1.5, 1.5, 0.0), strategy=strategy)
+    assert done.status == 'exploration_complete'
+    assert done.curve.team[-1] > 0.99
+    assert done.mapped > 0.95  # cells of the map half inside a wall are wall
+    assert 0.0 < done.curve.time_to(0.9) <= done.curve.time_to(0.99) < done.duration
+    assert done.paths[0] > 4.0
+    assert (done.vehicle_collisions, done.wall_collisions) == (0, 0)
+
+
+def test_a_team_shares_the_work_without_contact():
+    done = run(
+        GridWorld.from_drawing(TWO_ROOMS),
+        (1.5, 1.5, 0.0), (2.5, 1.5, 0.0), (1.5, 3.5, 0.0),
+    )  # fmt: skip
+    assert done.status == 'exploration_complete'
+    assert done.curve.team[-1] > 0.99
+    assert done.vehicle_collisions == 0
+    assert len(done.paths) == 3
+
+
+def test_a_room_behind_a_door_that_is_too_narrow_does_not_keep_the_team():
+    world = narrow(TWO_ROOMS, 0.4)
+    done = run(world, (1.5, 1.5, 0.0))
+    assert done.status == 'exploration_complete'
+    assert done.curve.team[-1] > 0.99  # of what can be reached
+    assert done.duration < 300.0
+    assert done.wall_collisions == 0
+
+
+def test_a_door_that_is_wide_enough_is_driven_through():
+    world = narrow(TWO_ROOMS, 1.0)
+    done = run(world, (1.5, 1.5, 0.0))
+    assert done.status == 'exploration_complete'
+    assert done.curve.team[-1] > 0.99
+    assert done.paths[0] > 4.0
+
+
+def test_glass_without_returns_ends_too():
+    rows = [row[:12] + 'g' + row[13:] if row[12] == '#' else row for row in TWO_ROOMS]
+    rows = [rows[0].replace('g', '#'), *rows[1:-1], rows[-1].replace('g', '#')]
+    done = run(GridWorld.from_drawing(rows), (1.5, 1.5, 0.0), limit=1800.0)
+    assert done.status == 'exploration_complete'
+    assert done.curve.team[-1] > 0.99
+    assert done.wall_collisions == 0
+
+
+def test_a_glass_wall_without_a_way_round_ends_too():
+    rows = ['#########################', *['#...........g...........#'] * 8, '#' * 25]
+    done = run(GridWorld.from_drawing(rows), (1.5, 1.5, 0.0), limit=1800.0)
+    assert done.status == 'exploration_complete'
+    assert done.curve.team[-1] > 0.99
+    assert done.wall_collisions == 0
+
+
+@pytest.mark.parametrize('size', [1, 2])
+def test_a_closed_loop_is_driven_once_and_ends(size):
+    starts = [(1.5, 1.5, 0.0), (1.5, 2.5, 0.0)][:size]
+    done = run(GridWorld.from_drawing(LOOP), *starts)
+    assert done.status == 'exploration_complete'
+    assert done.curve.team[-1] > 0.99
+    assert max(done.paths) < 60.0
+
+
+def test_nothing_to_reach_from_the_start_ends_soon():
+    cell = GridWorld.from_drawing(['#####', '#...#', '#...#', '#...#', '#####'], 0.4)
+    done = run(cell, (1.0, 1.0, 0.0))
+    assert done.status == 'exploration_complete'
+    assert done.duration < 200.0
+    assert done.wall_collisions == 0
+
+
+def test_a_vehicle_shut_in_ends_as_one_that_cannot_search_or_has_nothing_left():
+    tight = GridWorld.from_drawing(['###', '#.#', '###'], 0.6)
+    done = run(tight, (0.9, 0.9, 0.0))
+    assert done.status in ('exploration_paused', 'exploration_complete')
+    assert done.reason
+    assert done.duration < 200.0
+    assert done.wall_collisions == 0
+
+
+def test_a_run_out_of_time_says_so():
+    done = run(GridWorld.from_drawing(TWO_ROOMS), (1.5, 1.5, 0.0), limit=5.0)
+    assert done.status == 'time_limit'
+    assert 'not done after 5 s' in done.reason
+    assert done.duration == pytest.approx(5.0)
+
+
+def test_the_team_comes_home_when_asked_to():
+    done = run(GridWorld.from_drawing(TWO_ROOMS), (1.5, 1.5, 0.0), home_at_end=True)
+    assert done.status == 'returned_to_origin'
+
+
+def test_the_same_seed_gives_the_same_run():
+    first, second = (
+        run(GridWorld.from_drawing(TWO_ROOMS), (1.5, 1.5, 0.0), (2.5, 1.5, 0.0)) for _ in range(2)
+    )
+    assert first.curve == second.curve
+    assert first.paths == second.paths
+
+
+@pytest.fixture(scope='module')
+def small_study(tmp_path_factory):
+    folder = tmp_path_factory.mktemp('study')
+    world = folder / 'rooms.yaml'
+    world.write_text(
+        'size: [8.0, 5.0]\n'
+        'walls:\n  inner:\n'
+        '    - {from: [4.0, 0.0], to: [4.0, 5.0], doors: [[2.0, 1.2]]}\n'
+    )
+    study = make_study(world, [1, 2], ['default', 'nearest'], [0, 1], ['time_limit=600'])
+    return study, list(run_study(study, workers=2))
+
+
+def test_a_study_makes_every_run_in_order(small_study):
+    study, runs = small_study
+    assert [(run.strategy, run.vehicles, run.seed) for run in runs] == list(study.tasks())
+    assert len(runs) == 8
+    assert {run.status for run in runs} == {'exploration_complete'}
+
+
+def test_processes_change_nothing(small_study):
+    study, runs = small_study
+    strategy, size, seed = runs[2].strategy, runs[2].vehicles, runs[2].seed
+    assert study.run_one(strategy, size, seed).curve == runs[2].curve
+
+
+def test_the_table_holds_the_ratios(small_study):
+    _, runs = small_study
+    rows = {(row[0], row[1]): row for row in table_rows(runs)}
+    assert all(len(row) == len(HEADER) for row in rows.values())
+    one = [run for run in runs if (run.strategy, run.vehicles) == ('default', 1)]
+    two = [run for run in runs if (run.strategy, run.vehicles) == ('default', 2)]
+    ratio = sum(r.curve.time_to(0.99) for r in two) / sum(r.curve.time_to(0.99) for r in one)
+    assert time_ratio(two, one) == pytest.approx(ratio)
+    assert rows['default', '2'][HEADER.index('99 %: x of 1 vehicle')] == f'{ratio:.2f}'
+    assert rows['nearest', '1'][HEADER.index('99 %: x of nearest')] == '1.00'
+    assert markdown_table(runs).count('\n') == 6
+
+
+def test_tables_and_pictures_are_written(small_study, tmp_path):
+    _, runs = small_study
+    paths = save_study(runs, tmp_path / 'out')
+    assert [path.name for path in paths] == [
+        'table.md', 'runs.csv', 'curves.json', 'coverage.png', 'times.png',
+    ]  # fmt: skip
+    assert all(path.stat().st_size > 100 for path in paths)
+    assert paths[3].read_bytes()[:8] == b'\x89PNG\r\n\x1a\n'
+    lines = (tmp_path / 'out' / 'runs.csv').read_text().splitlines()
+    assert len(lines) == 1 + len(runs)
+    assert set(lines[0].split(',')) == set(run_values(runs[0]))
+
+
+def test_a_ratio_needs_common_seeds_and_runs_that_got_there(small_study):
+    _, runs = small_study
+    with pytest.raises(EvaluationError, match='no seed in common'):
+        time_ratio(runs[:1], [])
+    assert math.isnan(time_ratio(runs[:1], runs[:1], share=1.01))
+    with pytest.raises(EvaluationError, match='no runs'):
+        save_study([], runs)
+
+
+def test_wrong_studies_are_refused(tmp_path):
+    path = tmp_path / 'none.pgm'
+    with pytest.raises(EvaluationError, match='strategy'):
+        make_study(path, [1], ['fastest'], [0])
+    with pytest.raises(EvaluationError, match='no seeds'):
+        make_study(path, [1], ['default'], [])
+    with pytest.raises(EvaluationError, match='team of 0'):
+        make_study(path, [0], ['default'], [0])
+    with pytest.raises(ConfigError, match='no_such'):
+        make_study(path, [1], ['default'], [0], ['no_such=1'])
+    with pytest.raises(EvaluationError, match='name=value'):
+        make_study(path, [1], ['default'], [0], ['time_limit'])
+    with pytest.raises(ExploreSlamError, match=r'none\.pgm'):
+        list(run_study(make_study(path, [1], ['default'], [0])))
+    with pytest.raises(EvaluationError, match='strategy'):
+        run(GridWorld.from_drawing(TWO_ROOMS), (1.5, 1.5, 0.0), strategy='fastest')
