@@ -1,4 +1,8 @@
-"""Poses in the plane, SE(2), alone and in arrays; metres and radians, angles in (-pi, pi]."""
+"""Poses in the plane, SE(2), one by one and in arrays, and rotations in space.
+
+Lengths are in metres, angles in radians in (-pi, pi]. Quaternions are (x, y, z, w) as in
+geometry_msgs.
+"""
 
 import math
 from typing import NamedTuple
@@ -7,16 +11,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+Quaternion = tuple[float, float, float, float]  # x, y, z, w
 
 
 def wrap_angle(angle: float) -> float:
-    """Return the angle (rad) brought into (-pi, pi]."""
+    """Return an angle (rad) wrapped into (-pi, pi]."""
     wrapped = math.remainder(angle, math.tau)
     return math.pi if wrapped == -math.pi else wrapped
 
 
 def wrap_angles(angles: ArrayLike) -> Array:
-    """Return angles (rad, any shape) brought into (-pi, pi]."""
+    """Return angles (rad, any shape) wrapped into (-pi, pi]."""
     values = np.asarray(angles, dtype=np.float64)
     wrapped: Array = np.pi - np.mod(np.pi - values, 2.0 * np.pi)
     return wrapped
@@ -63,6 +68,11 @@ class Pose2(NamedTuple):
 IDENTITY = Pose2(0.0, 0.0, 0.0)
 
 
+def moved_enough(increment: Pose2, distance: float, heading: float) -> bool:
+    """Return whether an increment reaches a distance (m) or a change of heading (rad)."""
+    return math.hypot(increment.x, increment.y) >= distance or abs(increment.theta) >= heading
+
+
 def compose(poses: ArrayLike, increments: ArrayLike) -> Array:
     """Compose poses (..., 3) with increments (..., 3), broadcasting; see Pose2.compose."""
     a, b = np.asarray(poses, dtype=np.float64), np.asarray(increments, dtype=np.float64)
@@ -107,4 +117,61 @@ def rotation_matrix(roll: float, pitch: float, yaw: float) -> Array:
             [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
             [-sp, cp * sr, cp * cr],
         ]
+    )
+
+
+def quaternion_from_yaw(yaw: float) -> Quaternion:
+    """Return the unit quaternion of a rotation about z (rad)."""
+    half = 0.5 * float(yaw)
+    return (0.0, 0.0, math.sin(half), math.cos(half))
+
+
+def yaw_from_quaternion(x: float, y: float, z: float, w: float) -> float:
+    """Return the yaw (rad) of fixed-axis roll, pitch, yaw; any length but 0 will do."""
+    return math.atan2(2 * (w * z + x * y), w**2 + x**2 - y**2 - z**2)
+
+
+def rotation_from_quaternion(x: float, y: float, z: float, w: float) -> Array:
+    """Return the rotation (3, 3) of a quaternion of any length but 0."""
+    x, y, z, w = np.array([x, y, z, w]) / np.linalg.norm([x, y, z, w])
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion_from_rotation(rotation: ArrayLike) -> Quaternion:
+    """Return the unit quaternion, w >= 0, of a rotation (3, 3).
+
+    It is the eigenvector of the largest eigenvalue of a symmetric matrix (Bar-Itzhack, "New method
+    for extracting the quaternion from a rotation matrix", 2000), which is stable at every angle
+    and tolerates a matrix that is orthogonal up to rounding only.
+    """
+    m = np.asarray(rotation, dtype=np.float64)
+    k = np.zeros((4, 4))
+    k[:3, :3] = m + m.T
+    k[range(4), range(4)] = [
+        m[0, 0] - m[1, 1] - m[2, 2],
+        m[1, 1] - m[0, 0] - m[2, 2],
+        m[2, 2] - m[0, 0] - m[1, 1],
+        m[0, 0] + m[1, 1] + m[2, 2],
+    ]
+    k[3, :3] = k[:3, 3] = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
+    largest = np.linalg.eigh(k)[1][:, -1]
+    x, y, z, w = (largest * np.copysign(1.0, largest[3])).tolist()
+    return (x, y, z, w)
+
+
+def multiply_quaternions(a: Quaternion, b: Quaternion) -> Quaternion:
+    """Return the Hamilton product a b: the rotation b followed by the rotation a."""
+    ax, ay, az, aw = a
+    bx, by, bz, bw = b
+    return (
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+        aw * bw - ax * bx - ay * by - az * bz,
     )

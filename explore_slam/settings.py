@@ -1,7 +1,7 @@
-"""Settings: dataclass fields that carry unit, range and meaning, from which all else is derived.
+"""Settings: dataclass fields that carry unit, range, meaning and tier.
 
-ROS parameters, YAML files and command line options are read off the same tree: sections nest,
-the names of their leaves are unique in the whole tree, so a setting is known by its leaf name.
+ROS parameters, YAML files and command-line options derive from the same tree. Sections nest; the
+names of their leaves are unique in the whole tree, so that a setting is known by its leaf name.
 """
 
 import dataclasses
@@ -10,18 +10,20 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import yaml
 
 from explore_slam.errors import ConfigError
+from explore_slam.files import write_text
 
+Tier = Literal['basic', 'advanced']
 Value = bool | int | float | str | tuple[Any, ...]
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What is known of one setting beside its value; low and high are inclusive."""
+    """The declaration of one setting; low and high are inclusive."""
 
     name: str
     default: Value
@@ -30,6 +32,7 @@ class Setting:
     low: float | None
     high: float | None
     choices: tuple[str, ...]
+    tier: Tier
 
     def check(self, value: Any) -> Value:
         """Return the value in the type of the default, or raise ConfigError."""
@@ -80,15 +83,30 @@ def setting(
     low: float | None = None,
     high: float | None = None,
     choices: tuple[str, ...] = (),
+    tier: Tier = 'advanced',
 ) -> Any:
-    """Declare a setting as the field of a Section; low and high are inclusive."""
-    info = {'doc': doc, 'unit': unit, 'low': low, 'high': high, 'choices': choices}
+    """Declare a setting as the field of a Section.
+
+    doc: meaning, one sentence without a full stop.
+    low, high: inclusive limits of a number.
+    choices: the values that a text may take.
+    tier: 'basic' for what depends on the vehicles, the site or the wish of the user, 'advanced'
+    for what tunes an algorithm.
+    """
+    info = {
+        'doc': doc,
+        'unit': unit,
+        'low': low,
+        'high': high,
+        'choices': choices,
+        'tier': tier,
+    }
     return field(default=default, metadata=info)
 
 
 @dataclass(frozen=True)
 class Section:
-    """Base of all configuration dataclasses: values are checked when the object is made."""
+    """Base of all configuration dataclasses; checks the values at construction."""
 
     def __post_init__(self) -> None:
         for item in dataclasses.fields(self):
@@ -109,7 +127,7 @@ def section[S: Section](cls: type[S]) -> S:
 
 
 def settings_of(tree: Section) -> Iterator[tuple[Setting, Value]]:
-    """Yield every leaf setting of the tree with its present value."""
+    """Yield every leaf setting of the tree with its current value."""
     for item in dataclasses.fields(tree):
         value = getattr(tree, item.name)
         if isinstance(value, Section):
@@ -119,12 +137,12 @@ def settings_of(tree: Section) -> Iterator[tuple[Setting, Value]]:
 
 
 def values_of(tree: Section) -> dict[str, Value]:
-    """Return leaf name -> value for the whole tree."""
+    """Return the values of the whole tree by leaf name."""
     return {info.name: value for info, value in settings_of(tree)}
 
 
 def with_values[S: Section](tree: S, values: Mapping[str, Any]) -> S:
-    """Return the tree with leaves replaced by name; an unknown name is a ConfigError."""
+    """Return the tree with leaves replaced by name; ConfigError for an unknown name."""
     known = values_of(tree)
     for name in values:
         if name not in known:
@@ -177,7 +195,7 @@ def save_settings(tree: Section, path: Path) -> None:
         lines.append(f'    # {info.doc}' + (f' ({notes})' if notes else ''))
         plain = list(value) if isinstance(value, tuple) else value
         lines.append(f'    {info.name}: {_yaml_value(plain)}')
-    path.write_text('\n'.join(lines) + '\n', encoding='utf-8')
+    write_text(path, '\n'.join(lines) + '\n')
 
 
 def _yaml_value(value: Any) -> str:

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -55,3 +56,47 @@ def test_rotation_matrix_of_yaw_turns_left():
     np.testing.assert_allclose(turned, [0.0, 1.0, 0.0], atol=1e-12)
     tilted = geometry.rotation_matrix(0.0, 0.1, 0.0) @ [1.0, 0.0, 0.0]
     assert tilted[2] < 0.0  # positive pitch looks down (REP-103)
+
+
+@pytest.mark.parametrize(
+    ('increment', 'enough'),
+    [
+        (Pose2(0.3, 0.4, 0.0), True),
+        (Pose2(0.3, 0.39, 0.0), False),
+        (Pose2(0.0, 0.0, -0.2), True),
+        (Pose2(-0.3, 0.0, 0.19), False),
+    ],
+)
+def test_a_distance_or_a_turn_is_motion_enough(increment, enough):
+    assert geometry.moved_enough(increment, distance=0.5, heading=0.2) is enough
+
+
+angles = st.floats(-3.1, 3.1)
+
+
+@given(angles)
+def test_yaw_survives_a_quaternion(yaw):
+    quaternion = geometry.quaternion_from_yaw(yaw)
+    assert math.isclose(geometry.yaw_from_quaternion(*quaternion), yaw, abs_tol=1e-12)
+    longer = [3.0 * part for part in quaternion]
+    assert math.isclose(geometry.yaw_from_quaternion(*longer), yaw, abs_tol=1e-12)
+
+
+@given(angles, st.floats(-1.5, 1.5), angles)
+def test_rotations_survive_a_quaternion(roll, pitch, yaw):
+    rotation = geometry.rotation_matrix(roll, pitch, yaw)
+    quaternion = geometry.quaternion_from_rotation(rotation)
+    assert quaternion[3] >= 0.0
+    np.testing.assert_allclose(geometry.rotation_from_quaternion(*quaternion), rotation, atol=1e-9)
+    difference = geometry.wrap_angle(geometry.yaw_from_quaternion(*quaternion) - yaw)
+    assert abs(difference) < 1e-6
+
+
+@given(angles, angles, angles, angles)
+def test_products_of_quaternions_are_products_of_rotations(a, b, c, d):
+    first, second = geometry.rotation_matrix(a, 0.3, b), geometry.rotation_matrix(c, -0.2, d)
+    product = geometry.multiply_quaternions(
+        geometry.quaternion_from_rotation(first), geometry.quaternion_from_rotation(second)
+    )
+    found = geometry.rotation_from_quaternion(*product)
+    np.testing.assert_allclose(found, first @ second, atol=1e-9)

@@ -11,6 +11,7 @@ from explore_slam.settings import (
     save_settings,
     section,
     setting,
+    settings_of,
     values_of,
     with_values,
 )
@@ -18,7 +19,7 @@ from explore_slam.settings import (
 
 @dataclass(frozen=True)
 class Inner(Section):
-    particles: int = setting(100, 'Number of particles', low=1, high=10000)
+    particles: int = setting(100, 'Number of particles', low=1, high=10000, tier='basic')
     engine: str = setting('paper', 'Which engine', choices=('paper', 'fastslam2'))
 
 
@@ -87,3 +88,9 @@ def test_bad_files_are_named(tmp_path, text, message):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(ConfigError, match=r'absent\.yaml cannot be read'):
         load_settings(Outer(), tmp_path / 'absent.yaml')
+
+
+def test_a_setting_is_advanced_unless_declared_basic():
+    tiers = {info.name: info.tier for info, _ in settings_of(Outer())}
+    assert tiers.pop('particles') == 'basic'
+    assert set(tiers.values()) == {'advanced'}

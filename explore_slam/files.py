@@ -1,0 +1,64 @@
+"""Atomic writing: a reader finds the old content or the new one, never a part of it.
+
+What is written lies in a scratch folder beside its destination, under its final name, until it is
+complete; a rename then puts it in place. A process that is killed leaves at most a scratch folder
+behind, `.NAME.*.part`.
+"""
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+
+@contextmanager
+def atomic(path: Path) -> Iterator[Path]:
+    """Yield a path for a file, folder or symbolic link; put it in place if the block succeeds.
+
+    The yielded path has the name of the destination, so that writers which read a format off the
+    suffix, or name files after their folder, see what they expect. A file or link replaces an
+    existing one; a folder must be new (OSError otherwise). When the block raises, the destination
+    stays as it was.
+    """
+    scratch = Path(tempfile.mkdtemp(prefix=f'.{path.name}.', suffix='.part', dir=path.parent))
+    try:
+        partial = scratch / path.name
+        yield partial
+        if partial.is_symlink():
+            partial.replace(path)
+        elif partial.is_dir():
+            partial.rename(path)
+        else:
+            _flush_to_disk(partial)
+            partial.replace(path)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
+def write_bytes(path: Path, content: bytes | memoryview) -> None:
+    """Write a whole file atomically; OSError where that fails."""
+    with atomic(path) as partial:
+        partial.write_bytes(content)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a whole UTF-8 text file atomically; OSError where that fails."""
+    with atomic(path) as partial:
+        partial.write_text(text, encoding='utf-8')
+
+
+def replace_link(link: Path, target: str | Path) -> None:
+    """Redirect a symbolic link to a target, atomically; OSError if a folder is in its place."""
+    with atomic(link) as partial:
+        partial.symlink_to(target)
+
+
+def _flush_to_disk(path: Path) -> None:
+    """Wait until the content of a file is on the disk, so that a power cut cannot empty it."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
