@@ -26,7 +26,7 @@ LAYERS = (
     ('messages',),
     ('slam', 'mapping', 'exploration', 'vehicle'),
     ('registration', 'vision'),
-    ('settings', 'data'),
+    ('settings', 'data', 'mounts'),
     ('geometry', 'errors', 'compiled', 'files'),
 )
 

@@ -90,8 +90,7 @@ class Agent:
         """Go on with other settings; those of belief and grid take effect at the next reset."""
         extractor = FeatureExtractor(config.vision)
         self.config, self._extractor = config, extractor
-        scans = config.scans
-        self._laser = Pose2(scans.laser_x, scans.laser_y, scans.laser_yaw)
+        self._laser = config.laser_mount.pose
         for track in self.tracks.values():
             track.selector.config = config.vision.keyframes
             track.matcher.config = config.scan_matching

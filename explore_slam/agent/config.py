@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from explore_slam.exploration import ExplorationConfig
 from explore_slam.mapping import GridConfig, ScanMatchingConfig
+from explore_slam.mounts import LaserMountConfig
 from explore_slam.settings import Section, section, setting
 from explore_slam.slam import FastSlamConfig
 from explore_slam.vision import VisionConfig
@@ -43,17 +44,8 @@ class InputConfig(Section):
 
 @dataclass(frozen=True)
 class ScanConfig(Section):
-    """Which scans enter the grid, and where the laser sits."""
+    """Which scans enter the occupancy grid."""
 
-    laser_x: float = setting(
-        0.1, 'laser ahead of the vehicle origin', unit='m', low=-10.0, high=10.0
-    )
-    laser_y: float = setting(
-        0.0, 'laser left of the vehicle origin', unit='m', low=-10.0, high=10.0
-    )
-    laser_yaw: float = setting(
-        0.0, 'heading of the laser on the vehicle', unit='rad', low=-3.2, high=3.2
-    )
     scan_distance: float = setting(
         0.1, 'a scan is kept after this way', unit='m', low=0.0, high=10.0
     )
@@ -77,6 +69,7 @@ class AgentConfig(Section):
     """All settings of the agent."""
 
     inputs: InputConfig = section(InputConfig)
+    laser_mount: LaserMountConfig = section(LaserMountConfig)
     scans: ScanConfig = section(ScanConfig)
     vision: VisionConfig = section(VisionConfig)
     slam: FastSlamConfig = section(FastSlamConfig)

@@ -7,7 +7,7 @@ import numpy as np
 
 from explore_slam.errors import VisionError
 from explore_slam.geometry import Array, rotation_matrix
-from explore_slam.vision.config import CameraMountConfig
+from explore_slam.mounts import CameraMountConfig
 
 # optical frame (x right, y down, z forward) -> body frame (x forward, y left, z up), REP-103
 OPTICAL_TO_BODY: Array = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from explore_slam.mounts import CameraMountConfig
 from explore_slam.settings import Section, section, setting
 
 
@@ -90,26 +91,6 @@ class KeyframeConfig(Section):
     maximum_keyframe_gap: float = setting(
         5.0, 'time after which a frame becomes a keyframe anyway', unit='s', low=0.0, high=3600.0
     )
-
-
-@dataclass(frozen=True)
-class CameraMountConfig(Section):
-    """Where the camera body (x forward, y left, z up) sits in the vehicle frame."""
-
-    camera_x: float = setting(
-        0.1, 'camera ahead of the vehicle origin', unit='m', low=-10.0, high=10.0
-    )
-    camera_y: float = setting(
-        0.0, 'camera left of the vehicle origin', unit='m', low=-10.0, high=10.0
-    )
-    camera_z: float = setting(
-        0.4, 'camera above the vehicle origin', unit='m', low=-10.0, high=10.0
-    )
-    camera_roll: float = setting(0.0, 'camera roll, fixed axes', unit='rad', low=-3.2, high=3.2)
-    camera_pitch: float = setting(
-        0.0, 'camera pitch, fixed axes; positive looks down', unit='rad', low=-3.2, high=3.2
-    )
-    camera_yaw: float = setting(0.0, 'camera yaw, fixed axes', unit='rad', low=-3.2, high=3.2)
 
 
 @dataclass(frozen=True)
