@@ -186,16 +186,26 @@ def load_settings[S: Section](tree: S, path: Path) -> S:
         raise ConfigError(f'{path}: {error}') from error
 
 
-def save_settings(tree: Section, path: Path) -> None:
-    """Write the whole tree as a ROS parameter file with meaning, unit and range as comments."""
+def settings_text(tree: Section, tier: Tier | None = None) -> str:
+    """Return a ROS parameter file with meaning, unit and range as comments.
+
+    tier: only the settings of this tier; None: all.
+    """
     lines = ['/**:', '  ros__parameters:']
     for info, value in settings_of(tree):
+        if tier is not None and info.tier != tier:
+            continue
         bounds = '' if info.low is None and info.high is None else _range_text(info.low, info.high)
         notes = ', '.join(part for part in (info.unit, bounds, '|'.join(info.choices)) if part)
         lines.append(f'    # {info.doc}' + (f' ({notes})' if notes else ''))
         plain = list(value) if isinstance(value, tuple) else value
         lines.append(f'    {info.name}: {_yaml_value(plain)}')
-    write_text(path, '\n'.join(lines) + '\n')
+    return '\n'.join(lines) + '\n'
+
+
+def save_settings(tree: Section, path: Path) -> None:
+    """Write the whole tree as a ROS parameter file; see settings_text."""
+    write_text(path, settings_text(tree))
 
 
 def _yaml_value(value: Any) -> str:

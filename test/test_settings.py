@@ -12,6 +12,7 @@ from explore_slam.settings import (
     section,
     setting,
     settings_of,
+    settings_text,
     values_of,
     with_values,
 )
@@ -94,3 +95,13 @@ def test_a_setting_is_advanced_unless_declared_basic():
     tiers = {info.name: info.tier for info, _ in settings_of(Outer())}
     assert tiers.pop('particles') == 'basic'
     assert set(tiers.values()) == {'advanced'}
+
+
+def test_the_text_can_be_limited_to_a_tier():
+    basic = settings_text(Outer(), 'basic')
+    assert basic == (
+        '/**:\n  ros__parameters:\n    # Number of particles (1 to 10000)\n    particles: 100\n'
+    )
+    assert 'engine: paper' in settings_text(Outer(), 'advanced')
+    assert 'particles' not in settings_text(Outer(), 'advanced')
+    assert settings_text(Outer()).count(': ') > basic.count(': ')

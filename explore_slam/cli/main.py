@@ -16,6 +16,7 @@ COMMANDS = {
     'play': 'play',
     'import': 'importer',
     'report': 'report',
+    'settings': 'settings',
     'experiment': 'experiment',
     'benchmark': 'benchmark',
 }
