@@ -178,17 +178,16 @@ class DriverOutputs:
     def _publish_mounts(self, config: DriverConfig) -> None:
         frames, stamp = self._frames, now_seconds(self._node)
         base = frames.name(frames.base)
-        x, y, heading = config.laser_mount
         transforms = []
         if config.laser.use_laser:
-            rotation = _planar(Pose2(x, y, heading))
-            laser = frames.name(frames.laser)
-            transforms.append(_transform(stamp, base, laser, (x, y, 0.0), rotation))
+            pose, laser = config.laser_mount.pose, frames.name(frames.laser)
+            place = (pose.x, pose.y, 0.0)
+            transforms.append(_transform(stamp, base, laser, place, _planar(pose)))
         if config.camera.use_camera:
-            mount = config.camera.camera_mount
-            rotation = _quaternion(rotation_matrix(*mount[3:]) @ _OPTICAL)
-            camera = frames.name(frames.camera)
-            place = (mount[0], mount[1], mount[2])
+            mount, camera = config.camera.camera_mount, frames.name(frames.camera)
+            turn = rotation_matrix(mount.camera_roll, mount.camera_pitch, mount.camera_yaw)
+            rotation = _quaternion(turn @ _OPTICAL)
+            place = (mount.camera_x, mount.camera_y, mount.camera_z)
             transforms.append(_transform(stamp, base, camera, place, rotation))
         self._static.publish(self._tf_type(transforms=transforms))
 

@@ -23,7 +23,7 @@ from std_srvs.srv import SetBool
 
 from explore_slam.data import LaserScan, RgbdFrame
 from explore_slam.errors import DataError
-from explore_slam.geometry import Pose2, to_world
+from explore_slam.geometry import to_world
 from explore_slam.messages import scan_record
 from explore_slam.nodes.driver_outputs import DriverOutputs, Frames, Latency
 from explore_slam.nodes.driver_parameters import DriverNodeConfig
@@ -76,7 +76,7 @@ class PioneerDriverNode(Node):
             names.laser_frame, names.camera_frame,
         )  # fmt: skip
         self.outputs = DriverOutputs(self, frames, driver, self.config.publish_tf)
-        self._laser_pose = Pose2.from_array(driver.laser_mount)
+        self._laser_pose = driver.laser_mount.pose
         base = driver.base
         self._gate = SafetyGate(driver.safety, base.maximum_speed, base.maximum_turn_rate)
         self._inputs = SafetyInputs()

@@ -1,16 +1,9 @@
 """Settings of a vehicle: how it follows plans; the driver's settings are in driver_config."""
 
-import math
 from dataclasses import dataclass
 
-from explore_slam.errors import ConfigError
-from explore_slam.settings import Section, setting
-
-
-def check_mount(name: str, mount: tuple[float, ...], length: int) -> None:
-    """Raise ConfigError unless a mount has its number of values, all finite."""
-    if len(mount) != length or not all(map(math.isfinite, mount)):
-        raise ConfigError(f'{name} is {list(mount)}, expected {length} finite numbers')
+from explore_slam.mounts import LaserMountConfig
+from explore_slam.settings import Section, section, setting
 
 
 @dataclass(frozen=True)
@@ -88,10 +81,4 @@ class PathFollowerConfig(Section):
     scan_timeout: float = setting(
         0.6, 'stop when no scan has come for longer', unit='s', low=0.05, high=10.0
     )
-    laser_mount: tuple[float, ...] = setting(
-        (0.1, 0.0, 0.0), 'x (m), y (m) and heading (rad) of the laser on the vehicle'
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_mount('laser_mount', self.laser_mount, 3)
+    laser_mount: LaserMountConfig = section(LaserMountConfig)

@@ -1,10 +1,11 @@
 """Settings of the driver of a vehicle: base, laser, camera, safety."""
 
+import math
 from dataclasses import dataclass
 
 from explore_slam.errors import ConfigError
+from explore_slam.mounts import CameraMountConfig, LaserMountConfig
 from explore_slam.settings import Section, section, setting
-from explore_slam.vehicle.config import check_mount
 
 _VARIANTS = ((180, 1.0), (180, 0.5), (100, 1.0), (100, 0.5), (100, 0.25))  # of the LMS-200
 _RANGES = (8, 16, 32)  # m
@@ -110,15 +111,14 @@ class CameraConfig(Section):
     camera_center: tuple[float, ...] = setting(
         (319.5, 239.5), 'principal point of the colour camera (pixels)'
     )
-    camera_mount: tuple[float, ...] = setting(
-        (0.1, 0.0, 0.4, 0.0, 0.0, 0.0),
-        'x, y, z (m), roll, pitch, yaw (rad) of the camera body on the vehicle, for tf',
-    )
+    camera_mount: CameraMountConfig = section(CameraMountConfig)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_mount('camera_center', self.camera_center, 2)
-        check_mount('camera_mount', self.camera_mount, 6)
+        if len(self.camera_center) != 2 or not all(map(math.isfinite, self.camera_center)):
+            raise ConfigError(
+                f'camera_center is {list(self.camera_center)}, expected 2 finite numbers'
+            )
 
 
 @dataclass(frozen=True)
@@ -169,10 +169,4 @@ class DriverConfig(Section):
         0.25, 'first wait before a lost part is tried again; doubles twice', unit='s',
         low=0.05, high=10.0,
     )  # fmt: skip
-    laser_mount: tuple[float, ...] = setting(
-        (0.1, 0.0, 0.0), 'x (m), y (m) and heading (rad) of the laser on the vehicle'
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_mount('laser_mount', self.laser_mount, 3)
+    laser_mount: LaserMountConfig = section(LaserMountConfig)

@@ -102,7 +102,7 @@ class PathFollower:
     def configure(self, config: PathFollowerConfig) -> None:
         """Take over other settings while driving."""
         self.config = config
-        self._laser = Pose2.from_array(config.laser_mount)
+        self._laser = config.laser_mount.pose
 
     def set_plan(self, plan: Plan, received: float | None = None) -> None:
         """Take a plan in the map frame; one without waypoints means: stay."""

@@ -6,10 +6,11 @@ import yaml
 from rclpy.parameter import Parameter
 
 from explore_slam.errors import ConfigError
+from explore_slam.nodes.agent_parameters import AgentNodeConfig
 from explore_slam.nodes.driver_parameters import DriverNodeConfig
 from explore_slam.nodes.path_follower import PathFollowerNode
-from explore_slam.settings import settings_of, with_values
-from explore_slam.vehicle import DriverConfig, PathFollowerConfig
+from explore_slam.settings import settings_of, values_of, with_values
+from explore_slam.vehicle import PathFollowerConfig
 
 CONFIG = Path(__file__).resolve().parents[2] / 'config' / 'vehicle.yaml'
 
@@ -29,12 +30,12 @@ def test_names_are_unique_and_all_have_a_meaning():
         assert all(info.doc for info, _ in settings_of(tree))
 
 
-@pytest.mark.parametrize('mount', [(0.0, 0.0), (0.0, 0.0, float('nan'))])
-def test_mounts_are_checked(mount):
-    with pytest.raises(ConfigError, match='laser_mount'):
-        PathFollowerConfig(laser_mount=mount)
-    with pytest.raises(ConfigError, match='laser_mount'):
-        DriverConfig(laser_mount=mount)
+@pytest.mark.parametrize('tree', [AgentNodeConfig(), DriverNodeConfig(), PathFollowerConfig()])
+def test_agent_driver_and_follower_have_the_same_settings_of_the_laser_mount(tree):
+    values = {'laser_x': -0.2, 'laser_y': 0.1, 'laser_yaw': 3.0}
+    assert values.items() <= values_of(with_values(tree, values)).items()
+    with pytest.raises(ConfigError, match='laser_yaw is nan'):
+        with_values(tree, {'laser_yaw': float('nan')})
 
 
 def test_the_nodes_of_a_vehicle_take_their_sections_of_the_file(tmp_path):

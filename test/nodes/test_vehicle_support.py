@@ -46,7 +46,7 @@ def test_an_exception_in_a_callback_stops_the_vehicle_first():
         ('pioneer_driver', 'laser_angle:=120', 'laser_angle and laser_resolution'),
         ('pioneer_driver', 'command_timeout:=30.0', 'command_timeout'),
         ('path_follower', 'follow_speed:=fast', "follow_speed is 'fast', expected float"),
-        ('path_follower', 'laser_mount:=[0.1]', 'laser_mount is [0.1], expected 3'),
+        ('path_follower', 'laser_x:=11.0', 'laser_x'),
     ],
 )
 def test_a_parameter_that_cannot_be_is_one_clear_message(module, setting, text):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from explore_slam.geometry import Pose2
-from explore_slam.settings import settings_of
+from explore_slam.settings import settings_of, with_values
 from explore_slam.vehicle import (
     LaserConfig,
     Lms200,
@@ -48,7 +48,9 @@ FOLLOWER = {
     'heartbeat_timeout': (2.0, 'heartbeat'),
     'odometry_timeout': (3.0, 'odometry'),
     'scan_timeout': (3.0, 'laser'),
-    'laser_mount': ((0.5, 0.0, 0.0), 'wall'),
+    'laser_x': (0.5, 'wall'),
+    'laser_y': (-0.4, 'pillar'),
+    'laser_yaw': (0.5, 'wall'),
 }
 
 
@@ -79,7 +81,7 @@ def drive(make_track, config, scenario):
 def test_every_setting_of_the_follower_has_an_effect(make_track, name):
     value, scenario = FOLLOWER[name]
     plain = PathFollowerConfig()
-    changed = dataclasses.replace(plain, **{name: value})
+    changed = with_values(plain, {name: value})
     assert drive(make_track, plain, scenario) != drive(make_track, changed, scenario)
 
 
