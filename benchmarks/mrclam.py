@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from explore_slam.data import LandmarkObservations, VehicleSighting
+from explore_slam.data import InterRobotObservation, LandmarkObservations
 from explore_slam.geometry import Array, Pose2
 
 ROBOTS = 5
@@ -136,7 +136,7 @@ def covariances(ranges: Array, bearings: Array, sr: float, sr_part: float, sb: f
 
 def observations(
     stamp: float, measured: Array, noise: tuple[float, float, float]
-) -> tuple[LandmarkObservations, list[VehicleSighting]]:
+) -> tuple[LandmarkObservations, list[InterRobotObservation]]:
     """Turn measurements into landmark observations (bar code = descriptor) and sightings."""
     subject, distance, bearing = measured.T
     xy = np.stack([distance * np.cos(bearing), distance * np.sin(bearing)], axis=1)
@@ -152,7 +152,7 @@ def observations(
         np.eye(128, dtype=np.float32)[subject[marks].astype(int)],
     )
     sightings = [
-        VehicleSighting(stamp, f'robot{int(subject[i])}', xy[i], R2[i])
+        InterRobotObservation(stamp, f'robot{int(subject[i])}', xy[i], R2[i])
         for i in np.flatnonzero(~marks)
     ]
     return seen, sightings

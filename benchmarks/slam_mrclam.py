@@ -51,7 +51,7 @@ def drive(
         if len(seen):
             belief.update(name, seen)
         if sightings and others:
-            belief.update_sightings(name, others)
+            belief.update_inter_robot(name, others)
     return np.array(list(errors.values())), np.array(list(errors)), belief
 
 

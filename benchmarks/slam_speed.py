@@ -209,7 +209,7 @@ def compare_paper(landmarks: int) -> None:
     from paper_transcription import PaperFastSlam
 
     corridor = Corridor(seen=20)
-    slam = make(1, corridor, engine='paper', minimum_match_quality=0.5)
+    slam = make(1, corridor, engine='paper', minimum_association_probability=0.5)
     fill(slam, landmarks, np.random.default_rng(5))
     start = np.asarray(corridor.true['robot1'])
     run_updates(slam, corridor, 10)

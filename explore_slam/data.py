@@ -189,8 +189,11 @@ class LandmarkObservations:
 
 
 @dataclass(frozen=True)
-class VehicleSighting:
-    """One vehicle seen by another: position (2,) m, covariance (2, 2) m², seer's frame."""
+class InterRobotObservation:
+    """Position of one vehicle measured by another, in the frame of the observing vehicle.
+
+    vehicle: name of the observed vehicle; position (2,) m; covariance (2, 2) m².
+    """
 
     stamp: float
     vehicle: str

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from explore_slam.data import (
+    InterRobotObservation,
     Intrinsics,
     LandmarkObservations,
     LaserScan,
     OdometryReading,
     Plan,
     RgbdFrame,
-    VehicleSighting,
 )
 from explore_slam.errors import DataError
 from explore_slam.geometry import IDENTITY, Pose2
@@ -52,7 +52,10 @@ RANGES = np.ones(3, np.float32)
             ),
             'positions holds 3 values that are not finite',
         ),
-        (lambda: VehicleSighting(1.0, 'r', np.zeros(3), np.eye(2)), r'position has shape \(3,\)'),
+        (
+            lambda: InterRobotObservation(1.0, 'r', np.zeros(3), np.eye(2)),
+            r'position has shape \(3,\)',
+        ),
         (lambda: Plan(1.0, 'r', IDENTITY, np.zeros((2, 3))), r'waypoints has shape \(2, 3\)'),
     ],
 )

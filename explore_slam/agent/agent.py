@@ -19,11 +19,11 @@ from explore_slam.agent.odometry import OdometryBuffer
 from explore_slam.agent.scan_odometry import refine_by_scan
 from explore_slam.agent.vehicle_track import Keyframe, Observation, VehicleTrack
 from explore_slam.data import (
+    InterRobotObservation,
     LandmarkObservations,
     LaserScan,
     OdometryReading,
     RgbdFrame,
-    VehicleSighting,
     VehicleState,
     VehicleStatus,
 )
@@ -131,7 +131,7 @@ class Agent:
         """Take landmarks that were extracted elsewhere (on the vehicle, from a data set)."""
         self._add(vehicle, observations)
 
-    def add_sighting(self, vehicle: str, sighting: VehicleSighting) -> None:
+    def add_sighting(self, vehicle: str, sighting: InterRobotObservation) -> None:
         """Take the position of another vehicle as this one sees it."""
         self._track(sighting.vehicle)
         self._add(vehicle, sighting)
@@ -215,10 +215,10 @@ class Agent:
             track.count('frames_without_landmarks')
         self._add_keyframe(track, observations.stamp, summary)
 
-    def _use_sighting(self, track: VehicleTrack, sighting: VehicleSighting) -> None:
+    def _use_sighting(self, track: VehicleTrack, sighting: InterRobotObservation) -> None:
         if self._too_late(track, sighting.stamp):
             return
-        if self.config.slam.maps == 'dedicated' or not self.config.slam.vehicle_sightings:
+        if self.config.slam.maps == 'dedicated' or not self.config.slam.inter_robot_observations:
             track.count('unused_sightings')
             return
         other = self.tracks[sighting.vehicle]
@@ -228,7 +228,7 @@ class Agent:
         for seen in (track, other):
             self._predict(seen, sighting.stamp)
             self._add_keyframe(seen, sighting.stamp)
-        self.belief.update_sightings(track.name, [sighting])
+        self.belief.update_inter_robot(track.name, [sighting])
 
     def _predict(self, track: VehicleTrack, stamp: float) -> None:
         """Hand the motion since the newest keyframe to the belief, which compounds the steps."""

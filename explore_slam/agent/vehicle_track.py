@@ -7,18 +7,18 @@ import numpy as np
 
 from explore_slam.agent.odometry import OdometryBuffer, Step
 from explore_slam.data import (
+    InterRobotObservation,
     LandmarkObservations,
     LaserScan,
     Plan,
     RgbdFrame,
-    VehicleSighting,
     VehicleState,
 )
 from explore_slam.geometry import IDENTITY, Pose2
 from explore_slam.mapping import ScanMatcher
 from explore_slam.vision import KeyframeSelector
 
-Observation = LaserScan | RgbdFrame | LandmarkObservations | VehicleSighting
+Observation = LaserScan | RgbdFrame | LandmarkObservations | InterRobotObservation
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from explore_slam.data import DESCRIPTOR_LENGTH, LandmarkObservations, VehicleSighting
+from explore_slam.data import DESCRIPTOR_LENGTH, InterRobotObservation, LandmarkObservations
 from explore_slam.errors import DataError
 from explore_slam.geometry import Pose2
 from explore_slam.messages.base import MessageFactory, header, seconds
@@ -117,14 +117,14 @@ def landmarks_record(message: Any) -> LandmarkObservations:
     )
 
 
-def sighting_record(message: Any) -> VehicleSighting:
+def sighting_record(message: Any) -> InterRobotObservation:
     """Return a PoseWithCovarianceStamped whose frame names the vehicle seen, '<seen>/base_link'.
 
     The pose is that of the seen vehicle in the frame of the vehicle that sees (its namespace).
     """
     position = message.pose.pose.position
     covariance = np.asarray(message.pose.covariance, dtype=np.float64).reshape(6, 6)[:2, :2]
-    return VehicleSighting(
+    return InterRobotObservation(
         seconds(message.header.stamp),
         message.header.frame_id.split('/')[0],
         np.array([position.x, position.y], dtype=np.float64),
@@ -132,7 +132,7 @@ def sighting_record(message: Any) -> VehicleSighting:
     )
 
 
-def sighting_message(factory: MessageFactory, sighting: VehicleSighting) -> Any:
+def sighting_message(factory: MessageFactory, sighting: InterRobotObservation) -> Any:
     """Return a sighting as a PoseWithCovarianceStamped; see sighting_record."""
     covariance = np.zeros((3, 3))
     covariance[:2, :2] = sighting.covariance

@@ -6,11 +6,11 @@ import numpy as np
 
 from explore_slam import messages
 from explore_slam.data import (
+    InterRobotObservation,
     LandmarkObservations,
     LaserScan,
     OdometryReading,
     RgbdFrame,
-    VehicleSighting,
 )
 from explore_slam.geometry import Array, Pose2
 from explore_slam.messages.topics import MESSAGE_TYPES, TopicKind, topic_name
@@ -26,7 +26,12 @@ class TruePose3(NamedTuple):
 
 
 Record = (
-    OdometryReading | LaserScan | RgbdFrame | LandmarkObservations | VehicleSighting | TruePose3
+    OdometryReading
+    | LaserScan
+    | RgbdFrame
+    | LandmarkObservations
+    | InterRobotObservation
+    | TruePose3
 )
 
 
@@ -83,7 +88,7 @@ def _messages(event: Event) -> list[tuple[TopicKind, Any]]:
         return [(event.kind, messages.scan_message(MESSAGES, record, f'{vehicle}/laser'))]
     if isinstance(record, LandmarkObservations):
         return [(event.kind, messages.landmarks_message(MESSAGES, record, base))]
-    if isinstance(record, VehicleSighting):
+    if isinstance(record, InterRobotObservation):
         return [(event.kind, messages.sighting_message(MESSAGES, record))]
     if isinstance(record, TruePose3):
         return [(event.kind, _true_message(event.stamp, record, base))]

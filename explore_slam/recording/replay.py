@@ -10,11 +10,11 @@ from typing import Any, Protocol
 
 from explore_slam import messages
 from explore_slam.data import (
+    InterRobotObservation,
     LandmarkObservations,
     LaserScan,
     OdometryReading,
     RgbdFrame,
-    VehicleSighting,
 )
 from explore_slam.errors import ExploreSlamError, RecordingError
 from explore_slam.geometry import Array, Pose2
@@ -53,7 +53,7 @@ class Listener(Protocol):
     def add_landmarks(self, vehicle: str, observations: LandmarkObservations) -> None:
         """Take landmark observations."""
 
-    def add_sighting(self, vehicle: str, sighting: VehicleSighting) -> None:
+    def add_sighting(self, vehicle: str, sighting: InterRobotObservation) -> None:
         """Take the sight of another vehicle."""
 
     def set_pose(self, vehicle: str, pose: Pose2, covariance: Array) -> None:
@@ -225,7 +225,7 @@ class Replay:
             listener.add_frame(vehicle, record)
         elif isinstance(record, LandmarkObservations):
             listener.add_landmarks(vehicle, record)
-        elif isinstance(record, VehicleSighting):
+        elif isinstance(record, InterRobotObservation):
             listener.add_sighting(vehicle, record)
         elif (
             event.kind is TopicKind.INITIAL_POSE

@@ -24,7 +24,7 @@ def warm_up() -> None:
     """Compile all kernels of the room (seconds the first time, then read from the cache)."""
     import numpy as np
 
-    from explore_slam.data import LandmarkObservations, VehicleSighting
+    from explore_slam.data import InterRobotObservation, LandmarkObservations
     from explore_slam.geometry import Pose2
     from explore_slam.slam import relocalization
     from explore_slam.slam.update import kernel_shrinkage
@@ -44,8 +44,8 @@ def warm_up() -> None:
             slam.predict('a', still, noise)
             slam.update('a', seen)
             slam.add_keyframe('a', 0.0)
-            sighting = VehicleSighting(0.0, 'b', np.array([1.0, 0.0]), 0.01 * np.eye(2))
-            slam.update_sightings('a', [sighting])
+            sighting = InterRobotObservation(0.0, 'b', np.array([1.0, 0.0]), 0.01 * np.eye(2))
+            slam.update_inter_robot('a', [sighting])
             for _ in range(8):
                 weights = random.exponential(size=16) ** 3
                 slam.resample_now(weights / weights.sum())

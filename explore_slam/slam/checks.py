@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from explore_slam.data import LandmarkObservations, VehicleSighting
+from explore_slam.data import InterRobotObservation, LandmarkObservations
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Array, Pose2
 
@@ -70,7 +70,7 @@ def check_observations(observations: LandmarkObservations, maximum: int) -> None
         )
 
 
-def check_sighting(seer: str, sighting: VehicleSighting) -> None:
+def check_sighting(seer: str, sighting: InterRobotObservation) -> None:
     """Refuse a sighting of the seer itself, or whose covariance cannot be used."""
     covariance = sighting.covariance
     least, most = np.linalg.eigvalsh(0.5 * (covariance + covariance.T))

@@ -16,7 +16,7 @@ class AssociationConfig(Section):
         low=0.0,
         high=4.0,
     )
-    minimum_match_quality: float = setting(
+    minimum_association_probability: float = setting(
         0.9,
         'Least quality exp(-d²/2) of a match in engine paper (P0 of the paper)',
         low=0.0,
@@ -69,16 +69,16 @@ class ExistenceConfig(Section):
 
 
 @dataclass(frozen=True)
-class RecoveryConfig(Section):
+class RelocalizationConfig(Section):
     """How a vehicle that all particles misplace is found again."""
 
-    recovery: bool = setting(
+    relocalization: bool = setting(
         True, 'Relocate a vehicle whose matches disagree with its pose in all particles'
     )
-    recovery_matches: int = setting(
+    relocalization_matches: int = setting(
         5, 'Least matches that must agree on the new pose', low=3, high=100
     )
-    recovery_window: int = setting(
+    relocalization_window: int = setting(
         12, 'Updates of a vehicle that are searched together for its new pose', low=1, high=200
     )
 
@@ -116,7 +116,7 @@ class FastSlamConfig(Section):
         low=0.0,
         high=1.0,
     )
-    least_effective: float = setting(
+    shrinkage_threshold: float = setting(
         0.05,
         'Engine fastslam2: where an update would leave less than this part of the particles '
         'effective, the landmarks in view are smoothed over the particles',
@@ -147,10 +147,10 @@ class FastSlamConfig(Section):
     filter_threads: int = setting(
         2, 'Threads that share the particles; the result does not depend on it', low=1, high=64
     )
-    vehicle_sightings: bool = setting(
+    inter_robot_observations: bool = setting(
         True, 'Use what vehicles see of each other (maps common only)'
     )
     odometry_noise: OdometryNoise = section(OdometryNoise)
     association: AssociationConfig = section(AssociationConfig)
     existence: ExistenceConfig = section(ExistenceConfig)
-    relocation: RecoveryConfig = section(RecoveryConfig)
+    relocalization: RelocalizationConfig = section(RelocalizationConfig)

@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from explore_slam.data import LandmarkObservations, VehicleSighting
+from explore_slam.data import InterRobotObservation, LandmarkObservations
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Array, Pose2, compose, wrap_angles
 from explore_slam.slam import belief_state, checkpoint, checks
@@ -64,7 +64,7 @@ class FastSlam(checkpoint.Checkpointed):
         self.map = LandmarkMap(particles, make_index(self.config.association))
         self.path = PathStore(particles)
         self._keeper = MapKeeper(self.map, self.config)
-        self._recovery = [Recovery(self.config.relocation) for _ in starts]
+        self._recovery = [Recovery(self.config.relocalization) for _ in starts]
 
     # -- motion ---------------------------------------------------------------------------------
 
@@ -184,22 +184,22 @@ class FastSlam(checkpoint.Checkpointed):
         proposal.follow(ancestors)
         return True
 
-    def update_sightings(self, vehicle: str, sightings: Sequence[VehicleSighting]) -> None:
+    def update_inter_robot(self, vehicle: str, sightings: Sequence[InterRobotObservation]) -> None:
         """Take in where a vehicle sees other vehicles of the team, whose motion is told up to now.
 
-        Without effect where the setting vehicle_sightings is off.
+        Without effect where the setting inter_robot_observations is off.
         """
         number = self._number(vehicle)
         others = [self._number(sighting.vehicle) for sighting in sightings]
         for sighting in sightings:
             checks.check_sighting(vehicle, sighting)
-        if not self.config.vehicle_sightings:
+        if not self.config.inter_robot_observations:
             return
         for other, sighting in zip(others, sightings, strict=True):
             with self._refusing(f'sighting of {sighting.vehicle!r} at stamp {sighting.stamp}'):
                 self._sight(number, other, sighting)
 
-    def _sight(self, number: int, other: int, sighting: VehicleSighting) -> None:
+    def _sight(self, number: int, other: int, sighting: InterRobotObservation) -> None:
         motion, still = self._pending[other], np.zeros((self.config.particles, 3))
         seer, seer_P = self._settled(number)
         seen = compose(self._poses[other], np.asarray(motion.mean))
@@ -259,7 +259,7 @@ class FastSlam(checkpoint.Checkpointed):
         deviations = np.sqrt(0.5 * (sighted.R[:, 0] + sighted.R[:, 3]))
         alike = np.where(sighted.telling[:, None], sighted.alike, -1)
         recovery.note(sighted.z, deviations, alike, agreed)
-        wanted = self.config.relocation.recovery and self.config.engine == 'fastslam2'
+        wanted = self.config.relocalization.relocalization and self.config.engine == 'fastslam2'
         if not wanted or not recovery.lost:
             return recovery.lost, False
         positions = self.map.places(recovery.matched_ids(), self._best_particles())

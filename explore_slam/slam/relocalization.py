@@ -12,11 +12,11 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from explore_slam.compiled import kernel
 from explore_slam.geometry import IDENTITY, Array, Pose2
-from explore_slam.slam.config import RecoveryConfig
+from explore_slam.slam.config import RelocalizationConfig
 
 _TRIALS = 300
 _MOST_MATCHES = 400
@@ -25,7 +25,7 @@ _BASE_REACH = 1.0
 _REACH_PER_METRE = 0.3
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def _votes(
     frame: Array, points: Array, marks: Array, spreads: Array, owners: NDArray[np.int64]
 ) -> int:  # pragma: no cover - compiled
@@ -44,7 +44,7 @@ def _votes(
     return votes
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def _vote(
     pairs: NDArray[np.int64],
     points: Array,
@@ -121,11 +121,11 @@ class Relocation:
 class Recovery:
     """Matches of one vehicle over its last updates."""
 
-    def __init__(self, config: RecoveryConfig) -> None:
+    def __init__(self, config: RelocalizationConfig) -> None:
         self.config = config
         self.odometry = IDENTITY
         self.way = 0.0
-        self.updates: deque[Matches] = deque(maxlen=config.recovery_window)
+        self.updates: deque[Matches] = deque(maxlen=config.relocalization_window)
         self.way_driven = 0.0
 
     def move(self, increment: Pose2) -> None:
@@ -167,7 +167,7 @@ class Recovery:
         """Tell whether most of the matches disagree."""
         count = sum(len(update.points) for update in self.updates)
         agreed = sum(int(np.count_nonzero(update.agreed)) for update in self.updates)
-        return count >= self.config.recovery_matches and agreed < 0.35 * count
+        return count >= self.config.relocalization_matches and agreed < 0.35 * count
 
     def matched_ids(self) -> NDArray[np.int64]:
         """Return the landmark ids that matches are like."""
@@ -183,7 +183,7 @@ class Recovery:
         pose of the vehicle there.
         """
         points, marks, spreads, owners, ids = self._pairs(positions)
-        if len(points) < self.config.recovery_matches:
+        if len(points) < self.config.relocalization_matches:
             return None
         odometry = np.asarray(self.odometry, np.float64)
         frame = np.asarray(present.compose(self.odometry.inverse()), np.float64)
@@ -194,7 +194,7 @@ class Recovery:
             pairs, points, marks, spreads, owners, ids, odometry, goal, self.reach
         )  # fmt: skip
         matches = int(owners.max()) + 1
-        if votes < max(self.config.recovery_matches, 0.5 * matches, 1.5 * votes_present):
+        if votes < max(self.config.relocalization_matches, 0.5 * matches, 1.5 * votes_present):
             return None
         return self._refined(Pose2.from_array(best), points, marks, spreads, ids, votes)
 

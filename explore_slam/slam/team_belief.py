@@ -5,7 +5,7 @@ from typing import Self
 
 import numpy as np
 
-from explore_slam.data import LandmarkObservations, VehicleSighting
+from explore_slam.data import InterRobotObservation, LandmarkObservations
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Array, Pose2
 from explore_slam.slam import checkpoint
@@ -51,11 +51,13 @@ class TeamBelief(checkpoint.Checkpointed):
         """See FastSlam.update."""
         return self.filter_of(vehicle).update(vehicle, observations)
 
-    def update_sightings(self, vehicle: str, sightings: Sequence[VehicleSighting]) -> None:
-        """See FastSlam.update_sightings; refused with dedicated maps."""
+    def update_inter_robot(self, vehicle: str, sightings: Sequence[InterRobotObservation]) -> None:
+        """See FastSlam.update_inter_robot; refused with dedicated maps."""
         if len(self.filters) > 1:
-            raise SlamError('update_sightings needs maps: common, this belief has maps: dedicated')
-        self.filters[0].update_sightings(vehicle, sightings)
+            raise SlamError(
+                'update_inter_robot needs maps: common, this belief has maps: dedicated'
+            )
+        self.filters[0].update_inter_robot(vehicle, sightings)
 
     def set_pose(self, vehicle: str, pose: Pose2, covariance: Array) -> None:
         """See FastSlam.set_pose."""

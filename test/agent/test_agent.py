@@ -8,9 +8,9 @@ from synthetic import ROOM, SyntheticVehicle, SyntheticWorld
 
 from explore_slam.agent import Agent, AgentConfig, TeamPlanner
 from explore_slam.data import (
+    InterRobotObservation,
     LandmarkObservations,
     OdometryReading,
-    VehicleSighting,
     VehicleState,
 )
 from explore_slam.errors import AgentError
@@ -131,7 +131,7 @@ def test_late_records_are_counted_and_left_out():
 
 def test_unknown_vehicles_are_named():
     agent, _ = make_team()
-    sighting = VehicleSighting(1.0, 'robot9', np.zeros(2), np.eye(2))
+    sighting = InterRobotObservation(1.0, 'robot9', np.zeros(2), np.eye(2))
     for call in (
         lambda: agent.add_odometry('robot9', OdometryReading(1.0, IDENTITY)),
         lambda: agent.add_sighting('robot1', sighting),
@@ -278,7 +278,7 @@ def test_the_team_plans_and_a_closed_room_is_complete(driven):
 def test_dedicated_maps_leave_sightings_out():
     agent, team = make_team(with_values(CONFIG, {'maps': 'dedicated'}))
     drive(agent, team, 30)
-    sighting = VehicleSighting(2.9, 'robot2', np.array([2.0, 0.0]), 0.01 * np.eye(2))
+    sighting = InterRobotObservation(2.9, 'robot2', np.array([2.0, 0.0]), 0.01 * np.eye(2))
     agent.add_sighting('robot1', sighting)
     drive(agent, team, 4)  # it waits for the scan after it
     assert agent.summary()['robot1']['unused_sightings'] == 1

@@ -8,11 +8,11 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from explore_slam import messages
 from explore_slam.data import (
+    InterRobotObservation,
     Intrinsics,
     LandmarkObservations,
     LaserScan,
     OdometryReading,
-    VehicleSighting,
 )
 from explore_slam.errors import DataError
 from explore_slam.geometry import Pose2
@@ -128,7 +128,7 @@ def test_path_and_plan():
 
 
 def test_sighting_names_the_vehicle_seen():
-    sighting = VehicleSighting(1.0, 'robot2', np.array([1.0, 0.5]), np.diag([0.01, 0.02]))
+    sighting = InterRobotObservation(1.0, 'robot2', np.array([1.0, 0.5]), np.diag([0.01, 0.02]))
     back = messages.sighting_record(over_the_wire(messages.sighting_message(MESSAGES, sighting)))
     assert back.vehicle == 'robot2'
     np.testing.assert_array_equal(back.covariance, sighting.covariance)

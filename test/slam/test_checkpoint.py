@@ -34,7 +34,9 @@ def test_paper_engine_continues_in_the_middle_of_a_round(make_world, make_slam, 
     results = []
     for stop in (False, True):
         world = make_world()
-        slam = make_slam(world.start(**STARTS), engine='paper', minimum_match_quality=0.1)
+        slam = make_slam(
+            world.start(**STARTS), engine='paper', minimum_association_probability=0.1
+        )
         drive_circles(slam, world, 5)
         slam.predict('a', Pose2(0.0, 0.0, 0.0), np.zeros((3, 3)))
         slam.update('a', world.see('a', 5.0))

@@ -33,7 +33,7 @@ def test_fastslam2_keeps_two_vehicles_on_course(make_world, make_slam, drive_cir
 def test_paper_engine_beats_odometry(make_world, make_slam, drive_circles):
     world = make_world(deviation=0.1)
     starts = world.start(a=STARTS['a'])
-    slam = make_slam(starts, engine='paper', particles=1000, minimum_match_quality=0.05)
+    slam = make_slam(starts, engine='paper', particles=1000, minimum_association_probability=0.05)
     dead = starts['a']
     errors, dead_errors = [], []
     for step in range(60):
@@ -47,7 +47,7 @@ def test_paper_engine_multiplies_the_weights_of_all_vehicles_before_resampling(
     make_world, make_slam, drive_circles
 ):
     world = make_world()
-    slam = make_slam(world.start(**STARTS), engine='paper', minimum_match_quality=0.1)
+    slam = make_slam(world.start(**STARTS), engine='paper', minimum_association_probability=0.1)
     drive_circles(slam, world, 8)
     resampled = []
     for step, vehicle in ((8, 'a'), (8, 'b'), (9, 'b'), (10, 'b')):

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from explore_slam.data import LandmarkObservations, VehicleSighting
+from explore_slam.data import InterRobotObservation, LandmarkObservations
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Pose2
 from explore_slam.settings import with_values
@@ -30,10 +30,10 @@ def act(slam, random, stamp):
         step = random.standard_normal(3) * 10.0 ** random.uniform(-4, 1.5)
         slam.predict(name, Pose2(*step), matrix(random, 3))
     elif kind == 2:
-        sighting = VehicleSighting(
+        sighting = InterRobotObservation(
             stamp, NAMES[random.integers(0, 2)], random.normal(0, 5, 2), matrix(random, 2)
         )
-        slam.update_sightings(name, [sighting])
+        slam.update_inter_robot(name, [sighting])
     elif kind == 3 and random.random() < 0.3:
         slam.set_pose(name, Pose2(*random.normal(0, 3, 3)), matrix(random, 3))
     else:

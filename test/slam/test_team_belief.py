@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from explore_slam.data import VehicleSighting
+from explore_slam.data import InterRobotObservation
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Pose2
 from explore_slam.settings import with_values
@@ -59,10 +59,12 @@ def test_the_dedicated_filter_of_a_vehicle_equals_a_filter_of_its_own(make_world
 def test_a_sighting_ties_two_vehicles_together():
     errors = {}
     for used in (False, True):
-        belief = TeamBelief(STARTS, make('common', particles=400, vehicle_sightings=used), seed=2)
+        belief = TeamBelief(
+            STARTS, make('common', particles=400, inter_robot_observations=used), seed=2
+        )
         belief.predict('b', Pose2(1.0, 0.0, 0.0), np.diag([0.3, 0.3, 0.2]) ** 2)
         z = np.array([1.7, 0.3])
-        belief.update_sightings('a', [VehicleSighting(1.0, 'b', z, 0.02**2 * np.eye(2))])
+        belief.update_inter_robot('a', [InterRobotObservation(1.0, 'b', z, 0.02**2 * np.eye(2))])
         pose, covariance = belief.estimate('b')
         errors[used] = np.hypot(pose.x - 2.7, pose.y - 1.3), np.sqrt(covariance[0, 0])
     assert errors[True][0] < 0.02 < errors[False][0]
@@ -75,7 +77,7 @@ def test_a_sighting_moves_the_seer_too():
     P = np.diag([0.2, 0.2, 0.1]) ** 2
     belief.predict('a', Pose2(0.0, 0.0, 0.0), P)
     z = np.array([0.5 + 0.1, 0.5])
-    belief.update_sightings('a', [VehicleSighting(1.0, 'b', z, 0.05**2 * np.eye(2))])
+    belief.update_inter_robot('a', [InterRobotObservation(1.0, 'b', z, 0.05**2 * np.eye(2))])
     pose, covariance = belief.estimate('a')
     H = np.array([[-1.0, 0.0, 0.5], [0.0, -1.0, -0.5]])
     S = H @ P @ H.T + 0.05**2 * np.eye(2)
@@ -88,8 +90,8 @@ def test_an_impossible_sighting_is_left_out():
     belief = TeamBelief(STARTS, make('common'), seed=2)
     belief.predict('b', Pose2(1.0, 0.0, 0.0), np.diag([0.01, 0.01, 0.01]) ** 2)
     before = belief.estimate('b')[0]
-    sighting = VehicleSighting(1.0, 'b', np.array([-3.0, 2.0]), 0.02**2 * np.eye(2))
-    belief.update_sightings('a', [sighting])
+    sighting = InterRobotObservation(1.0, 'b', np.array([-3.0, 2.0]), 0.02**2 * np.eye(2))
+    belief.update_inter_robot('a', [sighting])
     assert belief.estimate('b')[0] == pytest.approx(before, abs=1e-9)
 
 
@@ -97,12 +99,12 @@ def test_sightings_are_checked():
     belief = TeamBelief(STARTS, make('common'))
     z = np.array([0.5, 0.5])
     with pytest.raises(SlamError, match="no vehicle 'x'"):
-        belief.update_sightings('a', [VehicleSighting(0.0, 'x', z, np.eye(2))])
+        belief.update_inter_robot('a', [InterRobotObservation(0.0, 'x', z, np.eye(2))])
     with pytest.raises(SlamError, match='cannot see itself'):
-        belief.update_sightings('a', [VehicleSighting(0.0, 'a', z, np.eye(2))])
+        belief.update_inter_robot('a', [InterRobotObservation(0.0, 'a', z, np.eye(2))])
     with pytest.raises(SlamError, match='positive definite'):
-        belief.update_sightings('a', [VehicleSighting(0.0, 'b', z, np.zeros((2, 2)))])
+        belief.update_inter_robot('a', [InterRobotObservation(0.0, 'b', z, np.zeros((2, 2)))])
     with pytest.raises(SlamError, match='maps: common'):
-        TeamBelief(STARTS, make('dedicated')).update_sightings('a', [])
+        TeamBelief(STARTS, make('dedicated')).update_inter_robot('a', [])
     with pytest.raises(SlamError, match="no vehicle 'z'"):
         belief.predict('z', Pose2(0.0, 0.0, 0.0))

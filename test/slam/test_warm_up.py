@@ -15,14 +15,14 @@ from explore_slam.settings import with_values
 
 slam.warm_up()
 kernels = {}
-for module in pkgutil.iter_modules(slam.__path__):
-    for name, value in vars(importlib.import_module(f'explore_slam.slam.{module.name}')).items():
+for module in pkgutil.walk_packages(slam.__path__, "explore_slam.slam."):
+    for name, value in vars(importlib.import_module(module.name)).items():
         if isinstance(value, Dispatcher):
             kernels[f'{module.name}.{name}'] = value
 before = {name: len(kernel.signatures) for name, kernel in kernels.items()}
 assert len(kernels) > 20, sorted(kernels)
 for engine in ('fastslam2', 'paper'):
-    values = {'engine': engine, 'maximum_descriptor_distance': 0.0, 'least_effective': 0.5}
+    values = {'engine': engine, 'maximum_descriptor_distance': 0.0, 'shrinkage_threshold': 0.5}
     scene = draw_scenario('late crossing', 1)
     config = with_values(slam.FastSlamConfig(), values)
     belief = slam.FastSlam(scene.start_poses, config, seed=1)

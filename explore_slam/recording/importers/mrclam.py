@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from explore_slam.data import DESCRIPTOR_LENGTH, LandmarkObservations, VehicleSighting
+from explore_slam.data import DESCRIPTOR_LENGTH, InterRobotObservation, LandmarkObservations
 from explore_slam.errors import RecordingError
 from explore_slam.geometry import Array, Pose2, compose
 from explore_slam.messages.topics import TopicKind
@@ -159,7 +159,7 @@ def _measurements(robot: _Robot, begin: float, end: float) -> Iterator[Event]:
         for subject, distance, bearing in seen[seen[:, 1] <= len(ROBOTS), 1:].tolist():
             if int(subject) != robot.number:
                 position, covariance = planar_measurement(distance, bearing)
-                sighting = VehicleSighting(
+                sighting = InterRobotObservation(
                     float(stamp), f'robot{int(subject)}', position, covariance
                 )
                 yield Event(float(stamp), robot.name, TopicKind.SIGHTINGS, sighting)

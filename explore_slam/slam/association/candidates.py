@@ -3,9 +3,9 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from explore_slam.compiled import kernel
 from explore_slam.data import LandmarkObservations
 from explore_slam.geometry import Array, Pose2, to_world
 from explore_slam.slam.association.gating import Choice
@@ -117,7 +117,7 @@ def tells(like: Ids, distances: Lengths, reference: Array, limit: float) -> NDAr
     return told
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def _inside(
     reference: Array, ids: Items, lower: Array, upper: Array
 ) -> Items:  # pragma: no cover - compiled
@@ -135,7 +135,7 @@ def _inside(
     return found[:count].copy()
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def _compare_near(
     places: Array,
     table: Descriptors,

@@ -8,9 +8,9 @@ matrices are six numbers in that order throughout.
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from explore_slam.compiled import kernel
 from explore_slam.geometry import Array
 
 Choice = NDArray[np.int16]
@@ -18,7 +18,7 @@ Locals = NDArray[np.int64]
 Six = tuple[float, float, float, float, float, float]
 
 
-@njit(cache=True, nogil=True, error_model='numpy', inline='always')
+@kernel(inline='always')
 def seen_covariance(
     c: float, s: float, xx: float, xy: float, xz: float, yy: float, yz: float, zz: float
 ) -> Six:  # pragma: no cover - compiled
@@ -34,7 +34,7 @@ def seen_covariance(
     )
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def _squared_length(
     x: float, y: float, z: float, xx: float, xy: float, xz: float, yy: float, yz: float, zz: float
 ) -> float:  # pragma: no cover - compiled
@@ -49,7 +49,7 @@ def _squared_length(
     return square / (xx * a + xy * b + xz * d)
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def associate(
     slab: Array,
     slots: Locals,

@@ -9,9 +9,9 @@ rebuilt, and the same insertions give the same forest.
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from explore_slam.compiled import kernel
 from explore_slam.data import DESCRIPTOR_LENGTH
 from explore_slam.slam.descriptors.index import ROUNDING, Descriptors, DescriptorTable, Ids
 
@@ -31,7 +31,7 @@ _HALF = DESCRIPTOR_LENGTH // 2
 _LINE = 64
 
 
-@njit(cache=True, nogil=True, error_model='numpy', fastmath={'reassoc', 'nsz', 'contract'})
+@kernel(reassociate=True)
 def squared_distance(
     a: Values, b: Values, bound: np.float32
 ) -> np.float32:  # pragma: no cover - compiled
@@ -48,7 +48,7 @@ def squared_distance(
     return total
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def _coarse_distance(
     a: Coarse, coarse: Coarse, item: int, bound: int
 ) -> np.int32:  # pragma: no cover - compiled
@@ -64,7 +64,7 @@ def _coarse_distance(
     return total
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def _find_leaf(
     nodes: Nodes, values: Values, tree: int, point: Values
 ) -> int:  # pragma: no cover - compiled
@@ -75,14 +75,14 @@ def _find_leaf(
     return node
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def _next_random(state: NDArray[np.uint64]) -> np.int64:  # pragma: no cover - compiled
     """64-bit linear congruential generator (Knuth's MMIX); its upper bits."""
     state[0] = state[0] * np.uint64(6364136223846793005) + np.uint64(1442695040888963407)
     return np.int64(state[0] >> np.uint64(40))
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def _split_dimension(
     table: Values, members: Nodes, state: NDArray[np.uint64]
 ) -> tuple[int, float]:  # pragma: no cover - compiled
@@ -110,7 +110,7 @@ def _split_dimension(
     return chosen, mean[chosen]
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def _insert(
     table: Values,
     ids: Ids,
@@ -164,7 +164,7 @@ def _insert(
             buckets[bucket, 0] += 1
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def _remove(
     table: Values, ids: Ids, nodes: Nodes, values: Values, buckets: Nodes
 ) -> None:  # pragma: no cover - compiled
@@ -181,7 +181,7 @@ def _remove(
                 bucket = buckets[bucket, 1]
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def _push(
     keys: Values, places: Nodes, size: int, key: float, tree: int, node: int
 ) -> int:  # pragma: no cover - compiled
@@ -202,7 +202,7 @@ def _push(
     return size + 1
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def _pop(keys: Values, places: Nodes, size: int) -> int:  # pragma: no cover - compiled
     """Remove the first of the heap (read it before)."""
     size -= 1
@@ -226,7 +226,7 @@ def _pop(keys: Values, places: Nodes, size: int) -> int:  # pragma: no cover - c
     return size
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def _search(  # noqa: C901 - a kernel
     table: Values,
     coarse: Coarse,

@@ -9,13 +9,14 @@ particles, however long the filter runs.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from explore_slam.compiled import kernel
 
 Index = NDArray[np.int32]
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def _compose(
     index: Index, ancestors: Index, counts: Index, survivors: Index
 ) -> None:  # pragma: no cover - compiled

@@ -10,9 +10,9 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from explore_slam.compiled import kernel
 from explore_slam.geometry import Array
 from explore_slam.slam.storage.ancestry import Genealogy, Index, Layout
 
@@ -23,7 +23,7 @@ _SHRINK = 4
 _RESERVED = 256 * 2**20
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def _gather(
     slab: Array, slots: Items, rows: Index, which: Items, target: Array, at: Items
 ) -> None:  # pragma: no cover - compiled
@@ -39,7 +39,7 @@ def _gather(
                 goal[v, m] = source[v, row[m]]
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def _shrink(
     source: Array, old: Items, keep: Index, target: Array, new: Items
 ) -> None:  # pragma: no cover - compiled

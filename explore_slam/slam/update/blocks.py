@@ -5,7 +5,9 @@ particle: the compiler turns loops over columns into vector instructions, and th
 a block stay in the cache from the association to the update.
 """
 
-from numba import njit
+from explore_slam.compiled import kernel
+from explore_slam.geometry import Array
+from explore_slam.slam.association.gating import Choice, Locals
 
 BLOCK = 64
 
@@ -29,8 +31,17 @@ BEST, PICK = 57, 58  # least score so far and its candidate
 SCRATCH = 59
 
 
-@njit(cache=True, nogil=True, error_model='numpy', inline='always')
-def load(w, slab, slots, candidates, choice, k, m0, n):  # type: ignore[no-untyped-def]
+@kernel(inline='always')
+def load(
+    w: Array,
+    slab: Array,
+    slots: Locals,
+    candidates: Locals,
+    choice: Choice,
+    k: int,
+    m0: int,
+    n: int,
+) -> bool:  # pragma: no cover - compiled
     """Load the landmark that each particle has chosen for observation k, and the mask."""
     first, having, taking = -1, 0, 0
     for i in range(n):
@@ -54,8 +65,8 @@ def load(w, slab, slots, candidates, choice, k, m0, n):  # type: ignore[no-untyp
     return first >= 0
 
 
-@njit(cache=True, nogil=True, error_model='numpy', inline='always')
-def expect(w, z, R, k):  # type: ignore[no-untyped-def]
+@kernel(inline='always')
+def expect(w: Array, z: Array, R: Array, k: int) -> None:  # pragma: no cover - compiled
     """Set expected observation, residual and S = Σ + R in the vehicle frame."""
     z0, z1, z2 = z[k, 0], z[k, 1], z[k, 2]
     r0, r1, r2, r3, r4, r5 = R[k, 0], R[k, 1], R[k, 2], R[k, 3], R[k, 4], R[k, 5]
@@ -76,8 +87,10 @@ def expect(w, z, R, k):  # type: ignore[no-untyped-def]
         w[S + 5, i] = w[LM + 8, i] + r5
 
 
-@njit(cache=True, nogil=True, error_model='numpy', inline='always')
-def measure(w, hxx, hxy, hyy, i):  # type: ignore[no-untyped-def]
+@kernel(inline='always')
+def measure(
+    w: Array, hxx: float, hxy: float, hyy: float, i: int
+) -> tuple[float, float]:  # pragma: no cover - compiled
     """Return νᵀ (S + h)⁻¹ ν and |S + h| of column i, h added to the x, y part of S."""
     xx, xy, xz = w[S, i] + hxx, w[S + 1, i] + hxy, w[S + 2, i]
     yy, yz, zz = w[S + 3, i] + hyy, w[S + 4, i], w[S + 5, i]
@@ -93,8 +106,8 @@ def measure(w, hxx, hxy, hyy, i):  # type: ignore[no-untyped-def]
     return square / determinant, determinant
 
 
-@njit(cache=True, nogil=True, error_model='numpy', inline='always')
-def invert(w):  # type: ignore[no-untyped-def]
+@kernel(inline='always')
+def invert(w: Array) -> None:  # pragma: no cover - compiled
     """Set W = S⁻¹ and |S|."""
     for i in range(BLOCK):
         xx, xy, xz = w[S, i], w[S + 1, i], w[S + 2, i]

@@ -110,7 +110,7 @@ def regularized(
     proposal run out of range.
     """
     proposal = fastslam2(sighted, data, poses, P, config)
-    least = config.least_effective * len(poses)
+    least = config.shrinkage_threshold * len(poses)
     if not proposal.is_finite() or proposal.effective(log_weights) >= least:
         return proposal
     part = _share_needed(sighted, data, poses, P, log_weights, config)
@@ -144,7 +144,7 @@ def _share_needed(
         rows[taken] = smoothed
         proposal = _unstaged(copy(sighted), rows, poses, P, config)
         effective = proposal.effective(log_weights) if proposal.is_finite() else 0.0
-        if effective >= config.least_effective * len(poses):
+        if effective >= config.shrinkage_threshold * len(poses):
             return part
     return SHARES[-1]
 
@@ -188,7 +188,7 @@ def paper(
     to match (not less than 1e-6), and P0 where it has none.
     """
     move_by_samples(poses, P, normals)
-    least = config.association.minimum_match_quality
+    least = config.association.minimum_association_probability
     gate = -2.0 * np.log(least) if least > 0.0 else np.inf
     associate(
         data, sighted.slots, sighted.candidates, sighted.distances, sighted.z, sighted.R,

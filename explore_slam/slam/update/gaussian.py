@@ -3,12 +3,12 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from explore_slam.compiled import kernel
 from explore_slam.geometry import Array
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def solve(
     P: Array, L: Array, eta: Array, delta: Array, posterior: Array
 ) -> tuple[float, float]:  # pragma: no cover - compiled
@@ -46,7 +46,7 @@ def solve(
     return determinant, quad
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def sample_gaussian(
     posterior: Array, normal: Array, delta: Array
 ) -> None:  # pragma: no cover - compiled

@@ -8,15 +8,15 @@ thinned out by resamplings until its own observations need it.
 import math
 
 import numpy as np
-from numba import njit
 
-from explore_slam.data import VehicleSighting
+from explore_slam.compiled import kernel
+from explore_slam.data import InterRobotObservation
 from explore_slam.geometry import Array
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.update.gaussian import sample_gaussian
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def _conditioned(
     P: Array, H: Array, W: Array, nu: Array, delta: Array, posterior: Array
 ) -> None:  # pragma: no cover - compiled
@@ -33,7 +33,7 @@ def _conditioned(
             posterior[i, j] = P[i, j] - k0 * PH[j, 0] - k1 * PH[j, 1]
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def _innovation_covariance(H: Array, P: Array, S: Array) -> None:  # pragma: no cover - compiled
     """Add H P Hᵀ to S (2, 2)."""
     for a in range(2):
@@ -43,7 +43,7 @@ def _innovation_covariance(H: Array, P: Array, S: Array) -> None:  # pragma: no 
                     S[a, b] += H[a, i] * P[i, j] * H[b, j]
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def _inverted(S: Array, W: Array) -> float:  # pragma: no cover - compiled
     """Set W = S⁻¹ (2, 2) and return |S|."""
     determinant: float = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
@@ -52,7 +52,7 @@ def _inverted(S: Array, W: Array) -> float:  # pragma: no cover - compiled
     return determinant
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def _move(pose: Array, delta: Array) -> None:  # pragma: no cover - compiled
     c, s = math.cos(pose[2]), math.sin(pose[2])
     pose[0] += c * delta[0] - s * delta[1]
@@ -60,7 +60,7 @@ def _move(pose: Array, delta: Array) -> None:  # pragma: no cover - compiled
     pose[2] += delta[2]
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def _sight(
     seer: Array,
     seer_P: Array,
@@ -131,7 +131,7 @@ def sight(
     seer_P: Array,
     seen: Array,
     seen_P: Array,
-    sighting: VehicleSighting,
+    sighting: InterRobotObservation,
     config: FastSlamConfig,
     normals: Array,
     weights: Array,

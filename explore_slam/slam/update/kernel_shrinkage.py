@@ -11,15 +11,15 @@ particle filter, Musso et al., 2001).
 import math
 
 import numpy as np
-from numba import njit
 
+from explore_slam.compiled import kernel
 from explore_slam.geometry import Array
 
 #: Parts of the covariance over the particles that are tried, the least first.
 SHARES = (0.003, 0.01, 0.03, 0.1, 0.3)
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def _moments(
     row: Array, frames: Array, weights: Array, local: Array, mean: Array, S: Array
 ) -> float:  # pragma: no cover - compiled
@@ -50,7 +50,7 @@ def _moments(
     return total
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def smooth(
     rows: Array, poses: Array, weights: Array, share: float, smoothed: Array
 ) -> None:  # pragma: no cover - compiled

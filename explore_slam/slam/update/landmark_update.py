@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from explore_slam.compiled import kernel
 from explore_slam.geometry import Array
 from explore_slam.slam.association.gating import Choice, Locals, seen_covariance
 from explore_slam.slam.update.blocks import (
@@ -29,8 +29,8 @@ from explore_slam.slam.update.blocks import (
 )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model='numpy', inline='always')
-def _correct(w, R, k):  # type: ignore[no-untyped-def]
+@kernel(inline='always')
+def _correct(w: Array, R: Array, k: int) -> None:  # pragma: no cover - compiled
     """Replace the landmark of each column by its posterior: K = A W, Σ⁺ = A − K A."""
     r0, r1, r2, r3, r4, r5 = R[k, 0], R[k, 1], R[k, 2], R[k, 3], R[k, 4], R[k, 5]
     for i in range(BLOCK):
@@ -65,8 +65,17 @@ def _correct(w, R, k):  # type: ignore[no-untyped-def]
         w[LM + 8, i] = azz - (kzx * axz + kzy * ayz + kzz * azz)
 
 
-@njit(cache=True, nogil=True, error_model='numpy', inline='always')
-def _store(w, slab, slots, candidates, choice, k, m0, n):  # type: ignore[no-untyped-def]
+@kernel(inline='always')
+def _store(
+    w: Array,
+    slab: Array,
+    slots: Locals,
+    candidates: Locals,
+    choice: Choice,
+    k: int,
+    m0: int,
+    n: int,
+) -> None:  # pragma: no cover - compiled
     """Write back the landmarks of columns that have one, unless numbers ran out of range."""
     first, having, taking = -1, 0, 0
     for i in range(n):
@@ -90,7 +99,7 @@ def _store(w, slab, slots, candidates, choice, k, m0, n):  # type: ignore[no-unt
                 row[v, m0 + i] = w[LM + v, i] if w[MASK, i] > 0.0 else row[v, m0 + i]
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def update_landmarks(
     slab: Array,
     slots: Locals,
@@ -139,8 +148,10 @@ def update_landmarks(
             _store(w, slab, slots, candidates, choice, k, m0, n)
 
 
-@njit(cache=True, nogil=True, error_model='numpy', inline='always')
-def _write_seen(row, z, R, k, poses, m):  # type: ignore[no-untyped-def]
+@kernel(inline='always')
+def _write_seen(
+    row: Array, z: Array, R: Array, k: int, poses: Array, m: int
+) -> None:  # pragma: no cover - compiled
     """Write to a row the landmark of observation k, as particle m sees it."""
     c, s = math.cos(poses[m, 2]), math.sin(poses[m, 2])
     row[0, m] = poses[m, 0] + c * z[k, 0] - s * z[k, 1]
@@ -151,7 +162,7 @@ def _write_seen(row, z, R, k, poses, m):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def insert_landmarks(
     slab: Array,
     slots: Locals,
@@ -168,7 +179,7 @@ def insert_landmarks(
                 _write_seen(row, z, R, k, poses, m)
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def fill_absent(
     slab: Array,
     slots: Locals,

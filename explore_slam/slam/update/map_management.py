@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from explore_slam.compiled import kernel
 from explore_slam.geometry import Array, Pose2
 from explore_slam.slam.association.candidates import Sighted
 from explore_slam.slam.association.gating import Choice
@@ -17,7 +17,7 @@ _FEWEST_FOR_MISSES = 8
 _BIN = 0.1
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def support(choice: Choice, weights: Array, candidates: int) -> Array:  # pragma: no cover
     """Return (K, J): weight of the particles that chose each candidate."""
     total = np.zeros((len(choice), candidates))
@@ -29,7 +29,7 @@ def support(choice: Choice, weights: Array, candidates: int) -> Array:  # pragma
     return total
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def _expected(
     reference: Array, ids: NDArray[np.int64], x: float, y: float, theta: float, z: Array
 ) -> NDArray[np.int64]:  # pragma: no cover - compiled

@@ -16,9 +16,9 @@ Particles do not depend on each other, so any split into blocks and threads give
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from explore_slam.compiled import kernel
 from explore_slam.geometry import Array
 from explore_slam.slam.association.gating import Choice, Locals
 from explore_slam.slam.update.blocks import (
@@ -61,7 +61,7 @@ from explore_slam.slam.update.blocks import (
 from explore_slam.slam.update.gaussian import sample_gaussian, solve
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def _associate(  # noqa: PLR0912, C901 - a kernel
     w: Array,
     slab: Array,
@@ -124,8 +124,8 @@ def _associate(  # noqa: PLR0912, C901 - a kernel
                 used[candidates[k, j], i] = True
 
 
-@njit(cache=True, nogil=True, error_model='numpy', inline='always')
-def _judge(w, t2):  # type: ignore[no-untyped-def]
+@kernel(inline='always')
+def _judge(w: Array, t2: float) -> None:  # pragma: no cover - compiled
     """Set w by the studentized residual, of covariance S − H Q Hᵀ, at the present solution."""
     for i in range(BLOCK):
         cd, sd, zx, zy = w[CD, i], w[SD, i], w[ZX, i], w[ZY, i]
@@ -146,8 +146,8 @@ def _judge(w, t2):  # type: ignore[no-untyped-def]
         w[WEIGHT, i] = t2 / square if square > t2 else 1.0
 
 
-@njit(cache=True, nogil=True, error_model='numpy', inline='always')
-def _gather(w, scale, unmatched):  # type: ignore[no-untyped-def]
+@kernel(inline='always')
+def _gather(w: Array, scale: float, unmatched: float) -> None:  # pragma: no cover - compiled
     """Add one observation to η, Λ and the cost; scale is 1 / |2R|."""
     for i in range(BLOCK):
         cd, sd, zx, zy = w[CD, i], w[SD, i], w[ZX, i], w[ZY, i]
@@ -180,7 +180,7 @@ def _gather(w, scale, unmatched):  # type: ignore[no-untyped-def]
         w[LAMBDA + 5, i] += zy * a2 - zx * b2
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def _fold(
     w: Array,
     slab: Array,
@@ -226,7 +226,7 @@ def _fold(
     return w
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def _solve_block(
     w: Array, poses: Array, P: Array, m0: int, n: int, L: Array, Qm: Array, share: float
 ) -> None:  # pragma: no cover - compiled
@@ -248,7 +248,7 @@ def _solve_block(
         _linearize(w, poses, delta, m0, i)
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def _linearize(
     w: Array, poses: Array, delta: Array, m0: int, i: int
 ) -> None:  # pragma: no cover - compiled
@@ -263,7 +263,7 @@ def _linearize(
     w[D0, i], w[D1, i], w[D2, i] = delta[0], delta[1], delta[2]
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def sample_proposals(
     centers: Array, spreads: Array, normals: Array, begin: int, end: int, poses: Array
 ) -> None:  # pragma: no cover - compiled
@@ -285,7 +285,7 @@ def sample_proposals(
         poses[m, 2] += delta[2]
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def propose(
     slab: Array,
     slots: Locals,

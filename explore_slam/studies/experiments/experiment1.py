@@ -97,7 +97,7 @@ def make_estimator(
         'maps': maps,
         'particles': options.paper_particles if method == 'paper' else options.particles,
         'maximum_descriptor_distance': UNIQUE,
-        'minimum_match_quality': 0.9,
+        'minimum_association_probability': 0.9,
     }
     return FilterEstimator(scenario.start_poses, with_values(FastSlamConfig(), values), seed)
 

@@ -242,7 +242,7 @@ def _updates(
     for value in values:
         settings = {
             'engine': engine,
-            'minimum_match_quality': value if p0 else 0.9,
+            'minimum_association_probability': value if p0 else 0.9,
             'maximum_descriptor_distance': 1.2 if p0 else value,
         }
         counts[value] = [

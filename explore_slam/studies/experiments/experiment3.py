@@ -63,7 +63,7 @@ def evaluate(walks: Sequence[Walk], options: WalkOptions) -> ExperimentReport:
                 settings = {
                     'engine': engine,
                     'maximum_descriptor_distance': e0,
-                    'minimum_match_quality': 0.9,
+                    'minimum_association_probability': 0.9,
                 }
                 trial, _ = run_walks(walks, seed, options.particles, settings)
                 results.trials.setdefault((engine, e0), []).append(trial)

@@ -55,7 +55,7 @@ def evaluate(walks: Sequence[Walk], options: WalkOptions) -> ExperimentReport:
                     'maps': maps,
                     'insertion_policy': policy,
                     'maximum_descriptor_distance': E0,
-                    'minimum_match_quality': 0.9,
+                    'minimum_association_probability': 0.9,
                 }
                 key = (engine, maps, policy)
                 trial, last[key] = run_walks(walks, seed, options.particles, settings)

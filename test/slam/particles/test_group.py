@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from explore_slam.data import LandmarkObservations, VehicleSighting
+from explore_slam.data import InterRobotObservation, LandmarkObservations
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Pose2
 from explore_slam.slam.particles.group import Groups
@@ -99,8 +99,8 @@ def test_a_sighting_joins_the_two(make_slam):
     for name in 'ab':
         slam.predict(name, STILL, np.diag([0.04, 0.04, 1e-6]))
         slam.update(name, seen_from(APART[name], [(APART[name].x + 60.0, 0.0)], 1.0, ord(name)))
-    slam.update_sightings(
-        'a', [VehicleSighting(1.0, 'b', np.array([40.0, 0.0]), 1e-4 * np.eye(2))]
+    slam.update_inter_robot(
+        'a', [InterRobotObservation(1.0, 'b', np.array([40.0, 0.0]), 1e-4 * np.eye(2))]
     )
     assert vehicles_of(slam) == [[0, 1]]
     apart = slam.particle_poses('b')[:, :2] - slam.particle_poses('a')[:, :2]
@@ -118,9 +118,9 @@ def test_a_refused_call_does_not_join(make_slam):
     seen = dataclasses.replace(seen, covariances=1e-150 * seen.covariances)
     with pytest.raises(SlamError, match='out of proportion'):
         slam.update('b', seen)
-    sighting = VehicleSighting(5.0, 'a', np.zeros(2), 1e200 * np.eye(2))
+    sighting = InterRobotObservation(5.0, 'a', np.zeros(2), 1e200 * np.eye(2))
     with pytest.raises(SlamError, match='out of proportion'):
-        slam.update_sightings('b', [sighting])
+        slam.update_inter_robot('b', [sighting])
     after = slam.state_dict()
     assert vehicles_of(slam) == [[0], [1]]
     assert [name for name in before if not np.array_equal(before[name], after[name])] == []

@@ -61,7 +61,7 @@ def test_a_late_return_leaves_particles(make_world, make_slam):
     for least, sizes in effective.items():
         for seed in range(3):
             world = make_world(seed=seed, deviation=0.002)
-            slam = make_slam(world.start(a=Pose2(3.0, 3.0, 0.0)), least_effective=least)
+            slam = make_slam(world.start(a=Pose2(3.0, 3.0, 0.0)), shrinkage_threshold=least)
             turn = Pose2(0.0, 0.0, np.pi / 8)
             for step in range(17):
                 noise = 1e-8 if step == 0 else 0.02**2
