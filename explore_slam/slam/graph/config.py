@@ -1,0 +1,81 @@
+"""Settings of the joint graph."""
+
+from dataclasses import dataclass
+
+from explore_slam.settings import Section, setting
+
+
+@dataclass(frozen=True)
+class GraphConfig(Section):
+    """Settings of the joint graph: robust kernels, selection of landmarks, solver and bounds.
+
+    Unless stated otherwise, values come from the study of crossing loops with the noise of
+    table I of the paper and from closed-loop runs in the simulated office.
+    """
+
+    graph_independent_observations: float = setting(
+        60.0,
+        'Landmark observations of one keyframe weigh like at most this many independent ones, '
+        'because features of one frame err together',
+        low=1.0,
+        high=1e6,
+    )
+    graph_outlier_threshold: float = setting(
+        4.0,
+        'Landmark and inter-robot residuals beyond this lose influence (Huber)',
+        unit='sigma',
+        low=1.0,
+        high=20.0,
+    )
+    closure_scale: float = setting(
+        1.0,
+        'Scale of the Cauchy kernel on relative poses that loop closing measured',
+        unit='sigma',
+        low=0.1,
+        high=100.0,
+    )
+    graph_minimum_sightings: int = setting(
+        3,
+        'Landmarks with fewer stored observations than this are no variables of the graph',
+        low=2,
+        high=100,
+    )
+    graph_observations_per_keyframe: int = setting(
+        15,
+        'Landmarks are variables of the graph if they are among the most observed of a keyframe',
+        low=1,
+        high=1000,
+    )
+    graph_landmark_heights: bool = setting(
+        True,
+        'Let correlated height and distance errors of an observation constrain the pose; '
+        'without it observations are planar',
+    )
+    graph_iterations: int = setting(
+        20, 'Most Gauss-Newton iterations of one optimization', low=1, high=1000
+    )
+    graph_tolerance: float = setting(
+        1e-4,
+        'An optimization ends when the next step would lower the sum of squared Mahalanobis '
+        'distances by less than this',
+        low=0.0,
+        high=10.0,
+    )
+    graph_bounded: bool = setting(
+        True, 'Drop keyframes that add little, so that the graph grows with the area and not time'
+    )
+    graph_recent_keyframes: int = setting(
+        8, 'Newest keyframes of each vehicle that are never dropped', low=1, high=1000
+    )
+    graph_visit_gap: int = setting(
+        10,
+        'A visit of a landmark ends when the vehicle has not observed it for this many keyframes',
+        low=1,
+        high=1000,
+    )
+    graph_visits: int = setting(
+        2, 'Visits of a landmark by each vehicle of which observations are kept', low=1, high=100
+    )
+    graph_visit_sightings: int = setting(
+        3, 'Observations of a landmark that are kept of each visit', low=1, high=100
+    )

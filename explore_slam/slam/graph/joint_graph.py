@@ -1,0 +1,395 @@
+"""The joint graph of keyframes and landmarks: the exact Gaussian memory of the team.
+
+Variables are the poses of the keyframes of all vehicles and landmarks; factors are raw
+measurements, each exactly once: motion between keyframes, observations of landmarks, relative
+poses from loop closing, inter-robot observations. The graph knows nothing of particles: a filter
+records what was measured, and asks for joint samples of the path and for landmarks given a path.
+
+A call that raises SlamError leaves the graph unchanged.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from explore_slam.errors import SlamError
+from explore_slam.geometry import Array
+from explore_slam.slam.graph import checks, motion
+from explore_slam.slam.graph.config import GraphConfig
+from explore_slam.slam.graph.factors import (
+    CAUCHY,
+    HUBER,
+    PRIOR,
+    RELATIVE_POSE,
+    RELATIVE_POSITION,
+    SQUARED,
+    Factors,
+    Integers,
+    squared_norms,
+)
+from explore_slam.slam.graph.problem import Problem, collect, take_over
+from explore_slam.slam.graph.rows import StoredObservations
+from explore_slam.slam.graph.solver import (
+    Draws,
+    OptimizeSummary,
+    Solution,
+    optimize,
+    posterior_at,
+)
+from explore_slam.slam.graph.storage import Storage
+from explore_slam.slam.graph.ties import Component, components
+
+
+class JointGraph:
+    """Keyframe poses of all vehicles, landmarks, and everything that was measured of them.
+
+    Keyframes are numbered by the caller, ascending over all vehicles; landmarks by their ids.
+    Poses are (x m, y m, theta rad). Covariances of motions and of relative poses are those of
+    their components, in the axes of the first pose; those of poses in the axes of the map.
+    """
+
+    def __init__(self, config: GraphConfig | None = None) -> None:
+        self.config = config or GraphConfig()
+        self._storage = Storage()
+        self._posteriors: dict[Component, Solution] = {}
+
+    # ---- recording measurements
+
+    def add_start(
+        self, vehicle: int, keyframe: int, pose: ArrayLike, covariance: ArrayLike | None = None
+    ) -> int:
+        """Add the first keyframe of a vehicle; returns the factor of its prior.
+
+        covariance: (3, 3) in the axes of the map. Default: exactly known.
+        """
+        store = self._storage
+        if vehicle in store.newest:
+            raise SlamError(f'vehicle {vehicle} has a start already')
+        store.check_new(keyframe)
+        at = checks.matrix('pose', pose, (3,))
+        W = checks.information('covariance', covariance)
+        row = store.newest[vehicle] = store.keyframes.append(
+            1, number=keyframe, vehicle=vehicle, live=True, previous=-1, pose=at, chain=at
+        )
+        return store.add_factor(PRIOR, -1, row, at, W, SQUARED, 1.0)
+
+    def add_prior(
+        self, keyframe: int, pose: ArrayLike, covariance: ArrayLike | None = None
+    ) -> int:
+        """Add what is known of a pose from elsewhere (survey, operator); returns the factor."""
+        row = self._storage.live_row_of(keyframe)
+        at = checks.matrix('pose', pose, (3,))
+        W = checks.information('covariance', covariance)
+        return self._storage.add_factor(PRIOR, -1, row, at, W, SQUARED, 1.0)
+
+    def add_keyframe(
+        self,
+        vehicle: int,
+        keyframe: int,
+        increment: ArrayLike,
+        covariance: ArrayLike,
+        white: ArrayLike | None = None,
+    ) -> None:
+        """Add a keyframe at the end of a vehicle's path.
+
+        increment: measured motion since the vehicle's keyframe before, in its frame; covariance
+        (3, 3): of that motion's random walk, zero where it is exact. white (3, 3): covariance, in
+        the axes of this keyframe, of an error of the measured pose that the next motion takes
+        back, as matching a scan against a map has it: increments then lead from measured pose to
+        measured pose, and neighbours share a white error with opposite signs.
+        """
+        store = self._storage
+        if vehicle not in store.newest:
+            raise SlamError(f'vehicle {vehicle} has no start')
+        store.check_new(keyframe)
+        u = checks.matrix('increment', increment, (3,))
+        P = checks.symmetric('covariance', covariance, 3)
+        W = checks.information('covariance', P)
+        white_information = (
+            np.zeros((3, 3)) if white is None else checks.information('white', white)
+        )
+        before = store.newest[vehicle]
+        pose = np.empty(3)
+        motion.compose(store.keyframes['chain'][before], u, pose)
+        store.newest[vehicle] = store.keyframes.append(
+            1,
+            number=keyframe,
+            vehicle=vehicle,
+            live=True,
+            increment=u,
+            covariance=P,
+            previous=before,
+            motion=u,
+            motion_covariance=P,
+            motion_information=W,
+            has_white=white is not None,
+            white_information=white_information,
+            pose=pose,
+            chain=pose,
+        )
+        store.touch([before])
+
+    def add_observations(
+        self,
+        keyframe: int,
+        landmarks: ArrayLike,
+        z: ArrayLike,
+        R: ArrayLike,
+        weights: ArrayLike | None = None,
+    ) -> None:
+        """Add landmarks observed from a keyframe.
+
+        landmarks (n,): ids. z (n, 3): positions in the vehicle frame (m). R (n, 6): covariances
+        xx xy xz yy yz zz. weights (n,) in (0, 1]: an observation of weight w counts with R / w.
+        """
+        store = self._storage
+        row = store.live_row_of(keyframe)
+        ids = checks.integers('landmarks', landmarks)
+        count = len(ids)
+        if count == 0:
+            return
+        places = checks.matrix('z', z, (count, 3))
+        W = checks.packed_information('R', R, count)
+        weight = np.ones(count) if weights is None else checks.matrix('weights', weights, (count,))
+        if not ((weight > 0.0) & (weight <= 1.0)).all():
+            raise SlamError(
+                f'weights lie in {weight.min():.3g} … {weight.max():.3g}, '
+                'expected above 0 and at most 1'
+            )
+        store.observations.append(
+            count,
+            number=store.next_observation + np.arange(count),
+            keyframe=row,
+            landmark=[store.landmark_row_of(number) for number in ids.tolist()],
+            z=places,
+            W=W * weight[:, None],
+            weight=weight,
+            influence=1.0,
+        )
+        store.next_observation += count
+        store.touch([row])
+
+    def add_relative_pose(
+        self, a: int, b: int, z: ArrayLike, information: ArrayLike, *, robust: bool = True
+    ) -> int:
+        """Add a measured pose z (3,) of keyframe b in the frame of keyframe a, as of a closure.
+
+        information (3, 3): of the components of z, semidefinite where a direction is free.
+        robust: with a Cauchy kernel. Returns the factor, for `remove_factor`.
+        """
+        i, j = self._ends(a, b)
+        measured = checks.matrix('z', z, (3,))
+        W = checks.symmetric('information', information, 3)
+        kernel = CAUCHY if robust else SQUARED
+        return self._storage.add_factor(
+            RELATIVE_POSE, i, j, measured, W, kernel, self.config.closure_scale
+        )
+
+    def add_relative_position(self, a: int, b: int, z: ArrayLike, R: ArrayLike) -> int:
+        """Add the position z (2,) of b's vehicle that a's vehicle measured, at these keyframes.
+
+        R (2, 2): covariance; both in the frame of a. Returns the factor.
+        """
+        i, j = self._ends(a, b)
+        measured = np.append(checks.matrix('z', z, (2,)), 0.0)
+        W = np.zeros((3, 3))
+        W[:2, :2] = checks.information('R', R, 2)
+        threshold = self.config.graph_outlier_threshold
+        return self._storage.add_factor(RELATIVE_POSITION, i, j, measured, W, HUBER, threshold)
+
+    def remove_factor(self, factor: int) -> None:
+        """Take back a factor that one of the methods above returned."""
+        store = self._storage
+        numbers = store.factors['number']
+        row = int(np.searchsorted(numbers, factor))
+        if row == len(numbers) or numbers[row] != factor:
+            raise SlamError(f'factor {factor} is not in the graph')
+        a, b = int(store.factors['a'][row]), int(store.factors['b'][row])
+        if a < 0 and not self._has_other_prior(row):
+            raise SlamError(f'factor {factor} is the only prior of vehicle {store.vehicle_of(b)}')
+        store.factors.keep(numbers != factor)
+        store.touch([end for end in (a, b) if end >= 0])
+
+    def remove_landmarks(self, landmarks: ArrayLike) -> None:
+        """Forget landmarks with their observations; ids that are not stored are ignored."""
+        store = self._storage
+        ids = checks.integers('landmarks', landmarks).tolist()
+        rows = np.array(
+            [store.landmark_rows[n] for n in ids if n in store.landmark_rows], np.int64
+        )
+        if len(rows):
+            store.drop_observations(np.isin(store.observations['landmark'], rows))
+            store.forget_landmarks(rows)
+            store.touch()
+
+    def merge_landmarks(self, old: ArrayLike, into: ArrayLike) -> None:
+        """Give the observations of landmarks old (n,) to landmarks into (n,): they are the same.
+
+        Old ids that are not stored are ignored.
+        """
+        store = self._storage
+        sources, targets = checks.integers('old', old), checks.integers('into', into)
+        if len(sources) != len(targets):
+            raise SlamError(
+                f'old has {len(sources)} ids and into {len(targets)}, expected as many'
+            )
+        both = set(sources.tolist()) & set(targets.tolist())
+        if both:
+            raise SlamError(f'landmark {min(both)} is to be merged and to be merged into')
+        rows = []
+        owners = store.observations['landmark']
+        for source, target in zip(sources.tolist(), targets.tolist(), strict=True):
+            if source in store.landmark_rows:
+                rows.append(store.landmark_rows[source])
+                owners[owners == rows[-1]] = store.landmark_row_of(target)
+        if rows:
+            store.forget_landmarks(np.array(rows))
+            store.touch()
+
+    # ---- estimating
+
+    def optimize(self, vehicle: int | None = None) -> OptimizeSummary:
+        """Move the estimate of all vehicles, or of those tied to one, to the optimum.
+
+        Vehicles that have nothing in common are optimized apart.
+        """
+        summaries = []
+        for vehicles in self._components(vehicle):
+            solution = self.solve(collect(self._storage, vehicles, self.config))
+            self.adopt(solution)
+            summaries.append(solution.summary)
+        return OptimizeSummary.total(summaries)
+
+    def snapshot(self, vehicle: int) -> Problem:
+        """Return the problem of a vehicle and those tied to it.
+
+        It shares nothing with the graph: another thread may `solve` it and draw from the solution
+        while the graph grows, which then can `adopt` the solution.
+        """
+        return collect(self._storage, self._component(vehicle), self.config)
+
+    def solve(self, problem: Problem) -> Solution:
+        """Return the optimum of a problem and the posterior there; the graph stays unchanged."""
+        return optimize(problem, self.config.graph_iterations, self.config.graph_tolerance)
+
+    def adopt(self, solution: Solution) -> None:
+        """Take over an optimum; keyframes added since then move with the one before them."""
+        problem = solution.problem
+        take_over(self._storage, problem, solution.nodes)
+        if problem.versions == self._storage.versions_of(problem.vehicles):
+            self._posteriors[problem.vehicles] = solution
+
+    def posterior(self, vehicle: int) -> Solution:
+        """Return the posterior of a vehicle and those tied to it around the present estimate."""
+        vehicles = self._component(vehicle)
+        found = self._posteriors.get(vehicles)
+        if found is None or found.problem.versions != self._storage.versions_of(vehicles):
+            found = posterior_at(collect(self._storage, vehicles, self.config))
+            self._posteriors[vehicles] = found
+        return found
+
+    def draw(self, samples: int, random: np.random.Generator, vehicle: int | None = None) -> Draws:
+        """Draw joint samples of the live keyframes of all vehicles, or of those tied to one.
+
+        They are drawn around the present estimate: call `optimize` first. See `Solution.draw`.
+        """
+        drawn = [self.posterior(v[0]).draw(samples, random) for v in self._components(vehicle)]
+        keyframes = np.concatenate([part.keyframes for part in drawn])
+        order = np.argsort(keyframes)
+        return Draws(keyframes[order], np.concatenate([part.poses for part in drawn])[order])
+
+    def estimate(self, keyframe: int) -> Array:
+        """Return the estimated pose (3,) of a keyframe."""
+        pose: Array = self._storage.keyframes['pose'][self._storage.row_of(keyframe)].copy()
+        return pose
+
+    def path(self) -> Array:
+        """Return the estimated poses (K, 3) of all keyframes ever added, ascending by number."""
+        poses: Array = self._storage.keyframes['pose'].copy()
+        return poses
+
+    def covariance(self, keyframe: int) -> Array:
+        """Return the covariance (3, 3) of a keyframe's pose in the axes of the map."""
+        row = self._storage.live_row_of(keyframe)
+        return self.posterior(self._storage.vehicle_of(row)).covariance(keyframe)
+
+    def relative_covariance(self, reference: int, others: ArrayLike) -> Array:
+        """Return covariances (n, 3, 3) of the poses of keyframes in the frame of a reference.
+
+        They are in the axes of the reference. All keyframes must be tied to the reference.
+        """
+        row = self._storage.live_row_of(reference)
+        numbers = checks.integers('others', others)
+        posterior = self.posterior(self._storage.vehicle_of(row))
+        return posterior.relative_covariance(reference, numbers)
+
+    def closure_residuals(self) -> tuple[Integers, Array]:
+        """Return factors (n,) and the squared Mahalanobis distance (n,) of each at the estimate.
+
+        These are the relative poses and positions, with an expectation of 3 and 2 where they are
+        consistent.
+        """
+        table = self._storage.factors
+        closures = np.flatnonzero(table['kind'] != PRIOR)
+        factors = Factors(
+            *(table[name][closures] for name in ('kind', 'a', 'b', 'z', 'W', 'robust', 'scale'))
+        )
+        return table['number'][closures], squared_norms(factors, self._storage.keyframes['pose'])
+
+    def live_keyframes(self) -> Integers:
+        """Return the numbers (N,) of the keyframes that are variables, ascending."""
+        numbers: Integers = self._storage.keyframes['number'][self._storage.keyframes['live']]
+        return numbers
+
+    def landmarks(self) -> tuple[Integers, Array]:
+        """Return ids (L,) and positions (L, 3) of the landmarks at the last optimum."""
+        table = self._storage.landmarks
+        placed = table['placed'] & (table['number'] >= 0)
+        return table['number'][placed], table['position'][placed]
+
+    def observations_of(self, landmarks: ArrayLike) -> StoredObservations:
+        """Return the stored observations of landmarks (L,), in their order; some may have none.
+
+        Outliers weigh as little as they did at the last optimum.
+        """
+        store = self._storage
+        ids = checks.integers('landmarks', landmarks)
+        place_of = np.full(len(store.landmarks) + 1, -1)  # the last entry is that of row −1
+        for place, number in enumerate(ids.tolist()):
+            if number in store.landmark_rows:
+                place_of[store.landmark_rows[number]] = place
+        table = store.observations
+        places = place_of[table['landmark']]
+        rows = np.flatnonzero(places >= 0)
+        rows = rows[np.argsort(places[rows], kind='stable')]
+        return StoredObservations(
+            np.searchsorted(places[rows], np.arange(len(ids) + 1)),
+            store.keyframes['number'][table['keyframe'][rows]],
+            table['z'][rows],
+            table['W'][rows] * table['influence'][rows, None],
+        )
+
+    def tied(self, vehicle: int) -> set[int]:
+        """Return the vehicles that measurements connect with a vehicle, itself included."""
+        return set(self._component(vehicle))
+
+    def _component(self, vehicle: int) -> Component:
+        if vehicle not in self._storage.newest:
+            raise SlamError(f'vehicle {vehicle} is not in the graph')
+        return components(self._storage)[vehicle]
+
+    def _components(self, vehicle: int | None) -> list[Component]:
+        if vehicle is not None:
+            return [self._component(vehicle)]
+        return sorted(set(components(self._storage).values()))
+
+    def _ends(self, a: int, b: int) -> tuple[int, int]:
+        """Return the rows of the two keyframes of a factor."""
+        if a == b:
+            raise SlamError(f'keyframe {a} cannot be measured relative to itself')
+        return self._storage.live_row_of(a), self._storage.live_row_of(b)
+
+    def _has_other_prior(self, row: int) -> bool:
+        """Tell whether the vehicle of a prior has another one."""
+        factors, vehicle = self._storage.factors, self._storage.keyframes['vehicle']
+        own = (factors['a'] < 0) & (vehicle[factors['b']] == vehicle[factors['b'][row]])
+        return int(own.sum()) > 1

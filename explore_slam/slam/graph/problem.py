@@ -1,0 +1,229 @@
+"""One least-squares problem, independent of the graph's growth: collected from it, taken over."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from explore_slam.geometry import Array, between, compose
+from explore_slam.slam.graph.config import GraphConfig
+from explore_slam.slam.graph.factors import (
+    HUBER,
+    OBSERVATION,
+    RELATIVE_POSE,
+    Factors,
+    Integers,
+    influence,
+)
+from explore_slam.slam.graph.rows import fuse_rows
+from explore_slam.slam.graph.storage import Storage
+
+FULL = [0, 1, 2, 1, 3, 4, 2, 4, 5]  # a packed symmetric matrix, row by row
+
+
+class Problem(NamedTuple):
+    """Nodes and factors of vehicles that are tied together; no array is shared with the graph.
+
+    Nodes are, in this order, the poses of the keyframes, the ends of chains that carry the motion
+    of keyframes with white error, and landmarks.
+    """
+
+    vehicles: tuple[int, ...]
+    versions: tuple[int, ...]  # of the vehicles in the graph when the problem was collected
+    keyframes: Integers  # (K,) numbers
+    chains: Integers  # (C,) numbers of the keyframes that have a chain node of their own
+    landmarks: Integers  # (L,) ids
+    start: Array  # (K + C + L, 3) estimate from which to iterate
+    factors: Factors
+    observations: Integers  # (O,) serial numbers of the last O factors
+
+    @property
+    def poses(self) -> int:
+        """Number of nodes that are poses."""
+        return len(self.keyframes) + len(self.chains)
+
+
+def chosen_landmarks(
+    keyframe: Integers, landmark: Integers, minimum: int, per_keyframe: int
+) -> NDArray[np.bool_]:
+    """Return (L,) the landmarks that become variables.
+
+    These are observed often enough, and are among the most observed of at least one keyframe.
+    keyframe, landmark: (O,) rows of all observations.
+    """
+    counts = np.bincount(landmark)
+    candidates = np.flatnonzero(counts[landmark] >= minimum)
+    frame, seen = keyframe[candidates], landmark[candidates]
+    order = np.lexsort((seen, -counts[seen], frame))
+    frame = frame[order]
+    rank = np.arange(len(frame)) - np.searchsorted(frame, frame)
+    chosen = np.zeros(len(counts), np.bool_)
+    chosen[seen[order[rank < per_keyframe]]] = True
+    return chosen
+
+
+def planar(W: Array) -> Array:
+    """Return packed information matrices (n, 6) with height and position made independent."""
+    flat = np.zeros_like(W)
+    flat[:, 0] = W[:, 0] - W[:, 2] * W[:, 2] / W[:, 5]
+    flat[:, 1] = W[:, 1] - W[:, 2] * W[:, 4] / W[:, 5]
+    flat[:, 3] = W[:, 3] - W[:, 4] * W[:, 4] / W[:, 5]
+    flat[:, 5] = W[:, 5]
+    return flat
+
+
+def collect(storage: Storage, vehicles: tuple[int, ...], config: GraphConfig) -> Problem:
+    """Collect the live keyframes of some vehicles and everything measured from them."""
+    keyframes = storage.keyframes
+    rows = np.flatnonzero(keyframes['live'] & np.isin(keyframes['vehicle'], vehicles))
+    node = np.full(len(keyframes) + 1, -1)  # of each row of a keyframe; the last entry is row −1
+    node[rows] = np.arange(len(rows))
+    chained = rows[keyframes['has_white'][rows]]
+    chain_node = node.copy()
+    chain_node[chained] = len(rows) + np.arange(len(chained))
+    poses = np.concatenate([keyframes['pose'][rows], keyframes['chain'][chained]])
+    parts = [
+        _motions(storage, rows, chain_node),
+        _white_errors(storage, chained, node, chain_node),
+        _measurements(storage, node),
+    ]
+    numbers, positions, seen, factors = _observations(storage, node, len(poses), config)
+    return Problem(
+        vehicles,
+        storage.versions_of(vehicles),
+        keyframes['number'][rows],
+        keyframes['number'][chained],
+        numbers,
+        np.concatenate([poses, positions]),
+        Factors.joined(*parts, factors),
+        seen,
+    )
+
+
+def _motions(storage: Storage, rows: Integers, chain_node: Integers) -> Factors:
+    keyframes = storage.keyframes
+    moved = rows[keyframes['previous'][rows] >= 0]
+    return Factors.of(
+        RELATIVE_POSE,
+        chain_node[keyframes['previous'][moved]],
+        chain_node[moved],
+        keyframes['motion'][moved],
+        keyframes['motion_information'][moved],
+    )
+
+
+def _white_errors(
+    storage: Storage, chained: Integers, node: Integers, chain_node: Integers
+) -> Factors:
+    return Factors.of(
+        RELATIVE_POSE,
+        node[chained],
+        chain_node[chained],
+        np.zeros((len(chained), 3)),
+        storage.keyframes['white_information'][chained],
+    )
+
+
+def _measurements(storage: Storage, node: Integers) -> Factors:
+    table = storage.factors
+    own = node[table['b']] >= 0
+    found = Factors(
+        *(table[name][own] for name in ('kind', 'a', 'b', 'z', 'W', 'robust', 'scale'))
+    )
+    return found._replace(a=node[found.a], b=node[found.b])
+
+
+def _observations(
+    storage: Storage, node: Integers, poses: int, config: GraphConfig
+) -> tuple[Integers, Array, Integers, Factors]:
+    """Return ids and positions of the landmarks that are variables, and their observations."""
+    table, landmarks = storage.observations, storage.landmarks
+    own = np.flatnonzero((table['landmark'] >= 0) & (node[table['keyframe']] >= 0))
+    frame, landmark = table['keyframe'][own], table['landmark'][own]
+    chosen = chosen_landmarks(
+        frame, landmark, config.graph_minimum_sightings, config.graph_observations_per_keyframe
+    )
+    used = chosen[landmark]
+    own, frame, landmark = own[used], node[frame[used]], landmark[used]
+    chosen_rows = np.flatnonzero(chosen)
+    place = np.cumsum(chosen) - 1
+    W, z = table['W'][own], table['z'][own]
+    if not config.graph_landmark_heights:
+        W = planar(W)
+    total = np.bincount(frame, table['weight'][own])
+    share = np.minimum(1.0, config.graph_independent_observations / total[frame])
+    factors = Factors.of(
+        OBSERVATION,
+        frame,
+        poses + place[landmark],
+        z,
+        (W * share[:, None])[:, FULL],
+        HUBER,
+        config.graph_outlier_threshold,
+    )
+    positions = landmarks['position'][chosen_rows]
+    fresh = ~landmarks['placed'][chosen_rows]
+    if fresh.any():
+        positions[fresh] = _first_positions(storage, own, place[landmark], len(chosen_rows))[fresh]
+    return landmarks['number'][chosen_rows], positions, table['number'][own], factors
+
+
+def _first_positions(storage: Storage, own: Integers, landmark: Integers, count: int) -> Array:
+    """Return positions (L, 3) of landmarks given the estimated poses they were observed from."""
+    order = np.argsort(landmark, kind='stable')
+    own = own[order]
+    rows, node = np.unique(storage.observations['keyframe'][own], return_inverse=True)
+    out = np.empty((count, 9, 1))
+    fuse_rows(
+        np.searchsorted(landmark[order], np.arange(count + 1)),
+        node.astype(np.int64),
+        storage.observations['z'][own],
+        storage.observations['W'][own],
+        storage.keyframes['pose'][rows][:, :, None],
+        out, 0, 1,
+    )  # fmt: skip
+    return out[:, :3, 0]
+
+
+def take_over(storage: Storage, problem: Problem, nodes: Array) -> None:
+    """Make an optimum (N, 3) of a problem the estimate.
+
+    Keyframes added after the problem was collected move with the vehicle's last one in it; what
+    was dropped or removed meanwhile is left out.
+    """
+    _move_keyframes(storage, problem, nodes)
+    landmarks = storage.landmarks
+    found = [storage.landmark_rows.get(number, -1) for number in problem.landmarks.tolist()]
+    rows = np.array(found, np.int64)
+    landmarks['placed'][_landmarks_of(storage, problem.vehicles)] = False
+    landmarks['position'][rows[rows >= 0]] = nodes[problem.poses :][rows >= 0]
+    landmarks['placed'][rows[rows >= 0]] = True
+    weights = influence(problem.factors.last(len(problem.observations)), nodes)
+    known, seen = storage.observations['number'], problem.observations
+    at = np.searchsorted(known, seen)
+    same = known[np.minimum(at, len(known) - 1)] == seen if len(known) else seen < 0
+    storage.observations['influence'][at[same]] = weights[same]
+
+
+def _move_keyframes(storage: Storage, problem: Problem, nodes: Array) -> None:
+    keyframes = storage.keyframes
+    rows = np.searchsorted(keyframes['number'], problem.keyframes)
+    before = keyframes['pose'][rows]
+    keyframes['pose'][rows] = keyframes['chain'][rows] = nodes[: len(rows)]
+    chained = np.searchsorted(keyframes['number'], problem.chains)
+    keyframes['chain'][chained] = nodes[len(rows) : problem.poses]
+    vehicle = keyframes['vehicle']
+    for number in problem.vehicles:
+        last = np.flatnonzero(vehicle[rows] == number)[-1]
+        later = rows[last] + 1 + np.flatnonzero(vehicle[rows[last] + 1 :] == number)
+        for name in ('pose', 'chain'):
+            steps = between(before[last], keyframes[name][later])
+            keyframes[name][later] = compose(nodes[last], steps)
+
+
+def _landmarks_of(storage: Storage, vehicles: tuple[int, ...]) -> Integers:
+    """Return the rows of the landmarks that some vehicles observed."""
+    observations = storage.observations
+    observer = storage.keyframes['vehicle'][observations['keyframe']]
+    own = (observations['landmark'] >= 0) & np.isin(observer, vehicles)
+    return np.unique(observations['landmark'][own])

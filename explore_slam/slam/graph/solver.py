@@ -1,0 +1,269 @@
+"""Most likely nodes of a problem, and the Gaussian posterior around them.
+
+Levenberg-Marquardt on the robust cost (iteratively reweighted least squares): Gauss-Newton as
+long as its steps lower the cost, damped where they do not.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from explore_slam.errors import SlamError
+from explore_slam.geometry import Array
+from explore_slam.slam.graph import cholesky
+from explore_slam.slam.graph.factors import Factors, Integers, assemble, moved, total_cost
+from explore_slam.slam.graph.ordering import Structure, eliminate
+from explore_slam.slam.graph.problem import Problem
+
+FIRST_DAMPING = 1e-4  # of the diagonal; Marquardt's λ after the first step that raised the cost
+DAMPING_FACTOR = 10.0
+LARGEST_DAMPING = 1e8
+ROUNDING = 1e-12  # of the cost: what summing it up may err by
+PAIRS_AT_ONCE = 64  # samples that are solved for together, so that they stay in the cache
+
+
+class OptimizeSummary(NamedTuple):
+    """What an optimization did."""
+
+    iterations: int
+    converged: bool
+    cost_before: float  # sum of robust squared Mahalanobis distances
+    cost: float
+    keyframes: int
+    landmarks: int
+    factors: int
+
+    @classmethod
+    def total(cls, parts: Sequence['OptimizeSummary']) -> 'OptimizeSummary':
+        """Sum up the optimizations of problems that are independent of each other."""
+        return cls(
+            max((part.iterations for part in parts), default=0),
+            all(part.converged for part in parts),
+            sum(part.cost_before for part in parts),
+            sum(part.cost for part in parts),
+            sum(part.keyframes for part in parts),
+            sum(part.landmarks for part in parts),
+            sum(part.factors for part in parts),
+        )
+
+
+class Draws(NamedTuple):
+    """Joint samples of keyframe poses."""
+
+    keyframes: Integers  # (N,) numbers, ascending
+    poses: Array  # (N, 3, M)
+
+
+class Factorization:
+    """Cholesky factor of the information matrix of a problem with its nodes at x (N, 3)."""
+
+    def __init__(self, factors: Factors, x: Array, structure: Structure) -> None:
+        nodes = len(x)
+        self.structure = structure
+        self.diagonal = np.empty((nodes, 3, 3))
+        self.blocks = np.empty((len(structure.rows), 3, 3))
+        self.gradient = np.empty((nodes, 3))
+        self.cost: float = assemble(
+            factors, x, structure.place, structure.slots,
+            self.diagonal, self.blocks, self.gradient,
+        )  # fmt: skip
+
+    def factorize(self, damping: float = 0.0) -> bool:
+        """Factorize the assembled system; False where it is not positive definite."""
+        for i in range(3):
+            self.diagonal[:, i, i] *= 1.0 + damping
+        first, rows = self.structure.first, self.structure.rows
+        return cholesky.factorize(first, rows, self.diagonal, self.blocks) < 0
+
+    def _parts(self) -> tuple[Integers, Integers, Array, Array]:
+        return self.structure.first, self.structure.rows, self.diagonal, self.blocks
+
+    def newton_step(self) -> Array:
+        """Return −H⁻¹ g (N, 3) in the order of the system."""
+        return self.solve(-self.gradient[:, :, None])[:, :, 0]
+
+    def solve(self, right: Array) -> Array:
+        """Return H⁻¹ b for right-hand sides b (N, 3, R) in the order of the system."""
+        x = np.ascontiguousarray(right)
+        cholesky.solve_lower(*self._parts(), x)
+        cholesky.solve_upper(*self._parts(), np.ones(len(x), np.bool_), x)
+        return x
+
+    def columns(self, node: int) -> Array:
+        """Return the covariance (N, 3, 3) of all nodes with one; both by node number."""
+        right = np.zeros((len(self.diagonal), 3, 3))
+        right[self.structure.place[node]] = np.eye(3)
+        found: Array = self.solve(right)[self.structure.place]
+        return found
+
+    @cached_property
+    def marginals(self) -> Array:
+        """Covariances (N, 3, 3) of all nodes, by node number."""
+        found: Array = cholesky.inverse_diagonal(*self._parts())[self.structure.place]
+        return found
+
+    def sample(self, nodes: int, pairs: int, random: np.random.Generator) -> Array:
+        """Draw steps (nodes, 3, pairs) of the first nodes from N(0, H⁻¹)."""
+        place = self.structure.place[:nodes]
+        wanted = np.zeros(len(self.diagonal), np.bool_)
+        wanted[place] = True
+        needed = cholesky.ancestors(self.structure.first, self.structure.rows, wanted)
+        rows = np.flatnonzero(needed)
+        steps = np.empty((nodes, 3, pairs))
+        for begin in range(0, pairs, PAIRS_AT_ONCE):
+            count = min(PAIRS_AT_ONCE, pairs - begin)
+            x = np.zeros((len(needed), 3, count))
+            x[rows] = random.standard_normal((len(rows), 3, count))
+            cholesky.solve_upper(*self._parts(), needed, x)
+            steps[:, :, begin : begin + count] = x[place]
+        return steps
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Optimum of a problem and the posterior there; `JointGraph.adopt` takes it over."""
+
+    problem: Problem
+    nodes: Array  # (N, 3) optimum
+    linearized_at: Array  # (N, 3) where the information matrix was taken, a tiny step away
+    factorization: Factorization
+    summary: OptimizeSummary
+
+    def draw(self, samples: int, random: np.random.Generator) -> Draws:
+        """Draw joint samples of all keyframe poses from the posterior.
+
+        Samples come in antithetic pairs (2m, 2m + 1), optimum ⊞ ± L⁻ᵀ ε with ε standard normal
+        and H = L Lᵀ, so that their mean is the optimum; the last of an odd number is the optimum.
+        """
+        if samples < 1:
+            raise SlamError(f'samples are {samples}, expected 1 or more')
+        keyframes = self.problem.keyframes
+        x = self.nodes[: len(keyframes)]
+        steps = self.factorization.sample(len(keyframes), samples // 2, random)
+        d = np.zeros((len(keyframes), 3, samples))
+        d[:, :, 0 : 2 * (samples // 2) : 2] = steps
+        d[:, :, 1::2] = -steps
+        return Draws(keyframes, _moved_poses(x, d))
+
+    def node_of(self, keyframe: int) -> int:
+        """Return the node of a keyframe's pose."""
+        found = int(np.searchsorted(self.problem.keyframes, keyframe))
+        if found == len(self.problem.keyframes) or self.problem.keyframes[found] != keyframe:
+            raise SlamError(f'keyframe {keyframe} is not in the graph')
+        return found
+
+    def covariance(self, keyframe: int) -> Array:
+        """Return the covariance (3, 3) of a pose (m, m, rad) in the axes of the map."""
+        node = self.node_of(keyframe)
+        return _turned(self.factorization.marginals[node], self.nodes[node, 2])
+
+    def relative_covariance(self, reference: int, others: Integers) -> Array:
+        """Return covariances (n, 3, 3) of the poses of others in the frame of a reference.
+
+        They are in the axes of the reference, those of the components of the relative pose.
+        """
+        a = self.node_of(reference)
+        b = np.array([self.node_of(int(k)) for k in others], np.int64)
+        column = self.factorization.columns(a)
+        # relative pose z = a⁻¹ b: its step in the frame of b is δ_b − T δ_a
+        theta = self.nodes[b, 2] - self.nodes[a, 2]
+        c, s = np.cos(self.nodes[a, 2]), np.sin(self.nodes[a, 2])
+        dx, dy = (self.nodes[b, :2] - self.nodes[a, :2]).T
+        z = np.stack([c * dx + s * dy, c * dy - s * dx], axis=1)
+        c, s = np.cos(theta), np.sin(theta)
+        T = np.zeros((len(b), 3, 3))
+        T[:, 0, 0], T[:, 0, 1], T[:, 1, 0], T[:, 1, 1], T[:, 2, 2] = c, s, -s, c, 1.0
+        T[:, 0, 2] = -c * z[:, 1] + s * z[:, 0]
+        T[:, 1, 2] = s * z[:, 1] + c * z[:, 0]
+        turned = T.transpose(0, 2, 1)
+        cross = column[b] @ turned  # E[δ_b δ_aᵀ] Tᵀ
+        own = T @ self.factorization.marginals[a] @ turned
+        total = self.factorization.marginals[b] - cross - cross.transpose(0, 2, 1) + own
+        return np.array(
+            [_turned(P, angle) for P, angle in zip(total, theta, strict=True)]
+        ).reshape(-1, 3, 3)
+
+
+def _moved_poses(x: Array, d: Array) -> Array:
+    """Return poses x (N, 3) moved by steps d (N, 3, M) in their frames."""
+    c, s = np.cos(x[:, 2])[:, None], np.sin(x[:, 2])[:, None]
+    out = np.empty_like(d)
+    out[:, 0] = x[:, 0, None] + c * d[:, 0] - s * d[:, 1]
+    out[:, 1] = x[:, 1, None] + s * d[:, 0] + c * d[:, 1]
+    theta = x[:, 2, None] + d[:, 2]
+    out[:, 2] = theta - 2.0 * np.pi * np.round(theta / (2.0 * np.pi))
+    return out
+
+
+def _turned(covariance: Array, angle: float) -> Array:
+    """Return a covariance (3, 3) in the axes from which its own are turned by angle (rad)."""
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    found: Array = turn @ covariance @ turn.T
+    return found
+
+
+def linearized(problem: Problem, structure: Structure, x: Array) -> Factorization:
+    """Return the factorization of a problem with its nodes at x (N, 3), without damping."""
+    system = Factorization(problem.factors, x, structure)
+    if not system.factorize():
+        raise SlamError(
+            f'the graph of vehicles {problem.vehicles} has no definite information matrix: '
+            'some keyframes are not connected to a start pose, or covariances differ too much'
+        )
+    return system
+
+
+def optimize(problem: Problem, iterations: int, tolerance: float) -> Solution:
+    """Minimize the robust cost, starting from the estimate of the problem.
+
+    The iteration ends when the quadratic model promises less than the tolerance (in squared
+    Mahalanobis distances), or after a number of steps. No step is taken that raises the cost.
+    """
+    factors = problem.factors
+    structure = eliminate(factors, len(problem.start))
+    x = linearized_at = problem.start
+    system = Factorization(factors, x, structure)
+    before = cost = system.cost
+    damping, converged, steps = 0.0, False, 0
+    while steps < iterations and not converged and damping < LARGEST_DAMPING:
+        steps += 1
+        definite = system.factorize(damping)
+        if definite:
+            step = system.newton_step()
+            promised = -float((system.gradient * step).sum())
+            candidate = moved(x, step, structure.place, problem.poses)
+            reached = total_cost(factors, candidate)
+        if definite and reached <= cost * (1.0 + ROUNDING):
+            converged = promised <= tolerance and damping == 0.0
+            linearized_at, x, cost = x, candidate, reached
+            damping = 0.0 if damping <= FIRST_DAMPING else damping / DAMPING_FACTOR
+        else:
+            damping = max(FIRST_DAMPING, damping * DAMPING_FACTOR)
+        if not converged:
+            system = Factorization(factors, x, structure)
+    if not converged:
+        linearized_at, system = x, linearized(problem, structure, x)
+    summary = OptimizeSummary(
+        steps, converged, before, cost,
+        len(problem.keyframes), len(problem.landmarks), len(factors.kind),
+    )  # fmt: skip
+    return Solution(problem, x, linearized_at, system, summary)
+
+
+def posterior_at(problem: Problem, x: Array | None = None) -> Solution:
+    """Return the posterior around the estimate of a problem without moving it.
+
+    x (N, 3): where to linearize; default: at the estimate.
+    """
+    where = problem.start if x is None else x
+    structure = eliminate(problem.factors, len(problem.start))
+    system = linearized(problem, structure, where)
+    summary = OptimizeSummary(
+        0, False, system.cost, system.cost,
+        len(problem.keyframes), len(problem.landmarks), len(problem.factors.kind),
+    )  # fmt: skip
+    return Solution(problem, problem.start, where, system, summary)
