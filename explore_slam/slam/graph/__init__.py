@@ -15,4 +15,26 @@ __all__ = [
     'Solution',
     'StoredObservations',
     'fuse_rows',
+    'warm_up',
 ]
+
+
+def warm_up() -> None:
+    """Compile all kernels of the graph (seconds the first time, then read from the cache)."""
+    import numpy as np
+
+    noise = 1e-4 * np.eye(3)
+    graph = JointGraph(GraphConfig(graph_minimum_sightings=2))
+    graph.add_start(0, 0, np.zeros(3))
+    for keyframe in (1, 2):
+        graph.add_keyframe(0, keyframe, np.array([0.5, 0.0, 0.1]), noise, noise)
+        graph.add_observations(keyframe, [0], [[2.0, 0.0, 1.0]], [[1.0, 0.0, 0.0, 1.0, 0.0, 1.0]])
+    graph.add_relative_pose(0, 2, np.zeros(3), noise)
+    graph.optimize()
+    draws = graph.draw(2, np.random.default_rng(0))
+    graph.relative_covariance(0, [2])
+    graph.closure_residuals()
+    stored = graph.observations_of([0])
+    rows = np.empty((1, 9, 2))
+    node = stored.located(draws.keyframes)
+    fuse_rows(stored.first, node, stored.z, stored.W, draws.poses, rows, 0, 2)

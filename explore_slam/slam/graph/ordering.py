@@ -40,7 +40,9 @@ def _bit_count(word: np.uint64) -> np.int64:
 
 
 @kernel
-def _unlink(node: int, degree: np.int64, head: Integers, after: Integers, before: Integers) -> None:
+def _unlink(
+    node: int, degree: np.int64, head: Integers, after: Integers, before: Integers
+) -> None:
     if before[node] >= 0:
         after[before[node]] = after[node]
     else:
