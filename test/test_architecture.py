@@ -1,6 +1,7 @@
 """The import rules of the package, read off the syntax tree of every module: no exemptions."""
 
 import importlib.util
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -65,6 +66,24 @@ def test_no_circle_between_modules():
     # a package's __init__ gathers what its modules export; a module that imports its own
     # package's __init__ is part of a circle like any other
     assert import_graph.circles(ARROWS) == []
+
+
+DOCUMENT = REPOSITORY / 'doc' / 'architecture.md'
+
+
+def test_the_diagram_in_the_document_is_that_of_the_code():
+    text = DOCUMENT.read_text(encoding='utf-8')
+    assert import_graph.with_diagram(text) == text, (
+        'run: python tools/import_graph.py --write doc/architecture.md'
+    )
+
+
+def test_the_document_describes_every_package():
+    text = DOCUMENT.read_text(encoding='utf-8')
+    described = set(re.findall(r'^\| `(\w+)` \|', text, re.MULTILINE))
+    present = {import_graph.package_of(module) for module in ARROWS} - {''}
+    assert present - described == set(), 'describe it in the table of doc/architecture.md'
+    assert described - RANK.keys() == set()
 
 
 def test_one_version_number():

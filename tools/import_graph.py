@@ -1,15 +1,19 @@
 """The import graph of the package, read off the syntax trees; as a script it draws the layers.
 
-python tools/import_graph.py [--markdown]     layers, lines of code and imports between packages
+python tools/import_graph.py                              layers and imports between packages
+python tools/import_graph.py --write doc/architecture.md  renew the diagram in the document
+python tools/import_graph.py --lines                      lines of code per package
 
 Imports inside functions count; those under `if TYPE_CHECKING` do not, since they do not run.
 """
 
+import argparse
 import ast
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+BEGIN_MARK = '<!-- layers: written by tools/import_graph.py -->'
+END_MARK = '<!-- end of layers -->'
 PACKAGE = Path(__file__).resolve().parents[1] / 'explore_slam'
 
 # From the top to the bottom: a package may import its own layer's members only where they do not
@@ -123,22 +127,54 @@ def between_packages(arrows: dict[str, set[str]]) -> dict[str, set[str]]:
     return found
 
 
-def main() -> None:
-    """Print the layers with lines of code and what each member imports."""
+def diagram() -> str:
+    """Return the layers from the top to the bottom, and what each member imports."""
     arrows = between_packages(graph())
-    lines: dict[str, int] = {}
-    for module, path in modules().items():
-        count = len(path.read_text(encoding='utf-8').splitlines())
-        lines[package_of(module)] = lines.get(package_of(module), 0) + count
-    fence = '```' if '--markdown' in sys.argv[1:] else ''
-    print(fence)
+    present = {package_of(module) for module in modules()}
+    order = [member for layer in LAYERS for member in layer]
+    blocks = []
     for layer in LAYERS:
+        lines = []
         for member in layer:
-            if member in lines:
-                imported = ' '.join(sorted(arrows.get(member, ())))
-                print(f'{member:13s}{lines[member]:6d}  -> {imported}')
-        print()
-    print(fence)
+            if member in present:
+                imported = sorted(arrows.get(member, ()), key=order.index)
+                lines.append(f'{member:13s} -> {" ".join(imported)}'.removesuffix(' -> ').rstrip())
+        blocks.append('\n'.join(lines))
+    rule = '\n' + '-' * 13 + '\n'
+    return rule.join(block for block in blocks if block)
+
+
+def with_diagram(text: str) -> str:
+    """Return a document with the diagram renewed between its two marks."""
+    before, _, rest = text.partition(BEGIN_MARK)
+    _, end, after = rest.partition(END_MARK)
+    if not end:
+        raise ValueError(f'expected {BEGIN_MARK} and {END_MARK}')
+    return f'{before}{BEGIN_MARK}\n```\n{diagram()}\n```\n{END_MARK}{after}'
+
+
+def main() -> None:
+    """Print the diagram or renew it in a document; print lines of code per member."""
+    parser = argparse.ArgumentParser(description='Draw the layers from the imports.')
+    parser.add_argument(
+        '--write', type=Path, metavar='FILE', help='renew the diagram in a document'
+    )
+    parser.add_argument('--lines', action='store_true', help='lines of code per package')
+    arguments = parser.parse_args()
+    if arguments.write:
+        text = arguments.write.read_text(encoding='utf-8')
+        arguments.write.write_text(with_diagram(text), encoding='utf-8')
+    elif arguments.lines:
+        counts: dict[str, int] = {}
+        for module, path in modules().items():
+            lines = len(path.read_text(encoding='utf-8').splitlines())
+            counts[package_of(module)] = counts.get(package_of(module), 0) + lines
+        for layer in LAYERS:
+            for member in layer:
+                if member in counts:
+                    print(f'{member:13s}{counts[member]:6d}')
+    else:
+        print(diagram())
 
 
 if __name__ == '__main__':

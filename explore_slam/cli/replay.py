@@ -57,14 +57,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Replay, write the run folder, print errors beside odometry alone."""
     _limit_threads(arguments.threads)
-    from explore_slam.agent.config import AgentConfig
     from explore_slam.cli.progress import ProgressBar
     from explore_slam.cli.settings_options import named_settings
+    from explore_slam.nodes.agent_parameters import AgentNodeConfig
     from explore_slam.results.replay_run import replay_bag
     from explore_slam.results.run_folder import RunFolder
     from explore_slam.settings import load_settings
 
-    config = load_settings(AgentConfig(), arguments.config) if arguments.config else None
+    config = None
+    if arguments.config:  # may be a file of the live agent, which has parameters of the node too
+        config = load_settings(AgentNodeConfig(), arguments.config).agent
     with ProgressBar(arguments.bag.name, enabled=not arguments.no_progress) as bar:
         data = replay_bag(
             arguments.bag,

@@ -1,7 +1,6 @@
 """`explore_slam report`: the figures of run folders side by side, and where their reports are."""
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
@@ -21,31 +20,28 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         'runs', type=Path, nargs='*', default=[Path('runs/latest')], help='run folders'
     )
+    parser.add_argument(
+        '--map', type=Path, metavar='FILE', help='draw map and paths of the first run as PNG'
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print a table."""
+    """Print a table; draw the map where that was asked for."""
+    from explore_slam.results.run_reader import read_metrics, read_run
+
     print(f'{"run":28s}' + ''.join(f'{title:>15s}' for _, title, _ in FIGURES))
     for folder in arguments.runs:
-        metrics = _read(folder)
+        metrics = read_metrics(folder)
         cells = (_cell(metrics.get(name), digits) for name, _, digits in FIGURES)
         print(f'{folder.resolve().name:28s}' + ''.join(cells))
     for folder in arguments.runs:
         print((folder / 'report.html').resolve())
+    if arguments.map is not None:
+        from explore_slam.results.plots import save_map_picture
+
+        save_map_picture(read_run(arguments.runs[0]), arguments.map)
+        print(f'map: {arguments.map}')
     return 0
-
-
-def _read(folder: Path) -> dict[str, Any]:
-    from explore_slam.errors import EvaluationError
-
-    path = folder / 'metrics.json'
-    try:
-        content = json.loads(path.read_text(encoding='utf-8'))
-    except (OSError, ValueError) as error:
-        raise EvaluationError(f'{path} cannot be read: {error}') from error
-    if not isinstance(content, dict):
-        raise EvaluationError(f'{path} holds {type(content).__name__}, expected an object')
-    return content
 
 
 def _cell(value: Any, digits: int) -> str:

@@ -30,13 +30,17 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _defaults(part: str) -> 'Section':
     if part == 'agent':
-        from explore_slam.agent import AgentConfig
+        from explore_slam.nodes.agent_parameters import AgentNodeConfig
 
-        return AgentConfig()
+        return AgentNodeConfig()
+    if part == 'driver':
+        from explore_slam.nodes.driver_parameters import DriverNodeConfig
+
+        return DriverNodeConfig()
     if part == 'simulator':
         from explore_slam.simulation import SimulationConfig
 
         return SimulationConfig()
-    from explore_slam.vehicle import DriverConfig, PathFollowerConfig
+    from explore_slam.vehicle import PathFollowerConfig
 
-    return DriverConfig() if part == 'driver' else PathFollowerConfig()
+    return PathFollowerConfig()

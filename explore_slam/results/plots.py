@@ -7,6 +7,7 @@ import io
 import math
 import re
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -15,6 +16,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
+from explore_slam.errors import EvaluationError
+from explore_slam.files import write_bytes
 from explore_slam.results.run_data import Panel, RunData, Series, VehicleRun, error_series
 from explore_slam.results.trajectory import Trajectory
 from explore_slam.geometry import Array
@@ -52,6 +55,28 @@ def color_of(index: int) -> str:
 
 def map_figure(data: RunData) -> str | None:
     """Draw grid, landmarks and trajectories seen from above; None without any of them."""
+    figure = _draw_map(data)
+    return None if figure is None else _svg(figure, 'map', bbox_inches='tight', pad_inches=0.05)
+
+
+def save_map_picture(data: RunData, path: Path, width: int = 1000) -> None:
+    """Write the map figure as a PNG file about `width` pixels wide.
+
+    EvaluationError where the run holds nothing to draw or the file cannot be written.
+    """
+    figure = _draw_map(data)
+    if figure is None:
+        raise EvaluationError(f'{data.title}: no grid, landmarks or trajectories to draw')
+    buffer = io.BytesIO()
+    dpi = width / figure.get_size_inches()[0]
+    figure.savefig(buffer, format='png', dpi=dpi, bbox_inches='tight', pad_inches=0.05)
+    try:
+        write_bytes(path, buffer.getvalue())
+    except OSError as error:
+        raise EvaluationError(f'{path} cannot be written: {error}') from error
+
+
+def _draw_map(data: RunData) -> Figure | None:
     extent = _view(data)
     if extent is None:
         return None
@@ -81,7 +106,7 @@ def map_figure(data: RunData) -> str | None:
             _draw_vehicle(axes, run, color_of(index))
         axes.set(xlim=(left, right), ylim=(bottom, top), xlabel='x (m)', ylabel='y (m)')
         _legend(axes, min(6, 2 + 2 * len(data.vehicles)))
-        return _svg(figure, 'map', bbox_inches='tight', pad_inches=0.05)
+        return figure
 
 
 def _draw_grid(axes: Axes, grid: Any) -> None:

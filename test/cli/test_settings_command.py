@@ -2,18 +2,19 @@
 
 import pytest
 
-from explore_slam.agent import AgentConfig
 from explore_slam.cli.main import main
+from explore_slam.nodes.agent_parameters import AgentNodeConfig
+from explore_slam.nodes.driver_parameters import DriverNodeConfig
 from explore_slam.settings import load_settings, settings_of, settings_text, with_values
 from explore_slam.simulation import SimulationConfig
-from explore_slam.vehicle import DriverConfig, PathFollowerConfig
+from explore_slam.vehicle import PathFollowerConfig
 
 
 @pytest.mark.parametrize(
     ('part', 'tree'),
     [
-        ('agent', AgentConfig()),
-        ('driver', DriverConfig()),
+        ('agent', AgentNodeConfig()),
+        ('driver', DriverNodeConfig()),
         ('follower', PathFollowerConfig()),
         ('simulator', SimulationConfig()),
     ],
@@ -28,9 +29,10 @@ def test_the_printed_file_is_loaded_again(part, tree, tmp_path, capsys):
 
 
 def test_a_changed_value_in_the_file_takes_effect(tmp_path):
-    changed = with_values(AgentConfig(), {'particles': 77})
+    changed = with_values(AgentNodeConfig(), {'particles': 77})
     (tmp_path / 'all.yaml').write_text(settings_text(changed))
-    assert load_settings(AgentConfig(), tmp_path / 'all.yaml').slam.particles == 77
+    loaded = load_settings(AgentNodeConfig(), tmp_path / 'all.yaml')
+    assert loaded.agent.slam.particles == 77
 
 
 def test_tiers_divide_the_settings(capsys):
