@@ -19,10 +19,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Play to the end or until Ctrl-C."""
-    from explore_slam.cli.progress import ProgressBar
+    from explore_slam.cli.progress import progress_bar
     from explore_slam.nodes.player import play
 
-    with ProgressBar(arguments.bag.name, enabled=not arguments.no_progress) as bar:
+    with progress_bar(arguments.bag.name, enabled=not arguments.no_progress) as show:
         counts = play(
             arguments.bag,
             rate=arguments.rate,
@@ -30,7 +30,7 @@ def run(arguments: argparse.Namespace) -> int:
             vehicles=arguments.vehicles,
             clock=not arguments.no_clock,
             until=arguments.until,
-            progress=bar.show,
+            progress=show,
         )
     print(f'{sum(counts.values())} messages on {len(counts)} topics')
     return 0

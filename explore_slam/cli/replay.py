@@ -57,17 +57,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Replay, write the run folder, print errors beside odometry alone."""
     _limit_threads(arguments.threads)
-    from explore_slam.cli.progress import ProgressBar
+    from explore_slam.cli.progress import progress_bar
     from explore_slam.cli.settings_options import named_settings
-    from explore_slam.nodes.agent_parameters import AgentNodeConfig
     from explore_slam.results.replay_run import replay_bag
     from explore_slam.results.run_folder import RunFolder
     from explore_slam.settings import load_settings
 
     config = None
     if arguments.config:  # may be a file of the live agent, which has parameters of the node too
+        from explore_slam.nodes.agent_parameters import AgentNodeConfig
+
         config = load_settings(AgentNodeConfig(), arguments.config).agent
-    with ProgressBar(arguments.bag.name, enabled=not arguments.no_progress) as bar:
+    with progress_bar(arguments.bag.name, enabled=not arguments.no_progress) as show:
         data = replay_bag(
             arguments.bag,
             config=config,
@@ -76,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
             vehicles=arguments.vehicles,
             starts=dict(_start(text) for text in arguments.start),
             until=arguments.until,
-            progress=bar.show,
+            progress=show,
         )
     folder = RunFolder.create(arguments.out)
     report = folder.write_run(data)

@@ -121,7 +121,7 @@ class RunMonitor(Node):
     def _on_map(self, message: OccupancyGrid) -> None:
         cells, resolution, origin = grid_arrays(message)
         self.state.grid = (cells.copy(), resolution, origin)
-        self.state.coverage = self._area.share_known(cells >= 0, resolution, origin)
+        self.state.coverage = self._area.explored_fraction(cells >= 0, resolution, origin)
         self.recorder.add_coverage(seconds(message.header.stamp), self.state.coverage)
 
     def _on_landmarks(self, message: PointCloud2) -> None:

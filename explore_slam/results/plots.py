@@ -1,14 +1,13 @@
 """The figures of a report, each as the text of one SVG element.
 
-Figures are made without pyplot, so that no display, backend or global state matters.
+Figures are drawn without pyplot: no display, backend or global state is involved.
 """
 
 import io
 import math
 import re
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
@@ -18,15 +17,18 @@ from matplotlib.figure import Figure
 
 from explore_slam.errors import EvaluationError
 from explore_slam.files import write_bytes
+from explore_slam.geometry import Array
 from explore_slam.results.run_data import Panel, RunData, Series, VehicleRun, error_series
 from explore_slam.results.trajectory import Trajectory
-from explore_slam.geometry import Array
 
-# Okabe and Ito's colours, which color-blind readers tell apart too
+# Okabe and Ito, Color Universal Design (2008): distinguishable with any color vision.
 COLORS = ('#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9', '#7a5195', '#404040')
 INK, MUTED, GRID = '#1f2933', '#7b8794', '#e4e7eb'
 UNKNOWN, FREE, OCCUPIED = '#dfe4ea', '#ffffff', '#323f4b'
-MOST_POINTS = 1500
+# Points per curve that a figure of 10 inches still resolves; more only make the file larger.
+MAX_POINTS = 1500
+MAX_LANDMARKS = 4000
+MAX_BINS = 500
 STYLE: dict[str, Any] = {
     'svg.fonttype': 'none',
     'font.family': 'sans-serif',
@@ -54,7 +56,7 @@ def color_of(index: int) -> str:
 
 
 def map_figure(data: RunData) -> str | None:
-    """Draw grid, landmarks and trajectories seen from above; None without any of them."""
+    """Draw grid map, landmarks and trajectories; None where there are none of them."""
     figure = _draw_map(data)
     return None if figure is None else _svg(figure, 'map', bbox_inches='tight', pad_inches=0.05)
 
@@ -91,7 +93,7 @@ def _draw_map(data: RunData) -> Figure | None:
         if data.grid is not None:
             _draw_grid(axes, data.grid)
         if data.landmarks is not None and len(data.landmarks.means):
-            means = _thin(np.asarray(data.landmarks.means), 4000)
+            means = _thin(np.asarray(data.landmarks.means), MAX_LANDMARKS)
             size = 5.0 if len(means) > 100 else 28.0
             axes.scatter(
                 means[:, 0],
@@ -149,7 +151,7 @@ def _draw_path(axes: Axes, path: Trajectory, **style: Any) -> None:
 
 
 def _view(data: RunData) -> tuple[float, float, float, float] | None:
-    """Return left, right, bottom, top (m) of what is worth seeing; odometry alone may leave it."""
+    """Return left, right, bottom, top (m) of the map view; odometry alone may leave it."""
     parts = [
         path.poses[:, :2]
         for run in data.vehicles
@@ -162,7 +164,7 @@ def _view(data: RunData) -> tuple[float, float, float, float] | None:
             corners = np.array([[columns.min(), rows.min()], [columns.max() + 1, rows.max() + 1]])
             parts.append(np.asarray(data.grid.origin)[:2] + corners * data.grid.resolution)
     elif data.landmarks is not None and len(data.landmarks.means):
-        # a few landmarks far out must not shrink the rest
+        # A few distant outliers among the landmarks must not shrink everything else.
         means = np.asarray(data.landmarks.means)[:, :2]
         parts.append(np.quantile(means, [0.01, 0.99], axis=0))
     if not parts:
@@ -179,7 +181,7 @@ def _view(data: RunData) -> tuple[float, float, float, float] | None:
 
 
 def error_figure(data: RunData) -> str | None:
-    """Draw position and heading errors over time, odometry alone faint; None without a truth."""
+    """Draw position and heading errors over time; None without ground truth."""
     begin = _begin(data)
     found: list[tuple[str, str, tuple[Series, Series], tuple[Series, Series]]] = []
     for index, run in enumerate(data.vehicles):
@@ -213,7 +215,7 @@ def error_figure(data: RunData) -> str | None:
 
 
 def coverage_figure(data: RunData) -> str | None:
-    """Draw what is explored over time; None when it was not measured."""
+    """Draw the explored area over time; None where it was not measured."""
     if len(data.coverage) < 2:
         return None
     values = data.coverage.values * (100.0 if data.coverage_unit == '%' else 1.0)
@@ -239,7 +241,7 @@ def coverage_figure(data: RunData) -> str | None:
 
 
 def particles_figure(data: RunData) -> str | None:
-    """Draw the effective particles over time; None when there were no updates."""
+    """Draw the effective sample size over time; None where there were no updates."""
     if len(data.effective_particles) < 2:
         return None
     with mpl.rc_context(STYLE):
@@ -268,7 +270,7 @@ def particles_figure(data: RunData) -> str | None:
 
 
 def panel_figure(panel: Panel, name: str) -> str | None:
-    """Draw one more series over its own time; None when it is empty."""
+    """Draw an additional series over the time since its start; None where it is empty."""
     if not len(panel.series):
         return None
     with mpl.rc_context(STYLE):
@@ -292,17 +294,17 @@ def _begin(data: RunData) -> float:
     return min(firsts, default=0.0)
 
 
-def _thin(points: Array, most: int = MOST_POINTS) -> Array:
-    """Return at most about `most` rows, evenly, the last one among them."""
-    if len(points) <= most:
+def _thin(points: Array, limit: int = MAX_POINTS) -> Array:
+    """Return at most `limit` rows, evenly spaced, including the first and the last one."""
+    if len(points) <= limit:
         return points
-    chosen = np.unique(np.linspace(0, len(points) - 1, most).astype(int))
+    chosen = np.unique(np.linspace(0, len(points) - 1, limit).astype(int))
     thinned: Array = points[chosen]
     return thinned
 
 
-def _binned(series: Series, reduce: Any, bins: int = 500) -> tuple[Array, Array]:
-    """Return times and values reduced over equal spans of time, so that no peak is lost."""
+def _binned(series: Series, reduce: Any, bins: int = MAX_BINS) -> tuple[Array, Array]:
+    """Reduce a long series over equal intervals of time, so that no peak is lost."""
     if len(series) <= bins:
         return series.stamps, series.values
     edges = np.linspace(series.stamps[0], series.stamps[-1], bins + 1)
@@ -325,7 +327,7 @@ def _legend(axes: Axes, columns: int) -> None:
 
 def _svg(figure: Figure, name: str, **options: Any) -> str:
     buffer = io.StringIO()
-    # the salt keeps ids of several figures on one page apart, and the same from run to run
+    # The salt keeps the ids of several figures on one page distinct and reproducible.
     with mpl.rc_context({'svg.hashsalt': name}):
         figure.savefig(buffer, format='svg', metadata={'Date': None}, **options)
     text = buffer.getvalue()
@@ -338,27 +340,35 @@ def _svg(figure: Figure, name: str, **options: Any) -> str:
     return f'{head} xmlns:xlink="http://www.w3.org/1999/xlink"{body}'
 
 
-def figures(data: RunData) -> Sequence[tuple[str, str, str]]:
-    """Return (title, caption, SVG) of every figure that the data allow."""
+class ReportFigure(NamedTuple):
+    """A figure of the report; svg: text of the SVG element."""
+
+    title: str
+    caption: str
+    svg: str
+
+
+def figures(data: RunData) -> list[ReportFigure]:
+    """Return every figure for which the run has data."""
     drawn = (
         (
             'Map and trajectories',
-            'Colored: estimated path of each vehicle, circle at its start, arrow at its end. '
-            'Dashed: true path. Dotted: odometry alone.',
+            'Solid: estimated path of each vehicle from circle to arrow. Dashed: true path. '
+            'Dotted: odometry alone.',
             map_figure(data),
         ),
         (
             'Errors over time',
-            'Error of the pose as it was estimated at each time, against the truth; where there '
-            'are many, the largest of each short span. Dotted: odometry alone, which may leave '
-            'the picture.',
+            'Error of the pose as estimated at each time, against ground truth; in long runs the '
+            'largest error of each short interval. Dotted: odometry alone, which may leave the '
+            'plot.',
             error_figure(data),
         ),
-        ('Coverage over time', 'What the team has explored.', coverage_figure(data)),
+        ('Coverage over time', 'Area that the team has explored.', coverage_figure(data)),
         (
-            'Effective particles',
-            'Particles that carry weight after each update: median, and the band from the least '
-            'to the most.',
+            'Effective sample size',
+            'Effective number of particles after each update: median, and range from minimum to '
+            'maximum.',
             particles_figure(data),
         ),
     )
@@ -366,4 +376,8 @@ def figures(data: RunData) -> Sequence[tuple[str, str, str]]:
         (panel.title, panel.caption, panel_figure(panel, f'panel{index}'))
         for index, panel in enumerate(data.panels)
     )
-    return [(title, text, svg) for title, text, svg in (*drawn, *more) if svg is not None]
+    return [
+        ReportFigure(title, caption, svg)
+        for title, caption, svg in (*drawn, *more)
+        if svg is not None
+    ]

@@ -1,4 +1,4 @@
-"""How much of what the vehicles can reach a map knows."""
+"""The area that vehicles can reach, and the fraction of it that a map covers."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -12,18 +12,20 @@ from explore_slam.simulation.grid.grid_world import GridWorld
 
 
 class ReachableArea:
-    """The free cells of a world that a disc of the vehicles' radius (m) can cover from the starts.
+    """Free cells of a world that a disc of this radius (m) can cover from the start poses.
 
-    The map to be judged is in the same frame: the start poses are known.
+    A map compared with it must be in the frame of the world: start poses are known.
     """
 
     def __init__(self, world: GridWorld, starts: Iterable[Pose2], radius: float) -> None:
         points = np.array([[pose.x, pose.y] for pose in starts])
         if points.size == 0:
-            raise EvaluationError('reachable area: no start pose, expected one or more')
+            raise EvaluationError('reachable area: no start pose, expected at least one')
         mask = world.reachable(points, radius)
         if not mask.any():
-            raise EvaluationError(f'reachable area: nothing is free around {points.tolist()}')
+            raise EvaluationError(
+                f'reachable area: no free space around the start poses {points.tolist()}'
+            )
         self.cells: Array = world.to_point(np.argwhere(mask))
         self.area = float(mask.sum()) * world.resolution**2
 
@@ -32,10 +34,14 @@ class ReachableArea:
         """Read a world file or a map_server map."""
         return cls(GridWorld.load(path), starts, radius)
 
-    def share_known(
+    def explored_fraction(
         self, known: NDArray[np.bool_], resolution: float, origin: tuple[float, float]
     ) -> float:
-        """Return the share (0 to 1) of the reachable cells that lie in known (H, W) map cells."""
+        """Return the fraction (0 to 1) of the reachable cells that are known in a map.
+
+        known (H, W): cells whose occupancy is known; resolution (m); origin: corner (m) of cell
+        [0, 0].
+        """
         index = np.floor((self.cells - np.asarray(origin)) / resolution).astype(np.int64)
         columns, rows = index[:, 0], index[:, 1]
         height, width = known.shape

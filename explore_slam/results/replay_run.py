@@ -1,4 +1,4 @@
-"""A recording through the agent into a run folder: what `explore_slam replay` does."""
+"""Replay of a recording through the agent, evaluated against what else was recorded."""
 
 import logging
 import time
@@ -13,26 +13,27 @@ from explore_slam.agent.agent import Agent
 from explore_slam.agent.config import AgentConfig
 from explore_slam.data import OdometryReading
 from explore_slam.errors import ConfigError, RecordingError
-from explore_slam.studies.observation_study import observe_recording
-from explore_slam.results.run_data import RunData, RunRecorder
 from explore_slam.geometry import Pose2
+from explore_slam.messages.topics import TopicKind
 from explore_slam.recording.bag import BagReader
 from explore_slam.recording.events import Event
 from explore_slam.recording.importers.importing import SETTINGS_FILE
 from explore_slam.recording.replay import Replay
-from explore_slam.messages.topics import TopicKind
+from explore_slam.results.landmark_agreement import evaluate_frames
+from explore_slam.results.run_data import RunData, RunRecorder
 from explore_slam.settings import values_of, with_values
 
 logger = logging.getLogger(__name__)
 
+# Time (s) between two samples of the mapped area: 300 samples in a recording of 25 minutes.
 COVERAGE_PERIOD = 5.0
-_KEPT = {TopicKind.ODOMETRY, TopicKind.GROUND_TRUTH}
+_RECORDED = {TopicKind.ODOMETRY, TopicKind.GROUND_TRUTH}
 
 
 def bag_settings(bag: Path) -> dict[str, Any]:
-    """Return the settings that belong to a bag, by name; {} without any.
+    """Return the settings recorded with a bag, by name; {} without any.
 
-    They lie in the bag (imported ones) or in the run folder beside it (recorded live).
+    They are stored in the bag (imported data sets) or in the run folder beside it (live runs).
     """
     files = [bag / SETTINGS_FILE, bag.parent / SETTINGS_FILE] if bag.is_dir() else []
     file = next((file for file in files if file.exists()), None)
@@ -49,7 +50,7 @@ def bag_settings(bag: Path) -> dict[str, Any]:
 
 
 def recorded_starts(bag: Path) -> dict[str, Pose2]:
-    """Return the start poses that the agent had when the bag was recorded live; {} elsewhere."""
+    """Return the start poses of the live run that recorded the bag; {} for other bags."""
     settings = bag_settings(bag)
     names, flat = settings.get('vehicles'), settings.get('start_poses')
     if not isinstance(names, list) or not isinstance(flat, list) or len(flat) != 3 * len(names):
@@ -63,20 +64,20 @@ def recorded_starts(bag: Path) -> dict[str, Pose2]:
 def configuration(
     bag: Path, config: AgentConfig | None = None, options: Mapping[str, Any] | None = None
 ) -> AgentConfig:
-    """Return what a replay runs with: options over the given configuration over the bag's own."""
+    """Return the settings of a replay: options override `config`, which replaces the bag's own."""
     tree = config or AgentConfig()
     if config is None:
         known = values_of(tree)
         found = bag_settings(bag)
         others = sorted(set(found) - set(known))
         if others:
-            logger.info('%s: settings %s are not of the agent: unused', bag, others)
+            logger.info('%s: settings %s do not belong to the agent and are ignored', bag, others)
         tree = with_values(tree, {name: found[name] for name in found if name in known})
     return with_values(tree, options or {})
 
 
 class _Collector:
-    """Hears what goes into the agent and what comes out of it, for the recorder."""
+    """Passes odometry, ground truth, keyframes and mapped area of a replay to the recorder."""
 
     def __init__(self, agent: Agent, recorder: RunRecorder) -> None:
         self._agent = agent
@@ -86,20 +87,20 @@ class _Collector:
         self.first: float | None = None
         self.last = 0.0
 
-    def hear(self, event: Event) -> None:
-        """Keep odometry and truth."""
+    def add_event(self, event: Event) -> None:
+        """Record odometry and ground truth."""
         self.first = event.stamp if self.first is None else min(self.first, event.stamp)
         self.last = max(self.last, event.stamp)
         if event.kind is TopicKind.SCAN:
             self._scans = True
-        elif event.kind in _KEPT and isinstance(event.record, OdometryReading):
+        elif event.kind in _RECORDED and isinstance(event.record, OdometryReading):
             if event.kind is TopicKind.ODOMETRY:
                 self._recorder.add_odometry(event.vehicle, event.record)
             else:
                 self._recorder.add_truth(event.vehicle, event.stamp, event.record.pose)
 
     def tick(self, stamp: float) -> None:
-        """Keep the keyframes since the last time, and now and then the area that is known."""
+        """Record the keyframes since the last call, and periodically the mapped area."""
         for event in self._agent.take_events():
             self._recorder.add_keyframe(event)
         if self._scans and stamp >= self._next_coverage:
@@ -108,7 +109,7 @@ class _Collector:
 
 
 def known_area(grid: Any) -> float:
-    """Return the area (m²) of the cells that are known."""
+    """Return the area (m²) of the cells whose occupancy is known."""
     return float(np.count_nonzero(grid.known())) * float(grid.resolution) ** 2
 
 
@@ -123,16 +124,19 @@ def replay_bag(
     until: float | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> RunData:
-    """Run a bag through the agent and return the run; see `configuration` for the settings.
+    """Replay a bag through the agent and return the data of the run.
 
-    The result depends on the bag, the settings and the seed alone (metrics['timing'] aside).
+    config, options: see `configuration`. starts: start poses that the bag does not hold. until:
+    time (s) after the first record at which to stop. progress: called with the fraction done.
+    The result depends on the bag, the settings and the seed alone (except metrics['timing']).
+    A bag without odometry is evaluated frame by frame (`landmark_agreement`).
     """
     effective = configuration(path, config, options)
     with BagReader(path) as bag:
         vision = bag_settings(path).get('vision')
         replay = Replay(bag, vehicles, starts, recorded_starts(path), vision)
         if not _has_odometry(replay):
-            return observe_recording(replay, effective, until)
+            return evaluate_frames(replay, effective, until)
         poses = replay.start_poses()
         agent = Agent(effective, poses, seed)
         recorder = RunRecorder(
@@ -141,13 +145,13 @@ def replay_bag(
         collector = _Collector(agent, recorder)
         begin = time.perf_counter()
         tally = replay.feed(
-            agent, also=collector.hear, tick=collector.tick, progress=progress, until=until
+            agent, also=collector.add_event, tick=collector.tick, progress=progress, until=until
         )
         grid = agent.grid
         collector.tick(agent.now)
         wall = time.perf_counter() - begin
     recorded = collector.last - (collector.first or collector.last)
-    for warning in (*replay.warnings, *_blind(replay)):
+    for warning in (*replay.warnings, *_warn_without_landmarks(replay)):
         recorder.add_note(warning)
     return recorder.finish(
         {vehicle: agent.trajectory(vehicle) for vehicle in poses},
@@ -168,27 +172,27 @@ def replay_bag(
     )
 
 
-def _blind(replay: Replay) -> list[str]:
-    """Name the vehicles that see no landmarks."""
-    seeing = {TopicKind.COLOR, TopicKind.COLOR_COMPRESSED, TopicKind.LANDMARKS}
+def _warn_without_landmarks(replay: Replay) -> list[str]:
+    """Return a warning for each vehicle without images or landmark observations."""
+    visual = {TopicKind.COLOR, TopicKind.COLOR_COMPRESSED, TopicKind.LANDMARKS}
     return [
-        f'{vehicle} has neither frames nor landmarks: nothing closes its loops, '
-        'its map follows odometry and scans'
+        f'{vehicle} has neither images nor landmark observations: its loops are not closed, '
+        'its pose follows odometry and scan matching'
         for vehicle in replay.vehicles
-        if not replay.kinds(vehicle) & seeing
+        if not replay.kinds(vehicle) & visual
     ]
 
 
 def _has_odometry(replay: Replay) -> bool:
-    """Tell whether anything can be placed in the map; vehicles of which nothing can are named."""
+    """Return whether any vehicle has odometry; warn of those that have none."""
     kinds = {vehicle: replay.kinds(vehicle) for vehicle in replay.vehicles}
     without = [vehicle for vehicle in kinds if TopicKind.ODOMETRY not in kinds[vehicle]]
     frames = any(kinds[v] & {TopicKind.COLOR, TopicKind.COLOR_COMPRESSED} for v in without)
     if len(without) == len(kinds) and not frames:
         raise RecordingError(
             f'{replay.bag.path} holds no odometry (<vehicle>/{TopicKind.ODOMETRY.value}) of '
-            f'{without}: nothing in it can be placed in the map'
+            f'{without}, without which no vehicle can be localized'
         )
     for vehicle in without:
-        replay.warnings.append(f'{vehicle} has no odometry: what it sees is not placed in the map')
+        replay.warnings.append(f'{vehicle} has no odometry: its observations are not mapped')
     return len(without) < len(kinds)

@@ -1,14 +1,15 @@
-"""What is collected while the agent runs, live or offline, and the metrics computed from it."""
+"""Data of a run, live or offline: how they are recorded, and the metrics computed from them."""
 
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from explore_slam.data import OdometryReading
 from explore_slam.errors import EvaluationError
-from explore_slam.results.between_keyframes import carried_on, filled
-from explore_slam.results.run_folder import LandmarkMap
+from explore_slam.geometry import Array, Pose2
+from explore_slam.results.keyframe_interpolation import extrapolate, interpolate
 from explore_slam.results.trajectory import (
     Trajectory,
     heading_errors,
@@ -16,7 +17,6 @@ from explore_slam.results.trajectory import (
     position_errors,
     trajectory_metrics,
 )
-from explore_slam.geometry import Array, Pose2
 from explore_slam.settings import Section
 
 
@@ -25,32 +25,48 @@ def _empty() -> Trajectory:
 
 
 class KeyframeLike(Protocol):
-    """What the agent tells of a keyframe (agent.KeyframeEvent)."""
+    """A keyframe as the agent reports it (agent.KeyframeEvent)."""
 
     @property
     def vehicle(self) -> str:
-        """Which vehicle."""
+        """Name of the vehicle."""
 
     @property
     def stamp(self) -> float:
-        """When (s)."""
+        """Time of the keyframe (s)."""
 
     @property
     def pose(self) -> Pose2:
-        """Pose right after the update."""
+        """Estimated pose right after the update."""
 
     @property
     def update(self) -> Any:
-        """Summary of the update, with effective_particles; None where motion alone was used."""
+        """Summary of the update, with effective_particles; None where only odometry was used."""
+
+
+class LandmarkCloud(Protocol):
+    """Landmarks with uncertainty, such as `slam` returns of the best particle."""
+
+    @property
+    def means(self) -> Array:
+        """Positions (N, 3) m in the map frame."""
+
+    @property
+    def covariances(self) -> Array:
+        """Covariances (N, 3, 3) m²."""
+
+    @property
+    def counts(self) -> NDArray[Any]:
+        """Number of observations (N,) of each landmark."""
 
 
 @dataclass(frozen=True)
 class VehicleRun:
-    """One vehicle's trajectories in the map frame; absent ones are empty.
+    """The trajectories of one vehicle in the map frame; those that are not known are empty.
 
-    estimated: along the best particle at the end, between keyframes by odometry; online: as
-    estimated at each time; odometry: alone, from the start pose; truth: where something outside
-    the vehicle measured it.
+    estimated: path of the best particle at the end, interpolated by odometry between keyframes;
+    online: pose as estimated at each time; odometry: dead reckoning from the start pose; truth:
+    as measured from outside the vehicle.
     """
 
     name: str
@@ -70,9 +86,9 @@ class VehicleRun:
         return {kind: trajectory for kind, trajectory in kinds.items() if len(trajectory)}
 
     def metrics(self) -> dict[str, Any]:
-        """Return distance, duration and, against the truth, the errors of every trajectory."""
+        """Return distance, duration and, with ground truth, the errors of every trajectory."""
         whole = self.truth.duration > 0.9 * max(self.online.duration, self.odometry.duration)
-        driven = next(
+        reference = next(
             (
                 path
                 for path in (self.truth if whole else _empty(), self.online, self.odometry)
@@ -80,7 +96,7 @@ class VehicleRun:
             ),
             self.truth,
         )
-        found: dict[str, Any] = {'distance': driven.length, 'duration': driven.duration}
+        found: dict[str, Any] = {'distance': reference.length, 'duration': reference.duration}
         if not len(self.truth):
             return found
         for kind, trajectory in self.trajectories().items():
@@ -95,14 +111,14 @@ class VehicleRun:
 
 @dataclass(frozen=True)
 class Series:
-    """Values (N,) over time (N,) s."""
+    """A time series: values (N,) at stamps (N,) s."""
 
     stamps: Array
     values: Array
 
     @classmethod
     def of(cls, samples: list[tuple[float, float]]) -> 'Series':
-        """Make a series of (stamp, value) pairs, in any order."""
+        """Make a series of (stamp, value) pairs in any order."""
         table = np.array(sorted(samples), dtype=np.float64).reshape(-1, 2)
         return cls(table[:, 0], table[:, 1])
 
@@ -112,7 +128,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Panel:
-    """One more line chart of a report: title, caption, what is on the y axis, its values."""
+    """An additional line chart of a report; label: of the y axis."""
 
     title: str
     caption: str
@@ -122,13 +138,13 @@ class Panel:
 
 @dataclass(frozen=True)
 class RunData:
-    """Everything that the run folder and its report are made of."""
+    """Everything that a run folder and its report are made of."""
 
     title: str
     vehicles: tuple[VehicleRun, ...]
     metrics: dict[str, Any]
     grid: Any = None
-    landmarks: LandmarkMap | None = None
+    landmarks: LandmarkCloud | None = None
     coverage: Series = field(default_factory=lambda: Series.of([]))
     coverage_unit: str = '%'
     effective_particles: Series = field(default_factory=lambda: Series.of([]))
@@ -139,7 +155,7 @@ class RunData:
 
 
 class RunRecorder:
-    """Collects a run as it goes; live demo, replay and experiments fill it alike."""
+    """Records a run while it goes on; live demo, replay and experiments use it alike."""
 
     def __init__(
         self,
@@ -161,56 +177,58 @@ class RunRecorder:
         self._notes: list[str] = []
 
     def add_truth(self, vehicle: str, stamp: float, pose: Pose2) -> None:
-        """Keep a true pose in the map frame."""
+        """Record a true pose in the map frame."""
         self._truth.setdefault(vehicle, []).append((stamp, pose))
 
     def add_odometry(self, vehicle: str, reading: OdometryReading) -> None:
-        """Keep an odometry reading; its frame is moved to the start pose in the end."""
+        """Record an odometry reading; `finish` aligns its frame with the start pose."""
         self._odometry.setdefault(vehicle, []).append((reading.stamp, reading.pose))
 
     def add_pose(self, vehicle: str, stamp: float, pose: Pose2) -> None:
-        """Keep the pose as estimated at this time."""
+        """Record the pose as estimated at this time."""
         self._online.setdefault(vehicle, []).append((stamp, pose))
 
-    def add_coverage(self, stamp: float, share: float) -> None:
-        """Keep the explored share of the reachable area (0 to 1), or with unit 'm²' the area."""
-        self._coverage.append((stamp, share))
+    def add_coverage(self, stamp: float, explored: float) -> None:
+        """Record the explored fraction (0 to 1) of the reachable area; with unit 'm²' the area."""
+        self._coverage.append((stamp, explored))
 
     def add_effective_particles(self, stamp: float, count: float) -> None:
-        """Keep the effective number of particles after an update."""
+        """Record the effective sample size after an update."""
         self._effective.append((stamp, count))
 
     def add_keyframe(self, event: KeyframeLike) -> None:
-        """Keep pose and effective particles of a keyframe event of the agent.
+        """Record the pose and the effective sample size of a keyframe.
 
-        Without poses from add_pose, these carried on by odometry are the online trajectory.
+        Where add_pose is not called, keyframe poses extrapolated by odometry are the online
+        trajectory.
         """
         self._keyframes.setdefault(event.vehicle, []).append((event.stamp, event.pose))
         if event.update is not None:
             self.add_effective_particles(event.stamp, event.update.effective_particles)
 
     def add_note(self, text: str) -> None:
-        """Keep a sentence for the report: a warning, what was left out."""
+        """Record a sentence for the report, such as a warning."""
         self._notes.append(text)
 
     @property
     def vehicles(self) -> list[str]:
-        """Names of all vehicles that anything is known of, sorted."""
-        heard = (self._starts, self._online, self._keyframes, self._truth, self._odometry)
-        return sorted({name for names in heard for name in names})
+        """Names of all vehicles with any data, sorted."""
+        sources = (self._starts, self._online, self._keyframes, self._truth, self._odometry)
+        return sorted({name for names in sources for name in names})
 
     def finish(
         self,
         trajectories: dict[str, tuple[Array, Array]],
         *,
         grid: Any = None,
-        landmarks: LandmarkMap | None = None,
+        landmarks: LandmarkCloud | None = None,
         settings: Section | None = None,
         extra: dict[str, Any] | None = None,
     ) -> RunData:
-        """Return the data of the run; trajectories: vehicle -> stamps, poses of the best lineage.
+        """Return the data of the run.
 
-        `extra` goes into the metrics as it is (collisions, duration, counts of what was dropped).
+        trajectories: vehicle -> stamps (T,) and keyframe poses (T, 3) of the best particle.
+        extra: further metrics (collisions, duration, counts of dropped records).
         """
         runs = tuple(self._vehicle_run(name, trajectories.get(name)) for name in self.vehicles)
         metrics = run_metrics(runs)
@@ -240,11 +258,11 @@ class RunRecorder:
         truth, odometry = _trajectory(self._truth.get(name)), _trajectory(self._odometry.get(name))
         online = _trajectory(self._online.get(name))
         if not len(online):
-            online = carried_on(_trajectory(self._keyframes.get(name)), odometry)
+            online = extrapolate(_trajectory(self._keyframes.get(name)), odometry)
         if name in self._starts:
             odometry = odometry.from_start(self._starts[name])
         path = Trajectory.of(*estimated) if estimated is not None else _empty()
-        return VehicleRun(name, filled(path, odometry), online, truth, odometry)
+        return VehicleRun(name, interpolate(path, odometry), online, truth, odometry)
 
 
 def _trajectory(samples: list[tuple[float, Pose2]] | None) -> Trajectory:
@@ -254,7 +272,7 @@ def _trajectory(samples: list[tuple[float, Pose2]] | None) -> Trajectory:
 
 
 def run_metrics(runs: tuple[VehicleRun, ...]) -> dict[str, Any]:
-    """Return metrics per vehicle and their means over the vehicles that have a truth."""
+    """Return metrics per vehicle, and means over the vehicles that have ground truth."""
     vehicles = {run.name: run.metrics() for run in runs}
     metrics: dict[str, Any] = {}
     for kind in ('estimated', 'online', 'odometry'):
@@ -267,7 +285,7 @@ def run_metrics(runs: tuple[VehicleRun, ...]) -> dict[str, Any]:
 
 
 def error_series(estimated: Trajectory, truth: Trajectory) -> tuple[Series, Series]:
-    """Return position (m) and heading (rad) errors over time; empty without a truth."""
+    """Return position (m) and heading (rad) errors over time; empty without ground truth."""
     try:
         stamps, poses, true = pairs(estimated, truth)
     except EvaluationError:

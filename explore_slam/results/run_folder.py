@@ -1,29 +1,29 @@
-"""What a run leaves behind: one folder per run, with maps, trajectories, metrics and a report.
+"""The folder that a run writes: map, trajectories, landmarks, configuration, metrics, report.
 
-Contents: map.pgm + map.yaml (map_server), `<vehicle>_<kind>.tum` trajectories, landmarks.ply,
-settings.yaml (effective configuration), metrics.json, report.html; `latest` links to the newest.
+Contents: map.pgm and map.yaml (map_server), `<vehicle>_<kind>.tum` trajectories, landmarks.ply,
+settings.yaml (effective configuration), metrics.json, report.html. `latest` links to the newest
+folder.
 """
 
 import json
 import logging
 import math
-import os
 import re
 from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from explore_slam.errors import EvaluationError
+from explore_slam.files import replace_link, write_bytes, write_text
+from explore_slam.mapping import save_map
+from explore_slam.results.report import render_report
+from explore_slam.results.run_data import LandmarkCloud, RunData
 from explore_slam.results.trajectory import Trajectory, save_tum
-from explore_slam.geometry import Array
 from explore_slam.settings import Section, save_settings
-
-if TYPE_CHECKING:
-    from explore_slam.results.run_data import RunData
 
 logger = logging.getLogger(__name__)
 
@@ -31,34 +31,15 @@ KINDS = ('estimated', 'online', 'true', 'odometry')
 LATEST = 'latest'
 
 
-class LandmarkMap(Protocol):
-    """The landmarks of the best particle, as `slam` returns them."""
-
-    @property
-    def means(self) -> Array:
-        """Positions (N, 3) m in the map."""
-        ...
-
-    @property
-    def covariances(self) -> Array:
-        """Covariances (N, 3, 3) m²."""
-        ...
-
-    @property
-    def counts(self) -> NDArray[Any]:
-        """How often each landmark was observed (N,)."""
-        ...
-
-
 class RunFolder:
-    """Writes the results of one run; every file appears whole or not at all."""
+    """Writes the results of one run; every file is written atomically."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
     @classmethod
     def create(cls, base: Path, now: datetime | None = None) -> 'RunFolder':
-        """Make `base/<local time>/` and let `base/latest` point to it."""
+        """Make `base/<local time>/` and link `base/latest` to it."""
         stem = (now or datetime.now().astimezone()).strftime('%Y-%m-%d_%H-%M-%S')
         try:
             base.mkdir(parents=True, exist_ok=True)
@@ -70,7 +51,7 @@ class RunFolder:
                 except FileExistsError:
                     continue
             else:
-                raise EvaluationError(f'{base} holds 999 runs of {stem}: no name is left')
+                raise EvaluationError(f'{base} already holds 999 runs named {stem}')
             _link_latest(base, path.name)
         except OSError as error:
             raise EvaluationError(f'a run folder cannot be made in {base}: {error}') from error
@@ -78,8 +59,6 @@ class RunFolder:
 
     def write_map(self, grid: Any) -> Path:
         """Write map.pgm and map.yaml; return the path of the YAML file."""
-        from explore_slam.mapping import save_map
-
         save_map(grid, self.path / 'map')
         return self.path / 'map.yaml'
 
@@ -90,45 +69,36 @@ class RunFolder:
         if kind not in KINDS:
             raise EvaluationError(f'trajectory kind is {kind!r}, expected one of {list(KINDS)}')
         path = self.path / f'{file_name(vehicle)}_{kind}.tum'
-        trajectory = Trajectory.of(stamps, poses)
-        with _whole(path) as partial:
-            save_tum(partial, trajectory)
+        save_tum(path, Trajectory.of(stamps, poses))
         return path
 
-    def write_landmarks(self, landmarks: LandmarkMap) -> Path:
-        """Write landmarks.ply: x y z, standard deviation (m), number of observations."""
+    def write_landmarks(self, landmarks: LandmarkCloud) -> Path:
+        """Write landmarks.ply: position and standard deviation (m), number of observations."""
         path = self.path / 'landmarks.ply'
-        with _whole(path) as partial:
-            save_ply(partial, landmarks)
+        save_ply(path, landmarks)
         return path
 
     def write_config(self, section: Section) -> Path:
-        """Write settings.yaml, a ROS parameter file that `--config` takes again."""
+        """Write settings.yaml, a ROS parameter file that `replay --config` reads."""
         path = self.path / 'settings.yaml'
-        with _whole(path) as partial:
-            save_settings(section, partial)
+        save_settings(section, path)
         return path
 
     def write_metrics(self, metrics: Mapping[str, Any]) -> Path:
         """Write metrics.json; a value that is not finite becomes null."""
         path = self.path / 'metrics.json'
         text = json.dumps(_plain(metrics), indent=2, sort_keys=False, allow_nan=False)
-        with _whole(path) as partial:
-            partial.write_text(text + '\n', encoding='utf-8')
+        write_text(path, text + '\n')
         return path
 
-    def write_report(self, data: 'RunData') -> Path:
-        """Write report.html, which needs no other file."""
-        from explore_slam.results.report import render_report
-
+    def write_report(self, data: RunData) -> Path:
+        """Write report.html, which is self-contained."""
         path = self.path / 'report.html'
-        text = render_report(data)
-        with _whole(path) as partial:
-            partial.write_text(text, encoding='utf-8')
+        write_text(path, render_report(data))
         return path
 
-    def write_run(self, data: 'RunData') -> Path:
-        """Write everything that the data of a run hold; return the path of the report."""
+    def write_run(self, data: RunData) -> Path:
+        """Write all files of a run; return the path of the report."""
         if data.grid is not None:
             self.write_map(data.grid)
         for vehicle in data.vehicles:
@@ -142,29 +112,12 @@ class RunFolder:
         return self.write_report(data)
 
 
-class _whole:  # noqa: N801 -- used like contextlib's lower-case managers
-    """Give a partial path to write to; move it to its place when the block ends well."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._partial = path.with_name(path.name + '.part')
-
-    def __enter__(self) -> Path:
-        return self._partial
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is None:
-            os.replace(self._partial, self._path)
-        else:
-            self._partial.unlink(missing_ok=True)
-
-
 def file_name(vehicle: str) -> str:
-    """Return a vehicle's name (perhaps a namespace with slashes) as part of a file's name."""
+    """Return the name of a vehicle, perhaps a namespace with slashes, as part of a file name."""
     return re.sub(r'[^A-Za-z0-9.-]+', '_', vehicle).strip('_') or 'vehicle'
 
 
-def save_ply(path: Path, landmarks: LandmarkMap) -> None:
+def save_ply(path: Path, landmarks: LandmarkCloud) -> None:
     """Write landmarks as a binary PLY point cloud, which MeshLab, CloudCompare and Open3D read."""
     means = np.asarray(landmarks.means, dtype=np.float64).reshape(-1, 3)
     table = np.empty(
@@ -181,18 +134,16 @@ def save_ply(path: Path, landmarks: LandmarkMap) -> None:
         'property float x\nproperty float y\nproperty float z\n'
         'property float sigma\nproperty uint count\nend_header\n'
     )
-    path.write_bytes(header.encode('ascii') + table.tobytes())
+    write_bytes(path, header.encode('ascii') + table.tobytes())
 
 
 def _link_latest(base: Path, name: str) -> None:
-    link, fresh = base / LATEST, base / f'.{LATEST}.{os.getpid()}'
+    link = base / LATEST
     if link.exists() and not link.is_symlink():
-        logger.warning('%s is not a link and stays as it is', link)
+        logger.warning('%s is not a symbolic link and is left as it is', link)
         return
     try:
-        fresh.unlink(missing_ok=True)
-        fresh.symlink_to(name)
-        os.replace(fresh, link)
+        replace_link(link, name)
     except OSError as error:
         logger.warning('%s cannot be linked to %s: %s', link, name, error)
 

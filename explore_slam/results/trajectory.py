@@ -1,8 +1,10 @@
-"""Trajectories in the plane and their errors against the truth; defined as in the tool `evo`.
+"""Planar trajectories and their errors against ground truth, defined as in evo.
 
-Absolute trajectory error (ATE) compares positions at equal stamps, without alignment where the
-start poses are known, or after the rigid alignment of Umeyama (TPAMI 13(4), 1991). Relative pose
-error (RPE) compares motions over pieces of a given path length (Sturm et al., IROS 2012).
+Absolute trajectory error (ATE): distance of positions at equal stamps, without alignment where
+start poses are known, or after rigid alignment (Umeyama, Least-squares estimation of
+transformation parameters between two point patterns, TPAMI 13(4), 1991). Relative pose error
+(RPE): difference of motions over segments of a given path length (Sturm et al., A benchmark for
+the evaluation of RGB-D SLAM systems, IROS 2012).
 """
 
 import math
@@ -13,14 +15,24 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from explore_slam.errors import EvaluationError
-from explore_slam.geometry import Array, Pose2, between, compose, wrap_angles
+from explore_slam.geometry import (
+    Array,
+    Pose2,
+    between,
+    compose,
+    quaternion_from_yaw,
+    wrap_angles,
+    yaw_from_quaternion,
+)
+from explore_slam.recording.tum_format import SpatialPoses, read_poses, write_poses
 
+# Ground truth is not interpolated over a longer gap (s); the slowest data set has it at 10 Hz.
 MAX_GAP = 1.0
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Poses (T, 3) m, m, rad at strictly rising stamps (T,) s; T may be 0."""
+    """Poses (T, 3) m, m, rad at strictly increasing stamps (T,) s; T may be 0."""
 
     stamps: Array
     poses: Array
@@ -34,14 +46,14 @@ class Trajectory:
         if not (np.isfinite(self.stamps).all() and np.isfinite(self.poses).all()):
             raise EvaluationError('Trajectory: a stamp or a pose is not finite')
         if (np.diff(self.stamps) <= 0.0).any():
-            raise EvaluationError('Trajectory: stamps do not rise strictly')
+            raise EvaluationError('Trajectory: stamps are not strictly increasing')
 
     def __len__(self) -> int:
         return int(self.stamps.size)
 
     @classmethod
     def of(cls, stamps: ArrayLike, poses: ArrayLike) -> 'Trajectory':
-        """Make a trajectory of samples in any order; of equal stamps the last sample stays."""
+        """Make a trajectory of samples in any order; of equal stamps the last sample is kept."""
         times = np.asarray(stamps, dtype=np.float64).reshape(-1)
         samples = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
         if len(times) != len(samples):
@@ -62,9 +74,9 @@ class Trajectory:
         return float(self.stamps[-1] - self.stamps[0]) if len(self) else 0.0
 
     def at(self, stamps: ArrayLike, max_gap: float = MAX_GAP) -> tuple[Array, Array]:
-        """Return (poses (N, 3), valid (N,) bool): linear interpolation, the turn the short way.
+        """Interpolate linearly, headings along the shorter arc; return poses (N, 3), valid (N,).
 
-        Not valid are stamps outside the trajectory and inside a gap of more than max_gap (s).
+        Stamps outside the trajectory, or in a gap of more than max_gap (s), are not valid.
         """
         times = np.asarray(stamps, dtype=np.float64)
         if not len(self):
@@ -73,17 +85,17 @@ class Trajectory:
             return np.repeat(self.poses, times.size, axis=0), times == self.stamps[0]
         left = np.clip(np.searchsorted(self.stamps, times, 'right') - 1, 0, len(self) - 2)
         span = self.stamps[left + 1] - self.stamps[left]
-        share = np.clip((times - self.stamps[left]) / span, 0.0, 1.0)
+        fraction = np.clip((times - self.stamps[left]) / span, 0.0, 1.0)
         step = self.poses[left + 1] - self.poses[left]
         step[:, 2] = wrap_angles(step[:, 2])
-        poses = self.poses[left] + share[:, None] * step
+        poses = self.poses[left] + fraction[:, None] * step
         poses[:, 2] = wrap_angles(poses[:, 2])
         inside = (times >= self.stamps[0]) & (times <= self.stamps[-1])
-        on_sample = (share == 0.0) | (share == 1.0)
+        on_sample = (fraction == 0.0) | (fraction == 1.0)
         return poses, inside & (on_sample | (span <= max_gap))
 
     def from_start(self, start: Pose2) -> 'Trajectory':
-        """Return this trajectory moved so that its first pose is the given one."""
+        """Return this trajectory transformed so that its first pose is the given one."""
         if not len(self):
             return self
         return Trajectory(
@@ -94,18 +106,21 @@ class Trajectory:
 def pairs(
     estimated: Trajectory, truth: Trajectory, max_gap: float = MAX_GAP
 ) -> tuple[Array, Array, Array]:
-    """Return (stamps (N,), estimated (N, 3), true poses (N, 3)) at the stamps of the estimate."""
+    """Associate an estimate with ground truth: stamps (N,), estimated and true poses (N, 3).
+
+    Ground truth is interpolated to the stamps of the estimate.
+    """
     poses, valid = truth.at(estimated.stamps, max_gap)
     if not valid.any():
         raise EvaluationError(
-            f'no pose of the estimate ({len(estimated)} poses) lies within the truth '
+            f'no pose of the estimate ({len(estimated)} poses) lies within the ground truth '
             f'({len(truth)} poses): their times do not overlap'
         )
     return estimated.stamps[valid], estimated.poses[valid], poses[valid]
 
 
 def align(poses: Array, reference: Array) -> Array:
-    """Return poses (N, 3) moved rigidly so that positions fit the reference best (Umeyama)."""
+    """Align poses (N, 3) rigidly to a reference by least squares of positions (Umeyama, 1991)."""
     if len(poses) < 2:
         return poses.copy()
     mean, mean_reference = poses[:, :2].mean(axis=0), reference[:, :2].mean(axis=0)
@@ -133,16 +148,16 @@ class ErrorStatistics:
 
     @classmethod
     def of(cls, errors: Array) -> 'ErrorStatistics':
-        """Summarize errors (N,), N >= 1."""
+        """Return the statistics of errors (N,), N >= 1."""
         if not errors.size:
-            raise EvaluationError('there are no errors to summarize')
+            raise EvaluationError('error statistics: no errors, expected at least one')
         size = np.abs(errors)
         rms = float(np.sqrt(np.mean(np.square(size))))
         return cls(rms, float(size.mean()), float(np.median(size)), float(size.max()))
 
 
 def position_errors(poses: Array, truth: Array) -> Array:
-    """Return the distances (N,) m between poses (N, 3) and true poses (N, 3)."""
+    """Return the position errors (N,) m of poses (N, 3) against true poses (N, 3)."""
     return np.hypot(poses[:, 0] - truth[:, 0], poses[:, 1] - truth[:, 1])
 
 
@@ -151,21 +166,21 @@ def heading_errors(poses: Array, truth: Array) -> Array:
     return wrap_angles(poses[:, 2] - truth[:, 2])
 
 
-def path_pieces(truth: Array, length: float) -> list[int]:
-    """Return indices that cut the path (N, 3) in pieces of at least the length (m)."""
+def path_segments(truth: Array, length: float) -> list[int]:
+    """Return the indices that cut a path (N, 3) into segments of at least this length (m)."""
     steps = np.hypot(*np.diff(truth[:, :2], axis=0).T)
-    cuts, driven = [0], 0.0
+    cuts, distance = [0], 0.0
     for index, step in enumerate(steps, start=1):
-        driven += float(step)
-        if driven >= length:
+        distance += float(step)
+        if distance >= length:
             cuts.append(index)
-            driven = 0.0
+            distance = 0.0
     return cuts
 
 
 def relative_errors(poses: Array, truth: Array, length: float = 1.0) -> tuple[Array, Array]:
-    """Return the RPE over pieces of the true path: translations (P,) m and rotations (P,) rad."""
-    cuts = path_pieces(truth, length)
+    """Return the RPE over segments of the true path: translations (P,) m, rotations (P,) rad."""
+    cuts = path_segments(truth, length)
     moved = between(poses[cuts[:-1]], poses[cuts[1:]])
     true = between(truth[cuts[:-1]], truth[cuts[1:]])
     error = between(true, moved)
@@ -175,7 +190,7 @@ def relative_errors(poses: Array, truth: Array, length: float = 1.0) -> tuple[Ar
 def trajectory_metrics(
     estimated: Trajectory, truth: Trajectory, max_gap: float = MAX_GAP
 ) -> dict[str, float]:
-    """Return the errors of one trajectory by name: m, rad, `poses` a count."""
+    """Return the errors of one trajectory by name (m, rad), and the number of poses compared."""
     _, poses, true = pairs(estimated, truth, max_gap)
     position = ErrorStatistics.of(position_errors(poses, true))
     heading = ErrorStatistics.of(heading_errors(poses, true))
@@ -198,25 +213,17 @@ def trajectory_metrics(
 
 
 def save_tum(path: Path, trajectory: Trajectory) -> None:
-    """Write `stamp x y z qx qy qz qw` lines (TUM format); z, qx and qy are 0."""
-    x, y, theta = trajectory.poses.T
-    zero = np.zeros(len(trajectory))
-    columns = [trajectory.stamps, x, y, zero, zero, zero, np.sin(theta / 2), np.cos(theta / 2)]
-    with path.open('w', encoding='utf-8') as file:
-        file.write('# timestamp tx ty tz qx qy qz qw\n')
-        np.savetxt(file, np.column_stack(columns), fmt=['%.9f', *['%.6f'] * 3, *['%.9f'] * 4])
+    """Write a TUM trajectory file; z, qx and qy are 0."""
+    positions = np.column_stack([trajectory.poses[:, :2], np.zeros(len(trajectory))])
+    quaternions = [quaternion_from_yaw(theta) for theta in trajectory.poses[:, 2].tolist()]
+    write_poses(
+        path,
+        SpatialPoses(trajectory.stamps, positions, np.reshape(quaternions, (-1, 4))),
+    )
 
 
 def load_tum(path: Path) -> Trajectory:
-    """Read a TUM trajectory and keep what lies in the plane: x, y and the heading (yaw)."""
-    try:
-        table = np.loadtxt(path, ndmin=2)
-    except (OSError, ValueError) as error:
-        raise EvaluationError(f'{path} is not a TUM trajectory: {error}') from error
-    if table.size == 0:
-        return Trajectory(np.empty(0), np.empty((0, 3)))
-    if table.shape[1] != 8:
-        raise EvaluationError(f'{path} has {table.shape[1]} columns, expected 8 (TUM format)')
-    _, x, y, _, qx, qy, qz, qw = table.T
-    yaw = np.arctan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
-    return Trajectory.of(table[:, 0], np.column_stack([x, y, yaw]))
+    """Read a TUM trajectory file and project it onto the plane: x, y and yaw."""
+    stamps, positions, quaternions = read_poses(path)
+    yaw = [yaw_from_quaternion(*q) for q in quaternions.tolist()]
+    return Trajectory.of(stamps, np.column_stack([positions[:, :2], yaw]))

@@ -133,6 +133,6 @@ class ClosedLoop:
                 follower.set_plan(Plan(now, name, Pose2(0.0, 0.0, 0.0), _NO_POINTS))
             self._sent[name] = plan
         grid = self.agent.laser_map.grid
-        self.coverage = self.area.share_known(grid.known(), grid.resolution, grid.origin)
+        self.coverage = self.area.explored_fraction(grid.known(), grid.resolution, grid.origin)
         self.recorder.add_coverage(now, self.coverage)
         return result

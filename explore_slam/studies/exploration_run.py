@@ -231,7 +231,7 @@ def _plan(team: _Team, config: StudyConfig) -> PlanningResult:
         if plan is None or simulator.is_idle(vehicle):
             team.goals[vehicle].clear()
         if plan is not None:
-            team.goals[vehicle].see((plan.goal.x, plan.goal.y), (pose.x, pose.y))
+            team.goals[vehicle].update((plan.goal.x, plan.goal.y), (pose.x, pose.y))
         if plan is not team.plans.get(vehicle):
             simulator.set_plan(vehicle, plan)
             team.plans[vehicle] = plan

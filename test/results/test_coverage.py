@@ -85,14 +85,14 @@ def test_one_run_that_failed_is_not_averaged_away():
 
 def test_goals_that_are_reached_are_not_counted_as_changed():
     counter = GoalCounter()
-    counter.see((5.0, 0.0), (0.0, 0.0))
-    counter.see((5.2, 0.0), (1.0, 0.0))  # the same goal, a little moved
-    counter.see((9.0, 0.0), (4.9, 0.0))  # was there
+    counter.update((5.0, 0.0), (0.0, 0.0))
+    counter.update((5.2, 0.0), (1.0, 0.0))  # the same goal, a little moved
+    counter.update((9.0, 0.0), (4.9, 0.0))  # was there
     assert (counter.given, counter.changed) == (2, 0)
-    counter.see((0.0, 9.0), (5.0, 0.0))  # was not there
+    counter.update((0.0, 9.0), (5.0, 0.0))  # was not there
     assert (counter.given, counter.changed) == (3, 1)
     counter.clear()
-    counter.see((3.0, 3.0), (5.0, 0.0))
+    counter.update((3.0, 3.0), (5.0, 0.0))
     assert (counter.given, counter.changed) == (4, 1)
-    counter.see(None, (5.0, 0.0))
+    counter.update(None, (5.0, 0.0))
     assert (counter.given, counter.changed) == (4, 1)

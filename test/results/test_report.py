@@ -6,6 +6,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
+from explore_slam.geometry import Pose2
 from explore_slam.results import RunData, RunRecorder, Series, VehicleRun
 from explore_slam.results.plots import (
     coverage_figure,
@@ -16,7 +17,6 @@ from explore_slam.results.plots import (
 )
 from explore_slam.results.report import render_report
 from explore_slam.results.trajectory import Trajectory
-from explore_slam.geometry import Pose2
 
 
 class Page(HTMLParser):

@@ -8,9 +8,9 @@ import pytest
 
 from explore_slam.agent.config import AgentConfig
 from explore_slam.errors import EvaluationError
-from explore_slam.results import RunFolder, RunRecorder, load_tum
 from explore_slam.geometry import Pose2
 from explore_slam.mapping import load_map
+from explore_slam.results import RunFolder, RunRecorder, load_tum
 from explore_slam.settings import load_settings, values_of, with_values
 
 STARTS = {'robot1': Pose2(1.0, 0.0, 0.5), 'robot2': Pose2(0.0, 2.0, 0.0)}

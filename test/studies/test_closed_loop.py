@@ -44,9 +44,9 @@ def test_reachable_area_is_what_the_vehicle_can_cover():
     area = ReachableArea(world, [Pose2(1.0, 1.0, 0.0)], radius=0.2)
     assert area.area == pytest.approx(1.5 * 1.5, abs=0.1)
     known = np.ones((50, 80), np.bool_)
-    assert area.share_known(known, 0.05, (0.0, 0.0)) == 1.0
+    assert area.explored_fraction(known, 0.05, (0.0, 0.0)) == 1.0
     known[:, :25] = False  # everything left of x = 1.25 m
-    assert area.share_known(known, 0.05, (0.0, 0.0)) == pytest.approx(0.5, abs=0.05)
-    assert area.share_known(known[:0], 0.05, (0.0, 0.0)) == 0.0
+    assert area.explored_fraction(known, 0.05, (0.0, 0.0)) == pytest.approx(0.5, abs=0.05)
+    assert area.explored_fraction(known[:0], 0.05, (0.0, 0.0)) == 0.0
     with pytest.raises(EvaluationError, match='no start pose'):
         ReachableArea(world, [], radius=0.2)

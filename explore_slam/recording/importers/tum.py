@@ -3,7 +3,7 @@
 Sturm et al.: A Benchmark for the Evaluation of RGB-D SLAM Systems, IROS 2012. The camera moves in
 six degrees of freedom and there is no odometry, so a planar vehicle cannot be made of it honestly:
 the bag holds frames and the camera's true planar pose, and a replay extracts landmark observations
-(see recording/observation_study).
+(see results/landmark_agreement).
 """
 
 import logging
@@ -18,7 +18,8 @@ from explore_slam.data import Intrinsics, RgbdFrame
 from explore_slam.errors import RecordingError, VisionError
 from explore_slam.messages.topics import TopicKind
 from explore_slam.recording.events import Event, TruePose3
-from explore_slam.recording.importers.importing import read_table, require, write_bag
+from explore_slam.recording.importers.importing import require, write_bag
+from explore_slam.recording.tum_format import Association, read_associations, read_poses
 from explore_slam.vision import decode_compressed
 
 logger = logging.getLogger(__name__)
@@ -50,37 +51,18 @@ def import_tum(folder: Path, out: Path, camera: str = 'freiburg1') -> dict[str, 
     require(folder, [ASSOCIATIONS, 'rgb', 'depth'], 'a TUM RGB-D data set')
     if camera not in CAMERAS:
         raise RecordingError(f'camera is {camera!r}, expected one of {sorted(CAMERAS)}')
-    pairs = _read_associations(folder / ASSOCIATIONS)
+    pairs = read_associations(folder / ASSOCIATIONS)
     streams: list[Iterator[Event]] = [_frames(folder, pairs, camera)]
     if (folder / TRUTH).exists():
-        streams.append(_truth(folder / TRUTH, pairs[0][0], pairs[-1][0]))
+        streams.append(_truth(folder / TRUTH, pairs[0].color_stamp, pairs[-1].color_stamp))
     else:
         logger.warning('%s is missing: the bag has no ground truth', folder / TRUTH)
     return write_bag(out, streams, SETTINGS)
 
 
-def _read_associations(path: Path) -> list[tuple[float, str, str]]:
-    """Return (stamp of the colour image, its file, the depth file), sorted by stamp."""
-    pairs = []
-    for number, line in enumerate(path.read_text(encoding='utf-8').splitlines(), start=1):
-        words = line.split()
-        if not words or words[0].startswith('#'):
-            continue
-        try:
-            stamp, color, _, depth = words
-            pairs.append((float(stamp), color, depth))
-        except ValueError as error:
-            raise RecordingError(
-                f'{path} line {number} is {line!r}, expected: stamp file stamp file'
-            ) from error
-    if not pairs:
-        raise RecordingError(f'{path} names no frames')
-    return sorted(pairs)
-
-
-def _frames(folder: Path, pairs: list[tuple[float, str, str]], camera: str) -> Iterator[Event]:
+def _frames(folder: Path, pairs: list[Association], camera: str) -> Iterator[Event]:
     fx, fy, cx, cy, distortion = CAMERAS[camera]
-    for stamp, color_name, depth_name in pairs:
+    for stamp, color_name, _, depth_name in pairs:
         color, depth = _image(folder / color_name), _image(folder / depth_name)
         if depth.dtype != np.uint16 or color.dtype != np.uint8:
             raise RecordingError(
@@ -111,11 +93,15 @@ def _image(path: Path) -> NDArray[Any]:
 
 def _truth(path: Path, begin: float, end: float) -> Iterator[Event]:
     """Yield the camera body's true pose around the frames."""
-    table = read_table(path, 8)
-    inside = (table[:, 0] >= begin - 0.1) & (table[:, 0] <= end + 0.1)
-    for stamp, x, y, z, *optical in table[inside].tolist():
-        qx, qy, qz, qw = multiply(optical, BODY_FROM_OPTICAL)
-        record = TruePose3((x, y, z), (qx, qy, qz, qw))
+    stamps, positions, quaternions = read_poses(path)
+    inside = (stamps >= begin - 0.1) & (stamps <= end + 0.1)
+    for stamp, position, optical in zip(
+        stamps[inside].tolist(),
+        positions[inside].tolist(),
+        quaternions[inside].tolist(),
+        strict=True,
+    ):
+        record = TruePose3(tuple(position), multiply(optical, BODY_FROM_OPTICAL))
         yield Event(stamp, VEHICLE, TopicKind.GROUND_TRUTH, record)
 
 

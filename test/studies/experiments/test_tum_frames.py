@@ -6,9 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from explore_slam.errors import EvaluationError
+from explore_slam.errors import EvaluationError, RecordingError
 from explore_slam.settings import with_values
-from explore_slam.studies.experiments.tum_frames import TruePath, read_tum
+from explore_slam.studies.experiments.tum_frames import CameraTruth, read_tum
 from explore_slam.vision import VisionConfig
 
 
@@ -45,14 +45,14 @@ def test_folder_without_frames_is_refused(tmp_path):
         read_tum(tmp_path, VisionConfig())
 
 
-def test_true_path_is_read_with_care(tmp_path):
+def test_ground_truth_is_interpolated_and_checked(tmp_path):
     path = tmp_path / 'groundtruth.txt'
     path.write_text('# t tx ty tz qx qy qz qw\n1 0 0 1 0 0 0 1\n2 2 0 1 0 0 0 1\n')
-    turn, place = TruePath(path).at(1.5)
+    turn, place = CameraTruth(path).at(1.5)
     np.testing.assert_allclose(place, [1.0, 0.0, 1.0])
     np.testing.assert_allclose(turn @ [1.0, 0.0, 0.0], [0.0, 0.0, 1.0], atol=1e-12)
     with pytest.raises(EvaluationError, match=r'3\.000 s'):
-        TruePath(path).at(3.0)
+        CameraTruth(path).at(3.0)
     path.write_text('1 2 3\n4 5 6\n')
-    with pytest.raises(EvaluationError, match='shape'):
-        TruePath(path)
+    with pytest.raises(RecordingError, match='3 columns, expected 8'):
+        CameraTruth(path)

@@ -1,11 +1,11 @@
-"""Poses between keyframes follow the odometry."""
+"""Between keyframes, poses follow odometry."""
 
 import numpy as np
 import pytest
 
-from explore_slam.results.between_keyframes import carried_on, filled
-from explore_slam.results.trajectory import Trajectory
 from explore_slam.geometry import compose
+from explore_slam.results.keyframe_interpolation import extrapolate, interpolate
+from explore_slam.results.trajectory import Trajectory
 
 STAMPS = np.arange(0.0, 10.01, 0.05)
 
@@ -23,8 +23,8 @@ def odometry() -> Trajectory:
 def test_with_true_odometry_and_keyframes_everything_is_true():
     keyframes = Trajectory.of([0.0, 3.0, 8.0], circle([0.0, 3.0, 8.0]))
     for made, end in (
-        (carried_on(keyframes, odometry()), 10.0),
-        (filled(keyframes, odometry()), 8.0),
+        (extrapolate(keyframes, odometry()), 10.0),
+        (interpolate(keyframes, odometry()), 8.0),
     ):
         assert made.stamps[-1] == pytest.approx(end)
         assert np.diff(made.stamps).max() <= 0.4
@@ -36,7 +36,7 @@ def test_a_correction_shows_at_its_keyframe_online_and_is_shared_out_afterwards(
     poses = circle([0.0, 5.0])
     poses[1] += [0.5, 0.0, 0.0]
     keyframes = Trajectory.of([0.0, 5.0], poses)
-    online, final = carried_on(keyframes, odometry()), filled(keyframes, odometry())
+    online, final = extrapolate(keyframes, odometry()), interpolate(keyframes, odometry())
     before = int(np.searchsorted(online.stamps, 5.0)) - 1
     expected = circle([online.stamps[before]])[0, :2]
     assert online.poses[before, :2] == pytest.approx(expected, abs=1e-9)
@@ -49,13 +49,13 @@ def test_a_correction_shows_at_its_keyframe_online_and_is_shared_out_afterwards(
 def test_without_odometry_only_the_keyframes_are_known():
     keyframes = Trajectory.of([0.0, 3.0], circle([0.0, 3.0]))
     nothing = Trajectory.of([], [])
-    assert carried_on(keyframes, nothing) is keyframes
-    assert filled(keyframes, nothing) is keyframes
-    assert carried_on(nothing, odometry()) is nothing
+    assert extrapolate(keyframes, nothing) is keyframes
+    assert interpolate(keyframes, nothing) is keyframes
+    assert extrapolate(nothing, odometry()) is nothing
 
 
 def test_dense_keyframes_are_kept_as_they_are():
     keyframes = Trajectory.of(STAMPS, circle(STAMPS))
-    np.testing.assert_array_equal(carried_on(keyframes, odometry()).stamps, keyframes.stamps)
-    same = filled(keyframes, odometry()).poses
+    np.testing.assert_array_equal(extrapolate(keyframes, odometry()).stamps, keyframes.stamps)
+    same = interpolate(keyframes, odometry()).poses
     np.testing.assert_allclose(same[:, :2], keyframes.poses[:, :2], atol=1e-9)

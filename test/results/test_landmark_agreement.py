@@ -7,17 +7,16 @@ from explore_slam.data import LandmarkObservations
 from explore_slam.errors import RecordingError
 from explore_slam.geometry import rotation_matrix
 from explore_slam.recording.importers.tum import import_tum
+from explore_slam.results.landmark_agreement import mutual_matches, observation_metrics
 from explore_slam.results.replay_run import replay_bag
-from explore_slam.studies.observation_study import TruePoses, match, rotation_of, study
+from explore_slam.results.spatial_trajectory import SpatialTrajectory
 
 LANDMARKS = np.random.default_rng(0).uniform([1, -2, -1], [4, 2, 1], (30, 3))
 DESCRIPTORS = np.eye(30, 128, dtype=np.float32)
 
 
-def half_turn(angle: float, axis: int) -> np.ndarray:
-    quaternion = np.array([0.0, 0.0, 0.0, np.cos(angle / 2)])
-    quaternion[axis] = np.sin(angle / 2)
-    return quaternion
+def pitched(angle: float) -> np.ndarray:
+    return np.array([0.0, np.sin(angle / 2), 0.0, np.cos(angle / 2)])
 
 
 def observe(stamp: float, rotation: np.ndarray, position: np.ndarray, noise: float, seed: int):
@@ -31,26 +30,20 @@ def observe(stamp: float, rotation: np.ndarray, position: np.ndarray, noise: flo
 def moving(noise: float):
     """Observations of a body that turns and moves in space, and its true poses."""
     stamps = np.arange(0.0, 2.0, 0.02)
-    quaternions = np.array([half_turn(0.3 * stamp, 1) for stamp in stamps])
+    quaternions = np.array([pitched(0.3 * stamp) for stamp in stamps])
     quaternions[::7] *= -1.0  # the same rotations
     positions = np.column_stack([0.1 * stamps, -0.2 * stamps, 0.05 * stamps])
-    truth = TruePoses(stamps, positions, quaternions)
+    truth = SpatialTrajectory(stamps, positions, quaternions)
     seen = [
-        observe(stamp, rotation_of(half_turn(0.3 * stamp, 1)), stamp * np.array([0.1, -0.2, 0.05]),
+        observe(stamp, rotation_matrix(0.0, 0.3 * stamp, 0.0), stamp * np.array([0.1, -0.2, 0.05]),
                 noise, index)
         for index, stamp in enumerate(np.arange(0.05, 1.9, 0.1))
     ]  # fmt: skip
     return seen, truth
 
 
-def test_quaternions_turn_as_roll_pitch_yaw_do():
-    for axis, angles in ((0, (0.4, 0, 0)), (1, (0, 0.4, 0)), (2, (0, 0, 0.4))):
-        found = rotation_of(2.0 * half_turn(0.4, axis))
-        np.testing.assert_allclose(found, rotation_matrix(*angles), atol=1e-12)
-
-
 def test_true_observations_agree_and_their_distance_is_their_noise():
-    found = study(*moving(0.02), gate=0.4)
+    found = observation_metrics(*moving(0.02), gate=0.4)
     assert found['frames'] == 19
     assert found['observations_mean'] == 30
     assert found['matches_mean'] == 30
@@ -66,13 +59,13 @@ def test_a_wrong_mounting_shows():
         LandmarkObservations(o.stamp, o.positions @ tilt, o.covariances, o.descriptors)
         for o in seen
     ]
-    assert study(tilted[::6], truth, 0.4)['matches_that_agree'] < 0.8
-    assert study(seen[::6], truth, 0.4)['matches_that_agree'] > 0.97
+    assert observation_metrics(tilted[::6], truth, 0.4)['matches_that_agree'] < 0.8
+    assert observation_metrics(seen[::6], truth, 0.4)['matches_that_agree'] > 0.97
 
 
 def test_without_truth_only_counts_are_told():
     seen, _ = moving(0.02)
-    found = study(seen, None, 0.4)
+    found = observation_metrics(seen, None, 0.4)
     assert 'matches_that_agree' not in found
     assert found['matches_mean'] == 30
 
@@ -81,10 +74,10 @@ def test_matches_are_mutual_and_within_the_gate():
     first = LandmarkObservations(0.0, LANDMARKS[:3], np.zeros((3, 3, 3)), DESCRIPTORS[:3])
     other = DESCRIPTORS[[2, 5, 0]]
     second = LandmarkObservations(0.1, LANDMARKS[:3], np.zeros((3, 3, 3)), other)
-    rows, partners = match(first, second, 0.4)
+    rows, partners = mutual_matches(first, second, 0.4)
     assert rows.tolist() == [0, 2]
     assert partners.tolist() == [2, 0]
-    assert match(first, LandmarkObservations.empty(0.2), 0.4)[0].size == 0
+    assert mutual_matches(first, LandmarkObservations.empty(0.2), 0.4)[0].size == 0
 
 
 @pytest.mark.data
