@@ -1,0 +1,199 @@
+"""Point-to-line alignment of a cloud with a surface map (PLICP; Censi, ICRA 2008)."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from explore_slam.compiled import kernel
+from explore_slam.geometry import Array, Pose2
+from explore_slam.registration.errors import RegistrationError
+from explore_slam.registration.surface_map import SurfaceMap, nearest_element
+
+_ITERATIONS = 25
+_FINEST = 1e-4  # m and rad (summed): a step below this ends the search
+_REACH_SHRINKS = 0.7  # per iteration
+_LEAST_REACH = 0.15  # m
+_CAUCHY = 0.05  # m, scale of the robust weight
+_MOST_RESIDUAL = 0.2  # m, in the root mean square
+_AGREEMENT = 0.7  # least cosine between the normals of a return and of its surface
+_FEWEST = 15
+# The residuals' standard deviation (m), and the share of the returns whose errors are
+# independent: neighbouring beams see the same unevenness. Of 0.1, 0.3 and 1.0 this drifts least
+# on the Intel, ACES and Belgioioso logs (benchmarks/laser_yardstick.py).
+RANGE_DEVIATION = 0.03
+INDEPENDENT_SHARE = 0.3
+# rad, standard deviation of a fitted normal: without it a featureless corridor seems to hold
+# information along its axis, which is nothing but noise of the normals.
+NORMAL_DEVIATION = 0.05
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Gaussian prior of the pose; information (3, 3) in the frame of the vehicle."""
+
+    pose: Pose2
+    information: Array
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Result of an alignment.
+
+    information (3, 3): of the geometry alone (no prior), in the vehicle frame at the pose;
+    share: part of the returns that have a surface within reach; rms (m): of their distances;
+    matched: their number.
+    """
+
+    pose: Pose2
+    information: Array
+    share: float
+    rms: float
+    matched: int
+
+    def weakest_direction(self) -> tuple[Array, float]:
+        """Return the least certain direction (2,) in the vehicle frame and its deviation (m).
+
+        In a corridor it is the axis. The deviation is infinite where nothing was measured.
+        """
+        values, vectors = np.linalg.eigh(_translation_information(self.information))
+        least = float(values[0])
+        return vectors[:, 0], 1.0 / math.sqrt(least) if least > 0.0 else math.inf
+
+
+def _translation_information(information: Array) -> Array:
+    """Return the marginal information (2, 2) of the translation."""
+    turn = information[2, 2]
+    if turn <= 0.0:
+        return information[:2, :2]
+    across = information[:2, 2]
+    marginal: Array = information[:2, :2] - np.outer(across, across) / turn
+    return marginal
+
+
+def align(
+    surface: SurfaceMap,
+    points: Array,
+    normals: Array,
+    start: Pose2,
+    reach: float,
+    prior: Prior | None = None,
+) -> Alignment | None:
+    """Return the pose of points (n, 2) with normals (n, 2) at which they lie on the surfaces.
+
+    reach (m): farthest surface of a return at first; it shrinks to 0.15 m. With a prior, what
+    the geometry leaves open stays as the prior has it. None if fewer than 15 returns match.
+    """
+    if not start.is_finite() or not reach > 0.0:
+        raise RegistrationError(f'start is {tuple(start)} and reach {reach}, expected finite > 0')
+    if len(points) < _FEWEST or not len(surface.points):
+        return None
+    at, information = start if prior is None else prior.pose, np.zeros((3, 3))
+    if prior is not None:
+        information = prior.information
+        if information.shape != (3, 3) or not np.isfinite(information).all():
+            raise RegistrationError('prior information is not a finite matrix of shape (3, 3)')
+    pose, hessian, matched, rms = _iterate(
+        surface,
+        points,
+        normals,
+        (start.x, start.y, start.theta),
+        reach,
+        (at.x, at.y, at.theta),
+        information,
+    )
+    if matched < _FEWEST:
+        return None
+    return Alignment(Pose2.from_array(pose), hessian, matched / len(points), rms, int(matched))
+
+
+@kernel
+def _iterate(
+    surface: SurfaceMap,
+    points: Array,
+    normals: Array,
+    start: tuple[float, float, float],
+    reach: float,
+    prior: tuple[float, float, float],
+    prior_information: Array,
+) -> tuple[Array, Array, int, float]:
+    """Gauss-Newton over the pose error in the vehicle frame, with matches anew in every step."""
+    pose = np.array(start)
+    information, matched, rms = np.zeros((3, 3)), 0, 0.0
+    for _ in range(_ITERATIONS):
+        A, b, matched, rms = _normal_equations(surface, points, normals, pose, reach)
+        if matched < _FEWEST:
+            break
+        information, b = _without_normal_noise(A, b)
+        # error of the prior in the vehicle frame
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        dx, dy = prior[0] - pose[0], prior[1] - pose[1]
+        turn = (prior[2] - pose[2] + math.pi) % (2.0 * math.pi) - math.pi
+        off = np.array([c * dx + s * dy, c * dy - s * dx, turn])
+        system = information + prior_information
+        for i in range(3):
+            system[i, i] += 1e-6
+        step = np.linalg.solve(system, b + prior_information @ off)
+        pose[0] += c * step[0] - s * step[1]
+        pose[1] += s * step[0] + c * step[1]
+        pose[2] += step[2]
+        settled = reach <= _LEAST_REACH
+        reach = max(reach * _REACH_SHRINKS, _LEAST_REACH)
+        if settled and np.abs(step).sum() < _FINEST:
+            break
+    return pose, information, matched, rms
+
+
+@kernel
+def _without_normal_noise(A: Array, b: Array) -> tuple[Array, Array]:
+    """Return A and b less the information that noise of the normals feigns.
+
+    Normals that scatter around one direction have components along the surface. These sum up
+    to NORMAL_DEVIATION² of the information across, all along the weakest direction v of the
+    translation: A' = A - d v vᵀ, with b' so that the solution of A' δ = b' remains A⁻¹ b.
+    """
+    turn = max(A[2, 2], 1e-9)
+    xx, yy = A[0, 0] - A[0, 2] ** 2 / turn, A[1, 1] - A[1, 2] ** 2 / turn
+    xy = A[0, 1] - A[0, 2] * A[1, 2] / turn
+    weakest = 0.5 * (xx + yy) - math.hypot(0.5 * (xx - yy), xy)
+    feigned = min(NORMAL_DEVIATION**2 * (A[0, 0] + A[1, 1]), max(weakest, 0.0))
+    heading = 0.5 * math.atan2(2.0 * xy, xx - yy) + 0.5 * math.pi
+    v = np.array([math.cos(heading), math.sin(heading), 0.0])
+    regular = A + 1e-6 * np.eye(3)
+    along = feigned * (v @ np.linalg.solve(regular, b))
+    return A - feigned * np.outer(v, v), b - along * v
+
+
+@kernel
+def _normal_equations(
+    surface: SurfaceMap, points: Array, normals: Array, pose: Array, reach: float
+) -> tuple[Array, Array, int, float]:
+    """Return A (3, 3), b (3,) of A δ = b, the returns matched and their root mean square (m)."""
+    A, b, matched, squares = np.zeros((3, 3)), np.zeros(3), 0, 0.0
+    scale = INDEPENDENT_SHARE / RANGE_DEVIATION**2
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    for n in range(len(points)):
+        px, py = points[n, 0], points[n, 1]
+        x, y = pose[0] + c * px - s * py, pose[1] + s * px + c * py
+        nx, ny = c * normals[n, 0] - s * normals[n, 1], s * normals[n, 0] + c * normals[n, 1]
+        k = nearest_element(surface, x, y, nx, ny, reach, _AGREEMENT)
+        if k < 0:
+            continue
+        nx, ny = surface.normals[k, 0], surface.normals[k, 1]
+        residual = nx * (surface.points[k, 0] - x) + ny * (surface.points[k, 1] - y)
+        matched += 1
+        squares += min(residual * residual, _MOST_RESIDUAL**2)
+        weight = scale / (1.0 + (residual / _CAUCHY) ** 2)
+        jx, jy = c * nx + s * ny, c * ny - s * nx
+        jt = jy * px - jx * py
+        A[0, 0] += weight * jx * jx
+        A[0, 1] += weight * jx * jy
+        A[0, 2] += weight * jx * jt
+        A[1, 1] += weight * jy * jy
+        A[1, 2] += weight * jy * jt
+        A[2, 2] += weight * jt * jt
+        b[0] += weight * jx * residual
+        b[1] += weight * jy * residual
+        b[2] += weight * jt * residual
+    A[1, 0], A[2, 0], A[2, 1] = A[0, 1], A[0, 2], A[1, 2]
+    return A, b, matched, math.sqrt(squares / max(matched, 1))

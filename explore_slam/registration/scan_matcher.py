@@ -1,0 +1,274 @@
+"""Laser odometry of one vehicle: each scan is registered with the last scans kept.
+
+A correlation over the window that the uncertainty of the odometry asks for finds the basin; a
+point-to-line alignment with the odometry as prior refines the pose (Olson 2009; Censi 2008).
+"""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from explore_slam.data import LaserScan
+from explore_slam.geometry import IDENTITY, Array, Pose2
+from explore_slam.registration.alignment import Alignment, Prior
+from explore_slam.registration.cloud import PointCloud, scan_cloud
+from explore_slam.registration.config import ScanMatchingConfig
+from explore_slam.registration.correlation import SearchWindow
+from explore_slam.registration.errors import RegistrationError
+from explore_slam.registration.local_map import LocalMap
+
+_LEAST_DEVIATIONS = np.array([1e-3, 1e-3, 1e-3])  # m, m, rad, of any motion
+_FEWEST_POINTS = 15
+# rad; at 6 m half a step is one cell of 0.05 m off, which the alignment makes good.
+_ANGLE_STEP = math.radians(1.5)
+_SIGMAS = 3.0  # the window covers the odometry's error
+_LEAST_WINDOW = (0.1, 0.03)  # m, rad
+_MOST_WINDOW = (0.6, 0.5)  # m, rad
+_LEAST_SCORE = 0.1
+# The score falls by this at two standard deviations of the odometry from the prediction.
+_PENALTY = 0.025
+_REACH = 0.4  # m, of the alignment at first
+# A pose this far (m, rad) from the odometry's is believed only if there is no other like it.
+_WIDE_OVERLAP = 0.6
+_MODES_APART = (0.5, math.radians(10.0))
+_OTHER_MODE = 0.92  # share of the best score at which another mode makes a match ambiguous
+_SURPRISE = 5.0  # Mahalanobis distance from the odometry above which a match is looked at twice
+_REFUSALS_UNTIL_RESTART = 3
+
+
+@dataclass(frozen=True)
+class ScanMatch:
+    """Where a scan was taken: vehicle pose in the odometry frame.
+
+    The error of the pose has two parts, covariances (3, 3) in the vehicle frame at the pose.
+    white: of this match alone, not shared with the matches before and after. drift: growth of
+    the error since the last match, a random walk: what the scan left open of the odometry's
+    error, and the slow drift of the window of scans.
+    information (3, 3): of the scan's geometry alone; overlap: share of the returns on known
+    surfaces; rms (m) of their distances; innovation: Mahalanobis distance from the odometry.
+    """
+
+    pose: Pose2
+    white: Array
+    drift: Array
+    information: Array
+    overlap: float
+    rms: float
+    innovation: float
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (3, 3) of the pose given an exact map: white error and drift together."""
+        return self.white + self.drift
+
+
+class Refusal(Enum):
+    """Why a scan has no match."""
+
+    FIRST = 'there are no scans to match with yet'
+    FEW_RETURNS = 'the scan has too few returns'
+    LITTLE_OVERLAP = 'too few returns lie on known surfaces'
+    AMBIGUOUS = 'the match is far from the odometry and not the only one'
+
+
+@dataclass(frozen=True)
+class RefusedScan:
+    """A scan without a match, and the pose by the odometry."""
+
+    reason: Refusal
+    pose: Pose2
+
+
+class ScanMatcher:
+    """The last scans kept of one vehicle, in its odometry frame, and the search in them."""
+
+    def __init__(self, config: ScanMatchingConfig) -> None:
+        self.config = config
+        self._kept: deque[PointCloud] = deque(maxlen=config.matching_window)  # placed
+        self._last_kept = IDENTITY
+        self._refused: tuple[PointCloud, Pose2] | None = None
+        self._refusals = 0
+        self._map: LocalMap | None = None
+
+    @property
+    def started(self) -> bool:
+        """Tell whether there are scans to match with."""
+        return bool(self._kept)
+
+    def reset(self) -> None:
+        """Forget all scans: the vehicle has been lifted, or time has jumped."""
+        self._kept.clear()
+        self._refused, self._refusals, self._map = None, 0, None
+
+    def match(
+        self,
+        scan: LaserScan,
+        laser: Pose2,
+        prior: Pose2,
+        covariance: Array,
+        *,
+        beam_times: Array | None = None,
+        twist: ArrayLike | None = None,
+        bodies: Sequence[tuple[float, float, float]] = (),
+    ) -> ScanMatch | RefusedScan:
+        """Return the pose of the vehicle at a scan, or why there is none.
+
+        laser: its pose on the vehicle; prior: pose by the odometry, with covariance (3, 3) of
+        the motion since the last match in the vehicle frame. beam_times (B,) s and twist (3,)
+        m/s, m/s, rad/s undo the motion within the sweep. bodies: discs (x, y, radius) in the
+        vehicle frame that hide other vehicles.
+        """
+        cloud = scan_cloud(scan, laser, self.config.matching_range, beam_times)
+        if twist is not None:
+            cloud = cloud.deskewed(twist)
+        return self.match_cloud(cloud.masked(bodies), prior, covariance)
+
+    def match_cloud(
+        self, cloud: PointCloud, prior: Pose2, covariance: Array
+    ) -> ScanMatch | RefusedScan:
+        """Return the pose of the vehicle at a cloud of its frame; see match."""
+        _check_prior(prior, covariance)
+        if len(cloud) < _FEWEST_POINTS:
+            return RefusedScan(Refusal.FEW_RETURNS, prior)
+        if not self._kept:
+            self._keep(cloud, prior)
+            return RefusedScan(Refusal.FIRST, prior)
+        found = self._match(self._local_map(), cloud, prior, covariance)
+        if isinstance(found, RefusedScan) and self._refused is not None:
+            # The vehicle may have entered a place that only the refused scan has seen.
+            alone = LocalMap.of([self._refused[0]], [self._refused[1]])
+            again = self._match(alone, cloud, prior, covariance)
+            if isinstance(again, ScanMatch):
+                self._restart(*self._refused)
+                found = again
+        if isinstance(found, RefusedScan):
+            self._refuse(cloud, prior)
+            return found
+        self._refused, self._refusals = None, 0
+        if self._moved_on(found.pose):
+            self._keep(cloud, found.pose)
+        return found
+
+    def _refuse(self, cloud: PointCloud, prior: Pose2) -> None:
+        """Hold a refused scan beside the map: its pose is the odometry's, not a match."""
+        self._refused = (cloud, prior)
+        self._refusals += 1
+        if self._refusals >= _REFUSALS_UNTIL_RESTART:
+            self._restart(cloud, prior)
+
+    def _restart(self, cloud: PointCloud, pose: Pose2) -> None:
+        """Begin the map anew with one scan: the scans before it are out of sight."""
+        self.reset()
+        self._keep(cloud, pose)
+
+    def _keep(self, cloud: PointCloud, pose: Pose2) -> None:
+        self._kept.append(cloud.moved(pose))
+        self._last_kept, self._map = pose, None
+
+    def _moved_on(self, pose: Pose2) -> bool:
+        moved = self._last_kept.between(pose)
+        return (
+            math.hypot(moved.x, moved.y) > self.config.window_distance
+            or abs(moved.theta) > self.config.window_heading
+        )
+
+    def _local_map(self) -> LocalMap:
+        if self._map is None:
+            self._map = LocalMap(list(self._kept))
+        return self._map
+
+    def _match(
+        self, local_map: LocalMap, cloud: PointCloud, prior: Pose2, covariance: Array
+    ) -> ScanMatch | RefusedScan:
+        """Search near the odometry first, and in the widest window where nothing fits there."""
+        covariance = covariance + np.diag(_LEAST_DEVIATIONS**2)
+        found = _register(local_map, cloud, prior, covariance, _window(prior, covariance))
+        if found is not None and found.share >= self.config.matching_overlap:
+            match = _scan_match(found, prior, covariance, len(self._kept))
+            if match.innovation < _SURPRISE or match.overlap >= _WIDE_OVERLAP:
+                return match
+        window = SearchWindow(prior, *_MOST_WINDOW)
+        slipped = np.diag([*_MOST_WINDOW[:1] * 2, _MOST_WINDOW[1]]) ** 2
+        found = _register(local_map, cloud, prior, slipped, window)
+        if found is None or found.share < _WIDE_OVERLAP:
+            return RefusedScan(Refusal.LITTLE_OVERLAP, prior)
+        if _is_ambiguous(local_map, cloud, window, found.pose):
+            return RefusedScan(Refusal.AMBIGUOUS, prior)
+        return _scan_match(found, prior, slipped, len(self._kept))
+
+
+def _check_prior(prior: Pose2, covariance: Array) -> None:
+    if not prior.is_finite():
+        raise RegistrationError(f'prior is {tuple(prior)}, expected finite values')
+    if covariance.shape != (3, 3) or not np.isfinite(covariance).all():
+        raise RegistrationError(
+            f'covariance of the prior has shape {covariance.shape} or is not finite, '
+            'expected a finite (3, 3)'
+        )
+    if np.diag(covariance).min() < 0.0:
+        raise RegistrationError('covariance of the prior has a negative variance')
+
+
+def _window(prior: Pose2, covariance: Array) -> SearchWindow:
+    """Return the window of 3 standard deviations of the odometry, within limits."""
+    position = math.sqrt(max(covariance[0, 0], covariance[1, 1]))
+    heading = math.sqrt(covariance[2, 2])
+    return SearchWindow(
+        prior,
+        min(_SIGMAS * position + _LEAST_WINDOW[0], _MOST_WINDOW[0]),
+        min(_SIGMAS * heading + _LEAST_WINDOW[1], _MOST_WINDOW[1]),
+        _ANGLE_STEP,
+        position_penalty=_PENALTY / (2.0 * position) ** 2,
+        heading_penalty=_PENALTY / (2.0 * heading) ** 2,
+    )
+
+
+def _register(
+    local_map: LocalMap,
+    cloud: PointCloud,
+    prior: Pose2,
+    covariance: Array,
+    window: SearchWindow,
+) -> Alignment | None:
+    """Correlate, then align from the peak with the odometry as prior."""
+    peak = local_map.find_peak(cloud.query_points, window, _LEAST_SCORE)
+    start = prior if peak is None else peak.pose
+    return local_map.align(cloud, start, _REACH, Prior(prior, np.linalg.inv(covariance)))
+
+
+def _is_ambiguous(
+    local_map: LocalMap, cloud: PointCloud, window: SearchWindow, pose: Pose2
+) -> bool:
+    points = cloud.query_points
+    score = local_map.score_profile(points, pose, (1.0, 0.0), np.zeros(1))[0]
+    other = local_map.find_other_mode(points, window, pose, _MODES_APART, _OTHER_MODE * score)
+    return other is not None
+
+
+def _scan_match(found: Alignment, prior: Pose2, covariance: Array, kept: int) -> ScanMatch:
+    """Split the error of the pose into that of the scan and that of the odometry (Joseph form).
+
+    With the scan's information A and the odometry's covariance P, the error after the match has
+    covariance C = (A + P⁻¹)⁻¹ = C A C + C P⁻¹ C. The first term is the scan's own: white. The
+    second is what is left of the odometry's: a random walk. The window's frame is the mean of
+    the poses of n kept scans and moves by 2 / (n + 1) of each one's error.
+    """
+    certainty = np.linalg.inv(covariance)
+    left = np.linalg.inv(found.information + certainty)
+    white = left @ found.information @ left
+    drift = left @ certainty @ left + (2.0 / (kept + 1.0)) ** 2 * white
+    off = np.asarray(prior.between(found.pose))
+    return ScanMatch(
+        found.pose,
+        white,
+        drift,
+        found.information,
+        found.share,
+        found.rms,
+        math.sqrt(max(float(off @ certainty @ off), 0.0)),
+    )

@@ -1,0 +1,90 @@
+"""Point-to-line alignment: accuracy, the prior, and what the geometry leaves open."""
+
+import math
+
+import numpy as np
+import pytest
+from registration.ray_caster import box, polyline, scan_of
+
+from explore_slam.geometry import IDENTITY, Pose2
+from explore_slam.registration import LocalMap, Prior, RegistrationError, scan_cloud
+
+ROOM = np.vstack([box(-3.0, -2.0, 3.0, 2.0), polyline((1.0, -2.0), (1.0, -0.5))])
+CORRIDOR = np.vstack([polyline((-50.0, 1.0), (50.0, 1.0)), polyline((-50.0, -1.0), (50.0, -1.0))])
+
+
+def map_of(world, *poses, seed=0):
+    random = np.random.default_rng(seed)
+    return LocalMap.of([scan_cloud(scan_of(world, p, 0.01, random)) for p in poses], poses)
+
+
+@pytest.mark.parametrize('start', [(0.1, 0.05, 0.06), (-0.15, 0.1, -0.1), (0.2, -0.15, 0.05)])
+def test_a_wrong_start_is_put_right(start):
+    local_map = map_of(ROOM, IDENTITY, Pose2(0.3, 0.1, 0.3), Pose2(-0.2, 0.2, -0.4))
+    true = Pose2(0.2, -0.1, 0.15)
+    cloud = scan_cloud(scan_of(ROOM, true, 0.01, np.random.default_rng(9)))
+    found = local_map.align(cloud, true.compose(Pose2(*start)), 0.4)
+    off = np.abs(true.between(found.pose))
+    assert off[:2].max() < 0.008
+    assert off[2] < 0.003
+    assert found.share > 0.95
+    assert found.rms < 0.02
+
+
+def test_errors_are_about_as_large_as_the_information_says():
+    """The information allows for errors that beams share, so independent noise is below it."""
+    local_map = map_of(ROOM, *[Pose2(0.1 * k, 0.0, 0.1 * k) for k in range(-3, 4)])
+    true, distances = Pose2(0.1, -0.1, 0.1), []
+    for seed in range(40):
+        cloud = scan_cloud(scan_of(ROOM, true, 0.02, np.random.default_rng(seed)))
+        found = local_map.align(cloud, true, 0.3)
+        off = np.array(found.pose.between(true))
+        distances.append(off @ found.information @ off)
+    assert 0.05 < np.mean(distances) < 6.0
+
+
+def test_along_a_corridor_the_prior_is_believed_and_the_information_says_so():
+    local_map = map_of(CORRIDOR, IDENTITY, Pose2(0.4, 0.0, 0.0), Pose2(0.8, 0.0, 0.0))
+    cloud = scan_cloud(scan_of(CORRIDOR, Pose2(1.2, 0.0, 0.0), 0.01, np.random.default_rng(3)))
+    prior = Pose2(1.0, 0.06, 0.04)
+    certainty = np.diag([1 / 0.1**2, 1 / 0.1**2, 1 / 0.1**2])
+    found = local_map.align(cloud, prior, 0.4, Prior(prior, certainty))
+    assert found.pose.x == pytest.approx(1.0, abs=0.02)
+    assert found.pose.y == pytest.approx(0.0, abs=0.005)
+    assert found.pose.theta == pytest.approx(0.0, abs=0.003)
+    direction, deviation = found.weakest_direction()
+    assert abs(direction[0]) > 0.99
+    assert deviation > 0.2
+    assert 1.0 / math.sqrt(found.information[1, 1]) < 0.02
+
+
+def test_the_two_faces_of_a_thin_wall_are_not_taken_for_each_other():
+    wall = np.vstack([polyline((-3.0, 0.0), (3.0, 0.0)), polyline((-3.0, 0.1), (3.0, 0.1))])
+    sides = np.vstack([polyline((-3.0, -4.0), (-3.0, 4.0)), polyline((3.0, -4.0), (3.0, 4.0))])
+    world = np.vstack([wall, sides])
+    local_map = map_of(world, Pose2(0.0, -1.5, math.pi / 2))
+    behind = Pose2(0.0, 1.5, -math.pi / 2)
+    cloud = scan_cloud(scan_of(world, behind))
+    found = local_map.align(cloud, behind, 0.4)
+    assert found is None or abs(found.pose.y - 1.5) < 0.02
+
+
+def test_too_few_matches_give_no_pose():
+    local_map = map_of(ROOM, IDENTITY)
+    cloud = scan_cloud(scan_of(ROOM, IDENTITY))
+    assert local_map.align(cloud, Pose2(40.0, 0.0, 0.0), 0.4) is None
+    assert local_map.align(cloud.only(np.arange(len(cloud)) < 10), IDENTITY, 0.4) is None
+
+
+def test_bad_input_is_named():
+    local_map, cloud = map_of(ROOM, IDENTITY), scan_cloud(scan_of(ROOM, IDENTITY))
+    with pytest.raises(RegistrationError, match='start'):
+        local_map.align(cloud, Pose2(math.nan, 0.0, 0.0), 0.4)
+    with pytest.raises(RegistrationError, match='reach'):
+        local_map.align(cloud, IDENTITY, 0.0)
+    with pytest.raises(RegistrationError, match='prior information'):
+        local_map.align(cloud, IDENTITY, 0.4, Prior(IDENTITY, np.eye(2)))
+    with pytest.raises(RegistrationError, match='one pose per cloud'):
+        LocalMap.of([cloud], [])
+    with pytest.raises(RegistrationError, match='one cloud or more'):
+        LocalMap([])

@@ -1,0 +1,215 @@
+"""Laser odometry: matches where the wheels are far off, refusals, and an honest error."""
+
+import math
+
+import numpy as np
+import pytest
+from registration.ray_caster import box, polyline, scan_of
+
+from explore_slam.data import LaserScan
+from explore_slam.geometry import IDENTITY, Pose2
+from explore_slam.registration import (
+    Refusal,
+    RefusedScan,
+    RegistrationError,
+    ScanMatch,
+    ScanMatcher,
+    ScanMatchingConfig,
+)
+
+ROOM = np.vstack(
+    [box(-4.0, -3.0, 4.0, 3.0), polyline((1.0, -3.0), (1.0, -1.0), (2.0, -1.0)),
+     box(-2.5, 1.0, -1.5, 2.0)]
+)  # fmt: skip
+CORRIDOR = np.vstack([polyline((-50.0, 1.0), (50.0, 1.0)), polyline((-50.0, -1.0), (50.0, -1.0))])
+WHEELS = np.diag([0.05, 0.05, 0.05]) ** 2
+
+
+def started(world, pose=IDENTITY):
+    matcher = ScanMatcher(ScanMatchingConfig())
+    first = matcher.match(scan_of(world, pose), IDENTITY, pose, WHEELS)
+    assert first == RefusedScan(Refusal.FIRST, pose)
+    assert matcher.started
+    return matcher
+
+
+@pytest.mark.parametrize('turn', [math.radians(10.0), math.radians(-10.0)])
+@pytest.mark.parametrize('shift', [(0.5, 0.0), (-0.3, 0.4), (0.0, -0.5)])
+def test_wheels_that_are_off_by_half_a_metre_and_ten_degrees_are_put_right(shift, turn):
+    """Also where the wheels claim to be far better than they are."""
+    true = Pose2(0.3, -0.2, 0.2)
+    prior = Pose2(true.x + shift[0], true.y + shift[1], true.theta + turn)
+    for deviation in (0.2, 0.03):
+        matcher = started(ROOM)
+        scan = scan_of(ROOM, true, 0.01, np.random.default_rng(5))
+        match = matcher.match(scan, IDENTITY, prior, deviation**2 * np.eye(3))
+        assert isinstance(match, ScanMatch)
+        off = np.abs(true.between(match.pose))
+        assert off[:2].max() < 0.02
+        assert off[2] < 0.01
+        assert match.overlap > 0.8
+        assert np.sqrt(np.diag(match.covariance)).max() < 0.05
+
+
+def test_the_mount_of_the_laser_counts():
+    laser, matcher = Pose2(0.2, 0.0, 0.3), ScanMatcher(ScanMatchingConfig())
+    matcher.match(scan_of(ROOM, laser), laser, IDENTITY, WHEELS)
+    true, prior = Pose2(0.1, 0.1, -0.2), Pose2(0.0, 0.0, -0.1)
+    match = matcher.match(scan_of(ROOM, true.compose(laser)), laser, prior, WHEELS)
+    np.testing.assert_allclose(match.pose, true, atol=0.01)
+
+
+def test_along_a_corridor_the_error_of_the_wheels_stays_and_is_a_random_walk():
+    matcher = started(CORRIDOR)
+    prior, random = Pose2(0.5, 0.08, 0.05), np.random.default_rng(2)
+    match = matcher.match(
+        scan_of(CORRIDOR, Pose2(0.6, 0.0, 0.0), 0.01, random), IDENTITY, prior, WHEELS
+    )
+    assert match.pose.x == pytest.approx(0.5, abs=0.02)
+    assert match.pose.y == pytest.approx(0.0, abs=0.01)
+    assert match.pose.theta == pytest.approx(0.0, abs=0.005)
+    drift, white = np.sqrt(np.diag(match.drift)), np.sqrt(np.diag(match.white))
+    assert drift[0] > 0.7 * 0.05
+    assert drift[1] < 0.3 * 0.05
+    assert white[0] < drift[0]
+    matcher = started(ROOM)
+    for x in (0.25, 0.5, 0.75, 1.0):
+        pose = Pose2(x, 0.0, 0.0)
+        in_room = matcher.match(scan_of(ROOM, pose), IDENTITY, pose, WHEELS)
+    assert (np.diag(in_room.drift) < 0.5 * np.diag(in_room.white)).all()
+
+
+def test_what_lies_on_nothing_known_is_refused_and_does_not_enter_the_map():
+    matcher = started(ROOM)
+    elsewhere = scan_of(box(-0.7, -9.0, 0.9, 12.0), IDENTITY)
+    refused = matcher.match(elsewhere, IDENTITY, Pose2(0.3, 0.0, 0.0), WHEELS)
+    assert refused == RefusedScan(Refusal.LITTLE_OVERLAP, Pose2(0.3, 0.0, 0.0))
+    back = matcher.match(scan_of(ROOM, IDENTITY), IDENTITY, Pose2(0.1, 0.0, 0.05), WHEELS)
+    np.testing.assert_allclose(back.pose, IDENTITY, atol=0.01)
+    assert back.overlap > 0.95
+
+
+def test_a_place_that_only_a_refused_scan_has_seen_is_matched_with_that_scan():
+    """The vehicle goes through a door: nothing of the old map is in sight any more."""
+    matcher = started(ROOM)
+    beyond = box(20.0, -2.0, 26.0, 2.5)
+    first, second = Pose2(22.0, 0.0, 0.0), Pose2(22.3, 0.1, 0.1)
+    refused = matcher.match(scan_of(beyond, first), IDENTITY, first, WHEELS)
+    assert isinstance(refused, RefusedScan)
+    prior = second.compose(Pose2(0.05, -0.04, 0.05))
+    match = matcher.match(scan_of(beyond, second), IDENTITY, prior, WHEELS)
+    np.testing.assert_allclose(match.pose, second, atol=0.01)
+
+
+@pytest.mark.parametrize('value', [np.inf, -np.inf, np.nan, 0.0])
+def test_scans_without_returns_change_nothing(value):
+    matcher = started(ROOM)
+    empty = LaserScan(1.0, -1.5, 0.01, np.full(300, value, np.float32), 0.0, 8.0)
+    for _ in range(5):
+        refused = matcher.match(empty, IDENTITY, IDENTITY, WHEELS)
+        assert refused == RefusedScan(Refusal.FEW_RETURNS, IDENTITY)
+    after = matcher.match(scan_of(ROOM, IDENTITY), IDENTITY, Pose2(0.05, 0.0, 0.0), WHEELS)
+    np.testing.assert_allclose(after.pose, IDENTITY, atol=0.005)
+
+
+def test_a_drive_drifts_far_less_than_the_wheels_and_its_error_is_as_told():
+    """The chain of drifts explains the error of the end, the white errors that of each pose."""
+    noise = np.array([0.02, 0.01, 0.02])
+    distances, ends = [], []
+    for seed in range(4):
+        random = np.random.default_rng(seed)
+        matcher, true, chain, wheels = (
+            ScanMatcher(ScanMatchingConfig()),
+            IDENTITY,
+            IDENTITY,
+            IDENTITY,
+        )
+        walk = np.zeros((3, 3))
+        for step in range(80):
+            move = Pose2(0.08 if step % 40 < 20 else -0.08, 0.0, 0.12 if step % 30 < 15 else -0.12)
+            told = Pose2(*(np.array(move) + noise * random.normal(size=3)))
+            true, wheels, prior = true.compose(move), wheels.compose(told), chain.compose(told)
+            result = matcher.match(
+                scan_of(ROOM, true, 0.01, random), IDENTITY, prior, np.diag(noise**2)
+            )
+            chain = result.pose
+            if isinstance(result, ScanMatch):
+                turn = np.eye(3)
+                c, s = math.cos(chain.theta), math.sin(chain.theta)
+                turn[:2, :2] = [[c, -s], [s, c]]
+                walk += turn @ result.drift @ turn.T
+        assert isinstance(result, ScanMatch)
+        off = np.array(chain) - true
+        total = walk + turn @ result.white @ turn.T
+        distances.append(off @ np.linalg.solve(total, off))
+        ends.append((math.hypot(*off[:2]), math.hypot(wheels.x - true.x, wheels.y - true.y)))
+    matched, dead_reckoned = np.mean(ends, axis=0)
+    assert matched < 0.03
+    assert matched < 0.2 * dead_reckoned
+    assert 0.05 < np.mean(distances) < 8.0
+
+
+def test_the_motion_within_a_sweep_is_undone():
+    twist, beams, seconds = np.array([0.4, 0.0, 0.9]), 181, 0.2
+    times = np.linspace(0.0, seconds, beams)
+    true, matcher = Pose2(0.2, 0.1, 0.3), started(ROOM)
+    ranges = np.empty(beams, np.float32)
+    for k, t in enumerate(times):
+        ranges[k] = scan_of(ROOM, true.compose(Pose2(*(twist * t)))).ranges[k]
+    still = scan_of(ROOM, true)
+    scan = LaserScan(0.0, still.angle_min, still.angle_increment, ranges, 0.0, 30.0)
+    skewed = matcher.match(scan, IDENTITY, true, WHEELS)
+    matcher = started(ROOM)
+    undone = matcher.match(scan, IDENTITY, true, WHEELS, beam_times=times, twist=twist)
+    assert abs(skewed.pose.theta - true.theta) > 0.05
+    np.testing.assert_allclose(undone.pose, true, atol=0.01)
+
+
+def test_other_vehicles_are_masked():
+    matcher = started(ROOM)
+    body = np.vstack([ROOM, box(0.8, -0.6, 1.4, 0.6)])
+    true = Pose2(0.1, 0.0, 0.0)
+    hidden = matcher.match(
+        scan_of(body, true), IDENTITY, IDENTITY, WHEELS, bodies=[(1.0, 0.0, 0.8)]
+    )
+    assert hidden.overlap > 0.97
+    np.testing.assert_allclose(hidden.pose, true, atol=0.01)
+
+
+def test_forgotten_scans_are_not_matched_with():
+    matcher = started(ROOM)
+    matcher.reset()
+    assert not matcher.started
+    refused = matcher.match(scan_of(ROOM, IDENTITY), IDENTITY, IDENTITY, WHEELS)
+    assert refused.reason is Refusal.FIRST
+
+
+def test_results_are_the_same_bit_for_bit():
+    def poses():
+        matcher, random = ScanMatcher(ScanMatchingConfig()), np.random.default_rng(3)
+        return [
+            matcher.match(
+                scan_of(ROOM, Pose2(0.1 * k, 0.0, 0.05 * k), 0.02, random),
+                IDENTITY, Pose2(0.11 * k, 0.0, 0.04 * k), WHEELS,
+            ).pose
+            for k in range(6)
+        ]  # fmt: skip
+
+    assert poses() == poses()
+
+
+@pytest.mark.parametrize(
+    ('prior', 'covariance', 'message'),
+    [
+        (Pose2(math.nan, 0.0, 0.0), WHEELS, 'prior is'),
+        (IDENTITY, np.full((3, 3), np.nan), 'covariance'),
+        (IDENTITY, np.eye(2), r'shape \(2, 2\)'),
+        (IDENTITY, np.diag([1.0, -1.0, 1.0]), 'negative variance'),
+    ],
+)
+def test_bad_input_is_named_and_changes_nothing(prior, covariance, message):
+    matcher = started(ROOM)
+    with pytest.raises(RegistrationError, match=message):
+        matcher.match(scan_of(ROOM, IDENTITY), IDENTITY, prior, covariance)
+    match = matcher.match(scan_of(ROOM, IDENTITY), IDENTITY, IDENTITY, WHEELS)
+    np.testing.assert_allclose(match.pose, IDENTITY, atol=1e-3)
