@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from explore_slam.data import LaserScan
-from explore_slam.geometry import IDENTITY, Array, Pose2
+from explore_slam.geometry import IDENTITY, Array, Pose2, moved_enough
 from explore_slam.registration.alignment import Alignment, Prior
 from explore_slam.registration.cloud import PointCloud, scan_cloud
 from explore_slam.registration.config import ScanMatchingConfig
@@ -172,10 +172,7 @@ class ScanMatcher:
 
     def _moved_on(self, pose: Pose2) -> bool:
         moved = self._last_kept.between(pose)
-        return (
-            math.hypot(moved.x, moved.y) > self.config.window_distance
-            or abs(moved.theta) > self.config.window_heading
-        )
+        return moved_enough(moved, self.config.window_distance, self.config.window_heading)
 
     def _local_map(self) -> LocalMap:
         if self._map is None:
