@@ -1,7 +1,7 @@
-"""The agent's state as a file: belief, scans with their keyframes, where vehicles are.
+"""The agent's state as a file: the filter, and the scans with their keyframes.
 
-One npz, written whole or not at all; nothing in it is code. Odometry frames do not survive a
-restart of the bases, so after loading each vehicle goes on from the pose it had.
+One npz file, written atomically, without pickled objects. Odometry is not stored, since its frame
+does not survive a restart of the bases: after loading, each vehicle continues from its pose.
 """
 
 from pathlib import Path
@@ -21,7 +21,7 @@ VERSION = 1
 
 
 def save(path: Path, belief: TeamBelief, laser_map: LaserMap) -> None:
-    """Write the state; AgentError where it cannot be written."""
+    """Write the state; AgentError if it cannot be written."""
     state = {'agent_version': np.array(VERSION)}
     state |= checkpoint.under('belief', belief.state_dict())
     state |= checkpoint.under('scans', _scans_state(laser_map, list(belief.vehicles)))
@@ -33,7 +33,7 @@ def save(path: Path, belief: TeamBelief, laser_map: LaserMap) -> None:
 
 
 def load(path: Path, config: GridConfig) -> tuple[TeamBelief, LaserMap]:
-    """Read belief and scans; AgentError where the file is missing, truncated or another's."""
+    """Read filter and scans; AgentError if the file is missing, truncated or of another kind."""
     try:
         state = checkpoint.read(path)
         version = int(state.get('agent_version', np.array(-1)))
@@ -49,6 +49,7 @@ def load(path: Path, config: GridConfig) -> tuple[TeamBelief, LaserMap]:
 
 
 def _scans_state(laser_map: LaserMap, vehicles: list[str]) -> State:
+    """Return the scans of a laser map as arrays; vehicles by their index in the list."""
     scans, numbers, bodies = [], [], []
     for row, item in enumerate(laser_map.scans):
         scan = item.scan
@@ -68,6 +69,7 @@ def _scans_state(laser_map: LaserMap, vehicles: list[str]) -> State:
 
 
 def _laser_map(state: State, vehicles: list[str], config: GridConfig) -> LaserMap:
+    """Return the laser map of the arrays that _scans_state made."""
     laser_map = LaserMap(config)
     bodies: dict[int, list[Body]] = {}
     for row, keyframe, x, y, theta, radius in state['bodies'].tolist():

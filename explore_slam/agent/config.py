@@ -1,4 +1,4 @@
-"""The whole configuration of the agent: one tree, from which parameters, files, options derive."""
+"""The configuration of the agent; parameters, settings files and options derive from it."""
 
 from dataclasses import dataclass
 
@@ -12,33 +12,45 @@ from explore_slam.vision import VisionConfig
 
 @dataclass(frozen=True)
 class InputConfig(Section):
-    """What the agent accepts from its vehicles."""
+    """Which records the agent accepts from its vehicles, and when it gives a vehicle up."""
 
-    odometry_span: float = setting(
-        30.0, 'odometry is kept for this long', unit='s', low=1.0, high=3600.0
+    odometry_duration: float = setting(
+        30.0, 'Time for which odometry is kept', unit='s', low=1.0, high=3600.0
     )
-    maximum_speed: float = setting(
+    odometry_jump_speed: float = setting(
         3.0,
-        'odometry that moves faster is taken for a reset of the base',
+        'Odometry that moves faster is treated as a reset of the base, not as motion',
         unit='m/s',
         low=0.1,
         high=100.0,
+        tier='basic',
     )
-    clock_jump: float = setting(
-        1.0, 'stamps that go back further than this are a new time', unit='s', low=0.01, high=1e6
+    clock_jump_threshold: float = setting(
+        1.0,
+        'Odometry stamps that go back by this or more belong to a restarted clock',
+        unit='s',
+        low=0.01,
+        high=1e6,
     )
-    waiting_observations: int = setting(
-        50, 'observations that may wait for odometry, per vehicle', low=1, high=10000
+    measurement_queue_length: int = setting(
+        50, 'Measurements per vehicle that may wait for odometry', low=1, high=10000
     )
     silent_timeout: float = setting(
-        3.0, 'a vehicle without odometry for longer is silent', unit='s', low=0.1, high=3600.0
+        3.0,
+        'A vehicle without odometry for longer is silent and gets no target',
+        unit='s',
+        low=0.1,
+        high=3600.0,
+        tier='basic',
     )
     lost_deviation: float = setting(
         1.0,
-        'a vehicle whose position is less certain (standard deviation) is lost',
+        'A vehicle is lost, and gets no target, when the largest standard deviation of its '
+        'position exceeds this',
         unit='m',
         low=0.05,
         high=100.0,
+        tier='basic',
     )
 
 
@@ -46,18 +58,22 @@ class InputConfig(Section):
 class ScanConfig(Section):
     """Which scans enter the occupancy grid."""
 
-    scan_distance: float = setting(
-        0.1, 'a scan is kept after this way', unit='m', low=0.0, high=10.0
+    map_scan_distance: float = setting(
+        0.1, 'Minimum travel between mapped scans', unit='m', low=0.0, high=10.0
     )
-    scan_heading: float = setting(
-        0.1, 'a scan is kept after this turn', unit='rad', low=0.0, high=6.3
+    map_scan_heading: float = setting(
+        0.1, 'Minimum change of heading between mapped scans', unit='rad', low=0.0, high=6.3
     )
-    scan_gap: float = setting(
-        2.0, 'a scan is kept after this time anyway', unit='s', low=0.0, high=3600.0
+    map_scan_period: float = setting(
+        2.0,
+        'Time after which a scan is mapped even if the vehicle has not moved',
+        unit='s',
+        low=0.0,
+        high=3600.0,
     )
     body_margin: float = setting(
         0.12,
-        'beams that end this near the body of another vehicle are no wall',
+        'Beams that end within this distance of the body of another vehicle are not obstacles',
         unit='m',
         low=0.0,
         high=2.0,

@@ -1,4 +1,4 @@
-"""Where the team goes next: the planner fed with what the agent knows, and people's requests."""
+"""Planning for the agent's team: feeds the planner, and carries out the operator's requests."""
 
 from dataclasses import replace
 
@@ -13,9 +13,15 @@ from explore_slam.exploration import (
     VehicleSnapshot,
 )
 
+_BLOCKED = 'blocked'  # first word of a path follower's report that it cannot proceed
+
 
 class TeamPlanner:
-    """Plans for the agent's vehicles; explores unless paused or called home."""
+    """Plans for the vehicles of an agent; explores unless paused or called home.
+
+    mode: what the operator asked for.
+    result: of the last planning cycle.
+    """
 
     def __init__(self, agent: Agent) -> None:
         self._agent = agent
@@ -25,20 +31,20 @@ class TeamPlanner:
         self.result = PlanningResult(ExplorationStatus.STARTED, 'nothing searched yet')
 
     def configure(self, config: ExplorationConfig) -> None:
-        """Go on with other settings; targets and black list start anew."""
+        """Replace the settings; if they differ, targets and blacklist are forgotten."""
         if config != self._planner.config:
             self._planner = Planner(config)
 
     def pause(self, paused: bool) -> None:
-        """Let the vehicles stand, or explore again."""
+        """Stop all vehicles, or explore again."""
         self.mode = PlanningMode.PAUSED if paused else PlanningMode.EXPLORE
 
     def return_home(self) -> None:
-        """Send every vehicle to where it started."""
+        """Send every vehicle to its start pose."""
         self.mode = PlanningMode.RETURN_HOME
 
     def reset(self) -> None:
-        """Forget targets, black list and mode."""
+        """Forget targets, blacklist and mode."""
         self._planner = Planner(self._agent.config.exploration)
         self._searched = False
         self.mode = PlanningMode.EXPLORE
@@ -46,19 +52,20 @@ class TeamPlanner:
             track.plan = None
 
     def report_follower(self, vehicle: str, text: str, now: float) -> None:
-        """Take what a path follower says ('driving', 'blocked: why', ...)."""
-        track = self._agent.tracks[vehicle]
-        newly = text.startswith('blocked') and not track.follower.startswith('blocked')
+        """Take the report of a path follower ('driving', 'blocked: reason', ...) at a time (s)."""
+        track = self._agent.track(vehicle)
+        newly = text.startswith(_BLOCKED) and not track.follower.startswith(_BLOCKED)
         if newly and track.plan is not None:
             self._planner.report_blocked(vehicle, track.plan.goal, now)
         track.follower = text
 
     def plan(self, now: float) -> PlanningResult:
-        """Search frontiers, choose targets, make paths; the agent's tracks carry the plans."""
+        """Run one planning cycle at a time (s) and store plan and state in the agent's tracks."""
         vehicles = {status.vehicle: self._snapshot(status) for status in self._agent.statuses()}
         result = self._planner.plan(self._agent.grid, now, vehicles, self.mode)
         if not result.searched and not self._searched and self.mode is not PlanningMode.PAUSED:
-            result = replace(result, status=ExplorationStatus.STARTED)  # no map yet: no pause
+            # without a map the exploration has not begun, which is not a pause
+            result = replace(result, status=ExplorationStatus.STARTED)
         self._searched |= result.searched
         for name, track in self._agent.tracks.items():
             track.plan = result.plans.get(name)
@@ -72,7 +79,7 @@ class TeamPlanner:
         return VehicleSnapshot(self._agent.map_pose(status.vehicle), active, home)
 
     def _state(self, vehicle: str, result: PlanningResult) -> VehicleState:
-        if self._agent.tracks[vehicle].follower.startswith('blocked'):
+        if self._agent.track(vehicle).follower.startswith(_BLOCKED):
             return VehicleState.BLOCKED
         if vehicle in result.plans:
             returning = result.status is ExplorationStatus.RETURNING

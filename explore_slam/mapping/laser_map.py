@@ -1,9 +1,9 @@
-"""The grid drawn along the best particle's own path, redrawn from where lineages part.
+"""Occupancy grid along the best particle's path, redrawn from where that path changed.
 
-Scans are kept with the keyframe they were taken at. A redraw compares the new path with the one
-drawn last: scans before the first difference stand, the grid goes back to the newest snapshot
-before it, and the rest is drawn again in the order in which it came. A cell is clamped, so order
-matters; because it is kept, the result equals a drawing from scratch bit for bit.
+Scans are stored with the keyframe at which they were taken. A redraw compares the new path with
+the one drawn last: the grid returns to the newest snapshot before the first scan whose poses
+changed, and the scans from there on are drawn again in their order. Cells are clamped, so that
+order matters; because it is preserved, the result equals a grid drawn from scratch bit for bit.
 """
 
 import logging
@@ -19,14 +19,17 @@ from explore_slam.geometry import IDENTITY, Array, Pose2
 from explore_slam.mapping.config import GridConfig
 from explore_slam.mapping.occupancy_grid import NO_BODIES, OccupancyGrid
 
-LOGGER = logging.getLogger(__name__)
-SPACING = 16  # scans between the closest snapshots
+logger = logging.getLogger(__name__)
+SNAPSHOT_SPACING = 16  # scans between the closest snapshots; powers of two of it further back
+MAP_FRAME = -1  # in place of a keyframe: the offset is a pose in the map frame
 
 
 class Body(NamedTuple):
-    """Another vehicle at the time of a scan: last keyframe, pose since then, radius (m).
+    """Disc that covers another vehicle at the time of a scan.
 
-    keyframe -1 means that the offset is a pose in the map frame.
+    keyframe: its newest keyframe, or MAP_FRAME.
+    offset: its pose relative to the keyframe.
+    radius: of the disc (m).
     """
 
     keyframe: int
@@ -35,7 +38,7 @@ class Body(NamedTuple):
 
 
 class KeyframeScan(NamedTuple):
-    """One scan as it is kept, with the pose of the laser in its keyframe and the bodies around."""
+    """A scan with its keyframe, the pose of the laser relative to it, and the other vehicles."""
 
     keyframe: int
     vehicle: str
@@ -45,7 +48,13 @@ class KeyframeScan(NamedTuple):
 
 
 class RedrawSummary(NamedTuple):
-    """What a redraw did, in scans: stood, drawn, waiting for a keyframe, refused by the grid."""
+    """Numbers of scans after a redraw.
+
+    kept: unchanged since the last redraw.
+    drawn: drawn by this one, those refused included.
+    waiting: for a keyframe that is not on the path yet.
+    refused: by the grid, because they lie too far out.
+    """
 
     kept: int
     drawn: int
@@ -54,9 +63,9 @@ class RedrawSummary(NamedTuple):
 
 
 def _snapshot_positions(count: int) -> set[int]:
-    """Numbers of scans at which a snapshot is worth keeping: denser towards the present."""
+    """Return the numbers of scans at which snapshots are kept: denser towards the present."""
     kept: set[int] = set()
-    spacing = SPACING
+    spacing = SNAPSHOT_SPACING
     while spacing <= count:
         last = count // spacing * spacing
         kept.update({last, last - spacing})
@@ -65,7 +74,7 @@ def _snapshot_positions(count: int) -> set[int]:
 
 
 class LaserMap:
-    """All scans with their keyframes, and the grid along the best path."""
+    """All scans with their keyframes, and the occupancy grid along the best particle's path."""
 
     def __init__(self, config: GridConfig | None = None) -> None:
         self.config = config or GridConfig()
@@ -88,44 +97,44 @@ class LaserMap:
         laser_in_keyframe: Pose2 = IDENTITY,
         bodies: Sequence[Body] = (),
     ) -> None:
-        """Keep a scan; it enters the grid at the next redraw whose path holds its keyframes."""
+        """Store a scan; it enters the grid at the next redraw whose path holds its keyframes."""
         if keyframe < 0:
             raise MappingError(f'keyframe is {keyframe}, expected the number of a keyframe, >= 0')
         self._scans.append(KeyframeScan(keyframe, vehicle, scan, laser_in_keyframe, tuple(bodies)))
 
     def redraw(self, path: ArrayLike) -> RedrawSummary:
-        """Bring the grid onto the path (K, 3) of all keyframes.
+        """Redraw the grid along the path (K, 3) of all keyframes.
 
         A path that is not finite is a MappingError and changes nothing; a scan that the grid
-        refuses (too far out) is left out, logged and counted.
+        refuses because it lies too far out is skipped, logged and counted.
         """
         poses = np.array(path, np.float64)
         if poses.ndim != 2 or poses.shape[1] != 3 or not np.isfinite(poses).all():
             raise MappingError(
                 f'path has shape {poses.shape} or values that are not finite, expected (K, 3)'
             )
-        kept = self._standing_scans(poses)
+        kept = self._count_unchanged(poses)
         if kept < self._drawn:
-            self._go_back(kept)
+            self._restore_snapshot(kept)
         start, refused = self._drawn, 0
         self._path = poses
         while self._drawn < len(self._scans) and self._can_draw(self._scans[self._drawn], poses):
             try:
                 self._draw(self._scans[self._drawn], poses)
             except MappingError as error:
-                LOGGER.warning('scan of keyframe %d: %s', self._scans[self._drawn].keyframe, error)
+                logger.warning('scan of keyframe %d: %s', self._scans[self._drawn].keyframe, error)
                 refused += 1
             self._drawn += 1
-            if self._drawn % SPACING == 0:
+            if self._drawn % SNAPSHOT_SPACING == 0:
                 self._keep_snapshot()
         return RedrawSummary(start, self._drawn - start, len(self._scans) - self._drawn, refused)
 
-    def _standing_scans(self, poses: Array) -> int:
-        """Count the drawn scans before the first whose poses differ from those it was drawn at."""
+    def _count_unchanged(self, poses: Array) -> int:
+        """Return the number of drawn scans before the first one whose poses have changed."""
         common = min(len(poses), len(self._path))
         changed = np.ones(max(len(self._path), len(poses)) + 1, np.bool_)
         changed[:common] = (poses[:common] != self._path[:common]).any(axis=1)
-        changed[-1] = False  # keyframe -1: the map frame itself
+        changed[MAP_FRAME] = False  # the last element, which belongs to no keyframe
         if not changed[: len(self._path)].any():
             return self._drawn
         for number, item in enumerate(self._scans[: self._drawn]):
@@ -133,7 +142,8 @@ class LaserMap:
                 return number
         return self._drawn
 
-    def _go_back(self, kept: int) -> None:
+    def _restore_snapshot(self, kept: int) -> None:
+        """Return to the newest snapshot of at most this number of scans, or to an empty grid."""
         older = [count for count in self._snapshots if count <= kept]
         self._drawn = max(older, default=0)
         grid = self._snapshots[self._drawn].copy() if older else OccupancyGrid(self.config)
@@ -142,6 +152,7 @@ class LaserMap:
 
     @staticmethod
     def _can_draw(item: KeyframeScan, poses: Array) -> bool:
+        """Return whether the path (K, 3) holds all keyframes of a scan."""
         newest = max([item.keyframe, *(body.keyframe for body in item.bodies)])
         return newest < len(poses)
 
@@ -151,18 +162,20 @@ class LaserMap:
         if item.bodies:
             rows = []
             for body in item.bodies:
-                base = IDENTITY if body.keyframe < 0 else Pose2(*poses[body.keyframe].tolist())
-                place = base.compose(body.offset)
-                rows.append((place.x, place.y, body.radius))
+                in_map = body.keyframe == MAP_FRAME
+                base = IDENTITY if in_map else Pose2(*poses[body.keyframe].tolist())
+                pose = base.compose(body.offset)
+                rows.append((pose.x, pose.y, body.radius))
             ignore = np.array(rows)
         self.grid.insert_scan(keyframe.compose(item.laser_in_keyframe), item.scan, ignore)
 
     def _keep_snapshot(self) -> None:
-        worth = _snapshot_positions(self._drawn)
-        self._snapshots = {n: grid for n, grid in self._snapshots.items() if n in worth}
+        """Store the current grid; drop old snapshots by position and by memory."""
+        positions = _snapshot_positions(self._drawn)
+        self._snapshots = {n: grid for n, grid in self._snapshots.items() if n in positions}
         size = self.grid.evidence().nbytes / 1e6
-        room = int(self.config.snapshot_memory / size) if size > 0.0 else 0
-        if room > 0:
+        capacity = int(self.config.snapshot_memory / size) if size > 0.0 else 0
+        if capacity > 0:
             self._snapshots[self._drawn] = self.grid.copy()
-        for oldest in sorted(self._snapshots)[: max(0, len(self._snapshots) - room)]:
+        for oldest in sorted(self._snapshots)[: max(0, len(self._snapshots) - capacity)]:
             del self._snapshots[oldest]

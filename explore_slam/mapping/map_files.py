@@ -1,7 +1,5 @@
-"""Map files of nav2's map_server: PGM image plus YAML, written atomically."""
+"""Map files of nav2's map_server: a YAML file and a PGM image."""
 
-import os
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -10,20 +8,23 @@ import yaml
 from numpy.typing import NDArray
 
 from explore_slam.errors import ConfigError, MappingError
+from explore_slam.files import write_bytes
 from explore_slam.mapping.config import GridConfig
 from explore_slam.mapping.occupancy_grid import OccupancyGrid
 
-FREE, UNKNOWN_GREY, OCCUPIED = 254, 205, 0
-# (255 - 205) / 255 lies just above 0.196, so that grey stays unknown in every map_server.
+FREE, UNKNOWN, OCCUPIED = 254, 205, 0  # grey values that map_saver of nav2 writes
+# Thresholds of occupancy (255 - grey) / 255, the defaults of map_saver. Unknown is 50 / 255, just
+# above 0.196, so that it stays unknown in every map_server.
 FREE_THRESHOLD, OCCUPIED_THRESHOLD = 0.196, 0.65
-MAXIMUM_HEADER = 4096
+_MAXIMUM_HEADER = 4096  # bytes searched for the size of the image; comments may make it long
+_MAXIMUM_DIGITS = 9  # of a number in the header; longer ones are damage
 
 
 def save_map(grid: OccupancyGrid, base_path: Path | str) -> Path:
-    """Write base_path.pgm and base_path.yaml and return the path of the YAML file.
+    """Write base_path.pgm and base_path.yaml; return the path of the YAML file.
 
-    Both appear complete or not at all; the image first, so that a YAML file never names an image
-    that is not there. An empty grid or a folder that cannot be written is a MappingError.
+    Each file is written atomically, the image first, so that a YAML file never names an image
+    that is missing. MappingError for an empty grid or a folder that cannot be written.
     """
     base = Path(base_path)
     if base.suffix in ('.yaml', '.pgm'):
@@ -46,43 +47,28 @@ def save_map(grid: OccupancyGrid, base_path: Path | str) -> Path:
     text = yaml.safe_dump(content, sort_keys=False).encode('utf-8')
     try:
         base.parent.mkdir(parents=True, exist_ok=True)
-        _write_atomically(image_path, header + image.tobytes())
-        _write_atomically(yaml_path, text)
+        write_bytes(image_path, header + image.tobytes())
+        write_bytes(yaml_path, text)
     except OSError as error:
         raise MappingError(f'map {base} cannot be written: {error}') from error
     return yaml_path
 
 
 def _to_image(grid: OccupancyGrid) -> NDArray[np.uint8]:
-    """Return (H, W) grey values with the highest y in the first row, as map_server wants it."""
+    """Return (H, W) grey values with the highest y in the first row, as in map files."""
     probability, known = grid.probability(), grid.known()
-    image = np.full(grid.shape, UNKNOWN_GREY, np.uint8)
+    image = np.full(grid.shape, UNKNOWN, np.uint8)
     image[known & (probability <= grid.config.map_free_threshold)] = FREE
     image[known & (probability >= grid.config.map_occupied_threshold)] = OCCUPIED
     return np.ascontiguousarray(image[::-1])
 
 
-def _write_atomically(path: Path, content: bytes) -> None:
-    handle, name = tempfile.mkstemp(prefix=f'.{path.name}.', dir=path.parent)
-    try:
-        with os.fdopen(handle, 'wb') as stream:
-            stream.write(content)
-            stream.flush()
-            os.fsync(stream.fileno())
-        mask = os.umask(0)
-        os.umask(mask)
-        Path(name).chmod(0o666 & ~mask)
-        Path(name).replace(path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
-
-
 def load_map(yaml_path: Path | str, config: GridConfig | None = None) -> OccupancyGrid:
-    """Read a map_server map (trinary, scale or raw) of a YAML file and the PGM it names.
+    """Read a map (trinary, scale or raw) from a YAML file and the PGM image it names.
 
-    config gives the other settings of the grid; its resolution is replaced by that of the file.
-    Whatever is missing, truncated or of another format is a MappingError that names it.
+    config: settings of the grid; the resolution is that of the file.
+    MappingError, naming the file and the entry, for what is missing, truncated or of another
+    format.
     """
     path = Path(yaml_path)
     entries = _read_yaml(path)
@@ -106,7 +92,7 @@ def load_map(yaml_path: Path | str, config: GridConfig | None = None) -> Occupan
         fitted = GridConfig(**values)
     except ConfigError as error:
         raise MappingError(f'{path}: {error}') from error
-    # Cells of a grid lie on multiples of the resolution; a map may lie at most half a cell off.
+    # Cell edges lie on multiples of the resolution, so the map moves by half a cell at most.
     corner = tuple(round(float(value) / resolution) * resolution for value in origin[:2])
     return OccupancyGrid.from_probability(probability, known, (corner[0], corner[1]), fitted)
 
@@ -117,7 +103,9 @@ def _read_yaml(path: Path) -> dict[str, Any]:
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise MappingError(f'map file {path} cannot be read: {error}') from error
     if not isinstance(content, dict):
-        raise MappingError(f'map file {path} holds {type(content).__name__}, expected a mapping')
+        raise MappingError(
+            f'map file {path} contains a {type(content).__name__}, expected a mapping'
+        )
     return content
 
 
@@ -131,7 +119,10 @@ def _number(path: Path, entries: dict[str, Any], name: str, default: float | Non
 def _interpret(
     path: Path, entries: dict[str, Any], image: NDArray[np.uint8]
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return probability and known cells (H, W), lowest y first (map_server's three modes)."""
+    """Return probability and known cells (H, W), lowest y first, by the mode of the map.
+
+    The modes trinary, scale and raw are those of map_server in nav2.
+    """
     mode = entries.get('mode', 'trinary')
     occupied_from = _number(path, entries, 'occupied_thresh', OCCUPIED_THRESHOLD)
     free_to = _number(path, entries, 'free_thresh', FREE_THRESHOLD)
@@ -153,7 +144,7 @@ def _interpret(
 
 
 def read_pgm(path: Path | str) -> NDArray[np.uint8]:
-    """Read a PGM image (P5 binary or P2 text, 8 bit) as (H, W), first row on top."""
+    """Read a PGM image (P5 binary or P2 text, 8 bit) as (H, W), top row first."""
     name = Path(path)
     try:
         content = name.read_bytes()
@@ -164,7 +155,8 @@ def read_pgm(path: Path | str) -> NDArray[np.uint8]:
     (width, height, highest), start = _header_numbers(name, content)
     if width < 1 or height < 1 or not 1 <= highest <= 255:
         raise MappingError(
-            f'image {name} is {width} x {height} with {highest} grey values, expected 8 bit PGM'
+            f'image {name} is {width} x {height} with a maximum grey value of {highest}, '
+            'expected an 8-bit PGM'
         )
     if content[:2] == b'P5':
         pixels = np.frombuffer(content, np.uint8, offset=start)
@@ -172,10 +164,10 @@ def read_pgm(path: Path | str) -> NDArray[np.uint8]:
         try:
             pixels = np.array(content[start:].split(), np.int64)
         except ValueError as error:
-            raise MappingError(f'image {name} holds text that is no number') from error
+            raise MappingError(f'image {name} contains text that is not a number') from error
     if pixels.size < width * height or pixels[: width * height].max() > highest:
         raise MappingError(
-            f'image {name} holds {pixels.size} pixels up to {pixels.max(initial=0)}, expected '
+            f'image {name} has {pixels.size} pixels up to {pixels.max(initial=0)}, expected '
             f'{width} x {height} = {width * height} up to {highest}: truncated or damaged'
         )
     image = pixels[: width * height].reshape(height, width).astype(np.int64)
@@ -183,10 +175,10 @@ def read_pgm(path: Path | str) -> NDArray[np.uint8]:
 
 
 def _header_numbers(name: Path, content: bytes) -> tuple[tuple[int, int, int], int]:
-    """Return width, height and highest grey value, and where the pixels start."""
+    """Return width, height and maximum grey value, and the offset of the pixels (bytes)."""
     numbers: list[int] = []
     position = 2
-    while len(numbers) < 3 and position < min(len(content), MAXIMUM_HEADER):
+    while len(numbers) < 3 and position < min(len(content), _MAXIMUM_HEADER):
         if content[position : position + 1] == b'#':
             end = content.find(b'\n', position)
             position = len(content) if end < 0 else end
@@ -196,7 +188,7 @@ def _header_numbers(name: Path, content: bytes) -> tuple[tuple[int, int, int], i
             end = position
             while end < len(content) and content[end : end + 1].isdigit():
                 end += 1
-            if end == position or end - position > 9:
+            if end == position or end - position > _MAXIMUM_DIGITS:
                 break
             numbers.append(int(content[position:end]))
             position = end

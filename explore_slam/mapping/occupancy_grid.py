@@ -1,7 +1,8 @@
-"""Occupancy grid: clamped log-odds per cell, growing in any direction, the same bits every time.
+"""Occupancy grid: clamped log-odds per cell; grows in any direction.
 
-Row is the index in y, column the index in x; `origin` is the lower left corner of cell [0, 0].
-Cell edges lie on multiples of the resolution, whatever direction the grid grew in.
+Rows are indexed by y, columns by x; `origin` is the lower left corner of cell [0, 0]. Cell edges
+lie on multiples of the resolution, in whatever direction the grid has grown, so that the same
+scans give the same bits.
 """
 
 import math
@@ -15,27 +16,30 @@ from explore_slam.errors import MappingError
 from explore_slam.geometry import Array, Pose2
 from explore_slam.mapping.config import GridConfig
 from explore_slam.mapping.ray_model import (
-    NATS,
     NOTHING,
+    UNITS_PER_NAT,
     UNKNOWN,
+    BeamSteps,
     classify_beams,
     draw_beams,
     drop_bodies,
 )
 
-BLOCK = 64  # the grid grows by whole blocks of cells, so that it rarely needs to grow
+BLOCK = 64  # cells; the grid grows by whole blocks, so that it rarely has to
+FARTHEST = 1e9  # m; beyond it cell numbers would overflow
 NO_BODIES = np.empty((0, 3))
 
 
 def _log_odds(probability: float) -> int:
-    return round(NATS * math.log(probability / (1.0 - probability)))
+    """Return the evidence of a probability."""
+    return round(UNITS_PER_NAT * math.log(probability / (1.0 - probability)))
 
 
 def _probability_table() -> NDArray[np.float32]:
-    """Probability for every int16 evidence, indexed by its bits as uint16; unknown is one half."""
+    """Return the probability (65536,) by the bits of the evidence as uint16; 0.5 if unknown."""
     values = np.arange(65536, dtype=np.uint16).view(np.int16).astype(np.float64)
-    table = 1.0 / (1.0 + np.exp(-np.clip(values / NATS, -30.0, 30.0)))
-    table[np.uint16(32768)] = 0.5
+    table = 1.0 / (1.0 + np.exp(-np.clip(values / UNITS_PER_NAT, -30.0, 30.0)))
+    table[UNKNOWN.view(np.uint16)] = 0.5
     return table.astype(np.float32)
 
 
@@ -43,7 +47,7 @@ _PROBABILITY = _probability_table()
 
 
 class OccupancyGrid:
-    """Evidence for occupation of square cells, in the map frame."""
+    """Occupancy of square cells in the map frame (see explore_slam.mapping.ray_model)."""
 
     def __init__(self, config: GridConfig | None = None) -> None:
         self.config = config or GridConfig()
@@ -51,14 +55,11 @@ class OccupancyGrid:
         self._evidence = np.empty((0, 0), np.int16)
         self._touched = np.empty((0, 0), np.int32)
         self._scan_number = 0
-        self._steps = np.array(
-            [
-                _log_odds(self.config.hit_probability),
-                _log_odds(self.config.miss_probability),
-                _log_odds(self.config.clamp_low),
-                _log_odds(self.config.clamp_high),
-            ],
-            np.int32,
+        self._steps = BeamSteps(
+            _log_odds(self.config.hit_probability),
+            _log_odds(self.config.miss_probability),
+            _log_odds(self.config.clamp_low),
+            _log_odds(self.config.clamp_high),
         )
 
     @classmethod
@@ -69,10 +70,10 @@ class OccupancyGrid:
         origin: tuple[float, float] = (0.0, 0.0),
         config: GridConfig | None = None,
     ) -> 'OccupancyGrid':
-        """Make a grid of probabilities (H, W) and known cells (H, W).
+        """Create a grid from probabilities (H, W) and known cells (H, W).
 
-        The origin (m) must be a multiple of the resolution (to a hundredth of a cell), because a
-        grid grows by whole cells; otherwise, or for NaN in known cells, MappingError.
+        The origin (m) must be a multiple of the resolution to a hundredth of a cell, because a
+        grid grows by whole cells. MappingError otherwise, and for NaN in known cells.
         """
         grid = cls(config)
         p, seen = np.asarray(probability, np.float64), np.asarray(known, np.bool_)
@@ -87,12 +88,13 @@ class OccupancyGrid:
         grid._first_col, grid._first_row = first
         low, high = grid.config.clamp_low, grid.config.clamp_high
         clipped = np.clip(np.where(seen, p, 0.5), low, high)
-        evidence = np.rint(NATS * np.log(clipped / (1.0 - clipped))).astype(np.int16)
+        evidence = np.rint(UNITS_PER_NAT * np.log(clipped / (1.0 - clipped))).astype(np.int16)
         grid._evidence = np.where(seen, evidence, UNKNOWN)
         grid._touched = np.zeros(p.shape, np.int32)
         return grid
 
     def _whole_cells(self, name: str, value: float) -> int:
+        """Return a coordinate (m) of the origin in cells."""
         cells = value / self.resolution if math.isfinite(value) else math.nan
         if not abs(cells - np.rint(cells)) < 0.01:
             raise MappingError(
@@ -116,7 +118,7 @@ class OccupancyGrid:
         return self._evidence.shape[0], self._evidence.shape[1]
 
     def evidence(self) -> NDArray[np.int16]:
-        """Return the log-odds (H, W) in thousandths of a nat or UNKNOWN; read only."""
+        """Return the log-odds (H, W) in thousandths of a nat, or UNKNOWN; read-only."""
         view = self._evidence.view()
         view.flags.writeable = False
         return view
@@ -126,7 +128,7 @@ class OccupancyGrid:
         return np.take(_PROBABILITY, self._evidence.view(np.uint16))
 
     def known(self) -> NDArray[np.bool_]:
-        """Return (H, W): a beam touched the cell."""
+        """Return whether a beam has touched each cell (H, W)."""
         seen: NDArray[np.bool_] = self._evidence != UNKNOWN
         return seen
 
@@ -144,14 +146,16 @@ class OccupancyGrid:
         return points
 
     def contains(self, cells: ArrayLike) -> NDArray[np.bool_]:
-        """Tell for cells (N, 2) whether they lie inside the grid."""
+        """Return for cells (N, 2) whether they lie inside the grid."""
         index = np.asarray(cells, np.int64).reshape(-1, 2)
         return ((index >= 0) & (index < np.array(self.shape))).all(axis=1)
 
     def insert_scan(self, pose: Pose2, scan: LaserScan, ignore: ArrayLike = NO_BODIES) -> None:
-        """Add one scan taken at the pose of the laser in the map.
+        """Add one scan.
 
-        ignore (V, 3): x, y, radius (m) of vehicles whose bodies must not become walls.
+        pose: of the laser in the map.
+        ignore (V, 3): x, y and radius (m) of vehicles, whose bodies must not become walls.
+        MappingError, and the grid unchanged, if the scan does not fit into maximum_map_side.
         """
         bodies = np.asarray(ignore, np.float64).reshape(-1, 3)
         if not pose.is_finite() or not np.isfinite(bodies).all():
@@ -185,11 +189,11 @@ class OccupancyGrid:
         )
 
     def _make_room(self, pose: Pose2, headings: Array, lengths: Array) -> None:
-        """Grow so that the laser and all ends of beams lie inside, with a cell to spare."""
+        """Grow so that the laser and the ends of all beams lie inside, with a margin of a cell."""
         ends_x = pose.x + np.append(lengths * np.cos(headings), 0.0)
         ends_y = pose.y + np.append(lengths * np.sin(headings), 0.0)
         corners = np.array([[ends_x.min(), ends_y.min()], [ends_x.max(), ends_y.max()]])
-        if np.abs(corners).max() > 1e9:
+        if np.abs(corners).max() > FARTHEST:
             raise MappingError(f'pose {tuple(pose)} lies too far out for a grid')
         cells = np.floor(corners / self.resolution).astype(np.int64) + np.array([[-1], [2]])
         rows, cols = self.shape
@@ -208,6 +212,7 @@ class OccupancyGrid:
         self._grow(low, high, first)
 
     def _grow(self, low: NDArray[Any], high: NDArray[Any], first: NDArray[Any]) -> None:
+        """Extend the arrays to the cells from low to high (x, y); first: the present low."""
         width, height = (high - low).tolist()
         evidence = np.full((height, width), UNKNOWN, np.int16)
         touched = np.zeros((height, width), np.int32)
@@ -220,7 +225,7 @@ class OccupancyGrid:
         self._first_col, self._first_row = low.tolist()
 
     def to_occupancy(self) -> NDArray[np.int8]:
-        """Return (H, W) as in nav_msgs/OccupancyGrid: -1 unknown, 0..100 percent."""
+        """Return the values (H, W) of a nav_msgs/OccupancyGrid: -1 unknown, else 0 to 100 %."""
         percent = np.rint(self.probability() * 100.0).astype(np.int8)
         percent[~self.known()] = -1
         return percent
@@ -234,5 +239,5 @@ class OccupancyGrid:
         return other
 
     def same_as(self, other: 'OccupancyGrid') -> bool:
-        """Tell whether extent and evidence are equal bit for bit."""
+        """Return whether extent and evidence are equal bit for bit."""
         return self.origin == other.origin and np.array_equal(self._evidence, other._evidence)

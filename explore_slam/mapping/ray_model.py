@@ -1,10 +1,12 @@
-"""Compiled loops that turn the beams of one scan into evidence for grid cells.
+"""Sensor model of the occupancy grid: what the beams of one scan say about the cells.
 
-Evidence is the log-odds of a cell in thousandths of a nat (int16, clamped); UNKNOWN marks a cell
-that no beam has touched. One scan counts once per cell, and a hit outweighs a beam passing.
+The evidence for a cell is its log-odds (Moravec and Elfes, "High resolution maps from wide angle
+sonar", 1985; Thrun, Burgard and Fox, "Probabilistic Robotics", 2005, chapter 9) in thousandths of
+a nat, clamped and stored as int16. One scan counts once per cell, and a hit outweighs a pass.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +14,19 @@ from numpy.typing import NDArray
 from explore_slam.compiled import kernel
 from explore_slam.geometry import Array
 
-UNKNOWN = np.int16(-32768)
-NATS = 1000.0
+UNKNOWN = np.int16(-32768)  # evidence for a cell that no beam has touched
+UNITS_PER_NAT = 1000.0  # resolution of the evidence: the largest log-odds, 30 nat, fits an int16
 
-NOTHING, FREE_ONLY, HIT = 0, 1, 2
+NOTHING, FREE_ONLY, HIT = 0, 1, 2  # information of a beam
+
+
+class BeamSteps(NamedTuple):
+    """Evidence: of a hit, of a pass, and the limits to which a cell is clamped."""
+
+    hit: int
+    miss: int
+    low: int
+    high: int
 
 
 @kernel
@@ -26,10 +37,10 @@ def classify_beams(
     max_laser_range: float,
     no_return_range: float,
 ) -> tuple[Array, NDArray[np.uint8]]:
-    """Return for each beam how far it frees cells (B,) m and whether it ends in a hit (B,).
+    """Return for each beam how far it frees cells (B,) m, and what it tells (B,).
 
-    REP-117: NaN and -inf say nothing, +inf is no return; a finite range beyond range_max is taken
-    as no return as well, one below range_min says nothing.
+    REP-117: NaN and -inf tell nothing, +inf is no return. A range beyond range_max is treated as
+    no return, a range below range_min tells nothing.
     """
     lengths = np.zeros(ranges.size)
     kinds = np.zeros(ranges.size, np.uint8)
@@ -38,7 +49,7 @@ def classify_beams(
         if math.isnan(r) or r < range_min:
             continue
         if r > range_max:
-            # silence proves nothing beyond what the scanner can measure
+            # no return tells nothing about what lies beyond the range of the scanner
             lengths[i] = min(no_return_range, max_laser_range, range_max)
             kinds[i] = FREE_ONLY if lengths[i] > 0.0 else NOTHING
         elif r > max_laser_range:
@@ -59,7 +70,10 @@ def drop_bodies(
     kinds: NDArray[np.uint8],
     bodies: Array,
 ) -> None:
-    """Cut, in place, beams that end on a vehicle (x, y, radius): no hit, free up to its body."""
+    """Shorten, in place, beams that end on a vehicle: no hit, and free up to its body only.
+
+    bodies (V, 3): x, y and radius (m) of the vehicles, in the frame of x and y.
+    """
     for b in range(bodies.shape[0]):
         bx, by, radius = bodies[b, 0] - x, bodies[b, 1] - y, bodies[b, 2]
         distance_squared = bx * bx + by * by
@@ -79,8 +93,9 @@ def drop_bodies(
 
 @kernel
 def _add(evidence: NDArray[np.int16], row: int, col: int, step: int, low: int, high: int) -> None:
+    """Add evidence to one cell, clamped."""
     before = int(evidence[row, col])
-    after = step if before == -32768 else before + step
+    after = step if before == UNKNOWN else before + step
     evidence[row, col] = min(max(after, low), high)
 
 
@@ -94,15 +109,15 @@ def draw_beams(
     headings: Array,
     lengths: Array,
     kinds: NDArray[np.uint8],
-    steps: NDArray[np.int32],
+    steps: BeamSteps,
 ) -> None:
     """Add one scan to evidence (H, W), in place.
 
-    x, y and lengths are in cells, measured from the corner of cell [0, 0]; touched (H, W) holds
-    the number of the scan that changed a cell last; steps: hit, miss, lowest, highest evidence.
-    The caller guarantees that the origin and every end point lie inside the array.
+    x, y and lengths are in cells, from the corner of cell [0, 0]; touched (H, W) holds the number
+    of the scan that changed a cell last. The caller guarantees that the origin and every end point
+    lie inside the array.
     """
-    hit, miss, low, high = steps[0], steps[1], steps[2], steps[3]
+    hit, miss, low, high = steps
     for i in range(headings.size):
         if kinds[i] == HIT:
             col = math.floor(x + lengths[i] * math.cos(headings[i]))
@@ -130,7 +145,10 @@ def _free_ray(
     low: int,
     high: int,
 ) -> None:
-    """Visit every cell the ray crosses before the one it ends in (Amanatides and Woo, 1987)."""
+    """Add a pass to every cell that a ray crosses before the one in which it ends.
+
+    Traversal after Amanatides and Woo, "A fast voxel traversal algorithm for ray tracing" (1987).
+    """
     col, row = math.floor(x), math.floor(y)
     end_col, end_row = math.floor(x + length * c), math.floor(y + length * s)
     step_col, step_row = (1 if c > 0.0 else -1), (1 if s > 0.0 else -1)

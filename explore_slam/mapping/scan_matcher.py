@@ -1,8 +1,8 @@
-"""Laser odometry of one vehicle: every scan is laid onto the scans of the way just driven.
+"""Laser odometry of one vehicle: match each scan with a window of recent ones.
 
-Point-to-line ICP (Censi, ICRA 2008) of a scan against a window of earlier scans in the odometry
-frame, with the wheels' motion as prior: what the walls do not tell, say along a corridor, stays
-as the wheels have it. Matching against a window, not just the last scan, keeps the error from
+Point-to-line ICP (Censi, "An ICP variant using a point-to-line metric", ICRA 2008) in the odometry
+frame, with wheel odometry as prior: directions that the walls leave free, say along a corridor,
+keep the motion of the wheels. Matching with a window instead of the last scan keeps the error from
 growing while the vehicle sees the same place.
 """
 
@@ -16,28 +16,35 @@ from numpy.typing import NDArray
 
 from explore_slam.compiled import kernel
 from explore_slam.data import LaserScan
-from explore_slam.geometry import IDENTITY, Array, Pose2
+from explore_slam.geometry import IDENTITY, Array, Pose2, moved_enough
 from explore_slam.mapping.config import ScanMatchingConfig
 
-_ITERATIONS = 12
-_FINEST = np.array([3e-4, 3e-4, 1e-4])  # m, m, rad: a step below this ends the search
-_LEAST_DEVIATIONS = np.array([1e-4, 1e-4, 1e-4])  # m, m, rad, of any motion
-_FEWEST_POINTS = 15
-_NEIGHBOURHOOD = 0.026  # rad on either side of a beam in which returns make a line
-_INDEPENDENT_POINTS = 60.0  # errors of neighbouring beams go together
-_SPACING = 0.03  # m between returns that are used
-_CELL = 0.1  # m
-# Matches with one window err together: the motion between two of them is known better than
-# each pose by itself.
+# Design values: plausible for indoor lasers of 0.5 to 1 degree, not chosen by a study.
+_ITERATIONS = 12  # at most
+_CONVERGED = np.array([3e-4, 3e-4, 1e-4])  # m, m, rad; a step below this ends the iteration
+_MINIMUM_DEVIATIONS = np.array([1e-4, 1e-4, 1e-4])  # m, m, rad; of the prior
+_MINIMUM_POINTS = 15  # returns that a match needs
+_MINIMUM_RANGE = 0.05  # m; nearer returns are the vehicle itself
+_NEIGHBOURHOOD = 0.026  # rad on either side of a beam in which the returns form a line
+_MAXIMUM_NEIGHBOURS = 5  # beams on either side of a beam
+_DEPTH_STEP, _DEPTH_STEP_PER_METRE = 0.05, 0.1  # m, m/m; larger steps separate two surfaces
+_LINE_DEVIATION = 0.02  # m; RMS distance of the returns from their line
+_NORMAL_AGREEMENT = 0.8  # cosine of 37 degrees between the normals of corresponding points
+_INDEPENDENT_POINTS = 60.0  # errors of neighbouring beams are correlated: more count as so many
+_SPACING = 0.03  # m between returns that are matched
+_CELL = 0.1  # m; of the search grid, and the smallest correspondence distance
+# Matches with the same window share its error: the motion between two of them is more accurate
+# than each pose by itself, by this factor in information.
 _WINDOW_GAIN = 50.0
 
 
 @dataclass(frozen=True)
 class ScanMatch:
-    """Where a scan was taken: vehicle pose in the odometry frame.
+    """Result of matching a scan.
 
-    covariance (3, 3): of the motion that the prior was told, in the vehicle frame; overlap:
-    part of the returns that lie on known walls.
+    pose: of the vehicle in the odometry frame.
+    covariance (3, 3): of the motion whose covariance the prior had, in the vehicle frame.
+    overlap: fraction of the returns that have a correspondence.
     """
 
     pose: Pose2
@@ -46,40 +53,42 @@ class ScanMatch:
 
 
 class Cloud(NamedTuple):
-    """Points (n, 2) with unit normals (n, 2)."""
+    """Points (n, 2) m with unit normals (n, 2)."""
 
     points: Array
     normals: Array
 
     def moved(self, pose: Pose2) -> 'Cloud':
-        """Return the cloud of the vehicle frame in the frame of the pose."""
+        """Return a cloud in the vehicle frame transformed by the pose of the vehicle."""
         c, s = math.cos(pose.theta), math.sin(pose.theta)
         turn = np.array([[c, s], [-s, c]])
         return Cloud(self.points @ turn + (pose.x, pose.y), self.normals @ turn)
 
 
 def scan_cloud(scan: LaserScan, laser: Pose2, farthest: float) -> Cloud:
-    """Return the returns of a scan that lie on lines, in the vehicle frame, with their normals.
+    """Return the returns of a scan that lie on lines, with their normals, in the vehicle frame.
 
-    A line is fitted through the neighbouring beams of each return; where they jump in depth or
-    do not lie on a line there is none, and the return is left out. Normals point to the laser:
-    the two faces of a thin wall are not the same.
+    laser: its pose in the vehicle frame.
+    farthest: returns beyond this range (m) are discarded.
+    A line is fitted to the neighbouring beams of each return; returns at a step in depth and
+    those off a line are discarded. Normals point to the laser, which tells the two faces of a
+    thin wall apart.
     """
     ranges = scan.ranges.astype(np.float64)
-    valid = np.isfinite(ranges) & (ranges >= max(scan.range_min, 0.05))
+    valid = np.isfinite(ranges) & (ranges >= max(scan.range_min, _MINIMUM_RANGE))
     valid &= ranges <= min(scan.range_max, farthest)
     ranges = np.where(valid, ranges, 0.0)
     angles = scan.angles + laser.theta
     points = np.stack([np.cos(angles), np.sin(angles)], axis=1) * ranges[:, None]
     points += (laser.x, laser.y)
     count = len(points)
-    half = min(max(round(_NEIGHBOURHOOD / abs(scan.angle_increment)), 1), 5)
+    half = min(max(round(_NEIGHBOURHOOD / abs(scan.angle_increment)), 1), _MAXIMUM_NEIGHBOURS)
     if count < 2 * half + 1:
         return Cloud(np.empty((0, 2)), np.empty((0, 2)))
     window = np.arange(-half, half + 1) + np.arange(half, count - half)[:, None]
     step = np.abs(np.diff(ranges[window], axis=1)).max(axis=1)
     middle = ranges[half : count - half]
-    whole = valid[window].all(axis=1) & (step < 0.05 + 0.1 * middle)
+    whole = valid[window].all(axis=1) & (step < _DEPTH_STEP + _DEPTH_STEP_PER_METRE * middle)
     near = points[window[whole]]
     center = near.mean(axis=1)
     off = near - center[:, None]
@@ -87,23 +96,24 @@ def scan_cloud(scan: LaserScan, laser: Pose2, farthest: float) -> Cloud:
     xy = (off[..., 0] * off[..., 1]).mean(1)
     across = 0.5 * (xx + yy) - np.hypot(0.5 * (xx - yy), xy)
     heading = 0.5 * np.arctan2(2.0 * xy, xx - yy)
-    straight = across < 0.02**2
+    straight = across < _LINE_DEVIATION**2
     normals = np.stack([-np.sin(heading), np.cos(heading)], axis=1)
     own, normals = points[half : count - half][whole][straight], normals[straight]
     away = (normals * (own - (laser.x, laser.y))).sum(axis=1) > 0.0
     normals[away] *= -1.0
     if not len(own):
         return Cloud(own, normals)
-    way = np.cumsum(np.hypot(*np.diff(own, axis=0, prepend=own[:1]).T)) // _SPACING
-    thin = np.diff(way, prepend=-1.0) > 0.0
-    return Cloud(own[thin], normals[thin])
+    lengths = np.cumsum(np.hypot(*np.diff(own, axis=0, prepend=own[:1]).T))
+    kept = np.diff(lengths // _SPACING, prepend=-1.0) > 0.0
+    return Cloud(own[kept], normals[kept])
 
 
 class _Cells(NamedTuple):
-    """Points of the window sorted by square cells of a grid over them (for search nearby).
+    """Points of the window sorted by the cells of a grid, for the search of neighbours.
 
-    x, y of the lower corner (m), columns, rows; first (columns * rows + 1,) point of each cell;
-    points and normals (n, 2) in that order.
+    x, y: lower left corner of the grid (m).
+    first (columns * rows + 1,): index of the first point of each cell.
+    points, normals (n, 2): in the order of the cells.
     """
 
     x: float
@@ -128,32 +138,37 @@ def _sorted_into_cells(cloud: Cloud) -> _Cells:
 
 @kernel
 def _normal_equations(
-    cloud: Cloud, cells: _Cells, pose: tuple[float, float, float], reach: float, deviation: float
+    cloud: Cloud,
+    cells: _Cells,
+    pose: tuple[float, float, float],
+    max_distance: float,
+    deviation: float,
 ) -> tuple[Array, Array, int]:
-    """Return A (3, 3) and b (3,) of A δ = b for the error δ of a pose, and the points matched.
+    """Return A (3, 3) and b (3,) of A δ = b for the error δ of a pose, and the matched points.
 
-    Each point goes to the nearest wall point within reach whose normal differs by less than 37
-    degrees; residuals are point to line, with Cauchy weights of a standard deviation (m).
+    Each point corresponds to the nearest point of the window within max_distance (m) whose normal
+    agrees. Residuals are point to line, with Cauchy weights of the standard deviation (m).
     """
     A, b, matched = np.zeros((3, 3)), np.zeros(3), 0
     points, normals = cloud.points, cloud.normals
     x, y, columns, rows, first, walls, across = cells
     px, py, theta = pose
     c, s = math.cos(theta), math.sin(theta)
-    around = math.ceil(reach / _CELL)
+    reach = math.ceil(max_distance / _CELL)
     for n in range(len(points)):
         lx, ly = points[n, 0], points[n, 1]
         wx, wy = px + c * lx - s * ly, py + s * lx + c * ly
         nx, ny = c * normals[n, 0] - s * normals[n, 1], s * normals[n, 0] + c * normals[n, 1]
         column, row = int((wx - x) / _CELL), int((wy - y) / _CELL)
-        best, nearest = reach * reach, -1
-        for r in range(max(row - around, 0), min(row + around + 1, rows)):
-            low = first[r * columns + min(max(column - around, 0), columns)]
-            high = first[r * columns + min(max(column + around + 1, 0), columns)]
+        best, nearest = max_distance * max_distance, -1
+        for r in range(max(row - reach, 0), min(row + reach + 1, rows)):
+            low = first[r * columns + min(max(column - reach, 0), columns)]
+            high = first[r * columns + min(max(column + reach + 1, 0), columns)]
             for k in range(low, high):
                 dx, dy = walls[k, 0] - wx, walls[k, 1] - wy
                 square = dx * dx + dy * dy
-                if square < best and nx * across[k, 0] + ny * across[k, 1] > 0.8:
+                agreement = nx * across[k, 0] + ny * across[k, 1]
+                if square < best and agreement > _NORMAL_AGREEMENT:
                     best, nearest = square, k
         if nearest < 0:
             continue
@@ -180,7 +195,7 @@ def _normal_equations(
 
 
 class ScanMatcher:
-    """Window of earlier scans of one vehicle in its odometry frame, and the search in it."""
+    """Matches the scans of one vehicle with a window of recent ones, in the odometry frame."""
 
     def __init__(self, config: ScanMatchingConfig) -> None:
         self.config = config
@@ -190,36 +205,38 @@ class ScanMatcher:
 
     @property
     def started(self) -> bool:
-        """Tell whether there are scans to match with."""
+        """Whether there are scans to match with."""
         return self._cells is not None
 
     def reset(self) -> None:
-        """Forget all scans: the vehicle has been lifted, or time has jumped."""
+        """Forget all scans, for example because the clock has jumped."""
         self._window.clear()
         self._cells = None
 
     def match(
         self, scan: LaserScan, laser: Pose2, prior: Pose2, covariance: Array
     ) -> ScanMatch | None:
-        """Return the pose of the vehicle at a scan, or None where it lies on nothing known.
+        """Return the pose of the vehicle at a scan, or None if it matches nothing.
 
-        laser: its pose on the vehicle; prior: pose by the wheels, with covariance (3, 3) in the
-        vehicle frame. The scan enters the window when the vehicle has moved on far enough.
+        laser: its pose in the vehicle frame.
+        prior: pose by wheel odometry, with covariance (3, 3) in the vehicle frame.
+        The scan enters the window once the vehicle has moved far enough.
         """
         cloud = scan_cloud(scan, laser, self.config.matching_range)
-        if len(cloud.points) < _FEWEST_POINTS:
+        if len(cloud.points) < _MINIMUM_POINTS:
             return None
         found = self._search(cloud, prior, covariance) if self._cells is not None else None
         pose = found.pose if found is not None else prior
-        self._keep(cloud, pose)
+        self._extend_window(cloud, pose)
         return found
 
-    def _keep(self, cloud: Cloud, pose: Pose2) -> None:
-        moved = self._last.between(pose)
-        if (
-            self._window
-            and math.hypot(moved.x, moved.y) < self.config.window_distance
-            and abs(moved.theta) < self.config.window_heading
+    def _extend_window(self, cloud: Cloud, pose: Pose2) -> None:
+        """Add a cloud to the window if the vehicle has moved far enough since the last one."""
+        config = self.config
+        if self._window and not moved_enough(
+            self._last.between(pose),
+            config.matching_window_distance,
+            config.matching_window_heading,
         ):
             return
         self._last = pose
@@ -232,24 +249,33 @@ class ScanMatcher:
         )
 
     def _search(self, cloud: Cloud, prior: Pose2, covariance: Array) -> ScanMatch | None:
-        """Gauss-Newton over the vehicle's error δ in its own frame, with the prior N(0, P)."""
+        """Minimize over the error δ of the pose, in the vehicle frame, with the prior N(0, P).
+
+        Gauss-Newton; the correspondence distance is halved in each iteration.
+        """
         assert self._cells is not None
-        certainty = np.linalg.inv(covariance + np.diag(_LEAST_DEVIATIONS**2))
-        pose, reach, config = prior, self.config.matching_reach, self.config
+        information = np.linalg.inv(covariance + np.diag(_MINIMUM_DEVIATIONS**2))
+        config = self.config
+        pose, max_distance = prior, config.max_correspondence_distance
         for iteration in range(_ITERATIONS):
             A, b, matched = _normal_equations(
-                cloud, self._cells, (pose.x, pose.y, pose.theta), reach, config.matching_deviation
+                cloud,
+                self._cells,
+                (pose.x, pose.y, pose.theta),
+                max_distance,
+                config.point_to_line_deviation,
             )
-            if matched < max(_FEWEST_POINTS, config.matching_overlap * len(cloud.points)):
+            if matched < max(_MINIMUM_POINTS, config.matching_overlap * len(cloud.points)):
                 return None
             off = np.asarray(pose.between(prior))
-            step = np.linalg.solve(A + certainty, b + certainty @ off)
+            step = np.linalg.solve(A + information, b + information @ off)
             pose = pose.compose(Pose2.from_array(step))
-            reach = max(0.5 * reach, _CELL)
-            if iteration > 1 and (np.abs(step) < _FINEST).all():
+            max_distance = max(0.5 * max_distance, _CELL)
+            if iteration > 1 and (np.abs(step) < _CONVERGED).all():
                 break
         off = np.asarray(prior.between(pose))
-        if off @ certainty @ off > config.matching_gate**2:
+        if off @ information @ off > config.matching_gate**2:
             return None
-        left = np.linalg.inv(_WINDOW_GAIN * A + certainty) + config.matching_drift * covariance
-        return ScanMatch(pose, left, matched / len(cloud.points))
+        posterior = np.linalg.inv(_WINDOW_GAIN * A + information)
+        remaining = posterior + config.matching_drift * covariance
+        return ScanMatch(pose, remaining, matched / len(cloud.points))

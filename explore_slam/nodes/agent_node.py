@@ -84,11 +84,10 @@ class AgentNode(Node):
 
     def _listen(self) -> list[VehicleInputs]:
         takers = {
-            'odometry': lambda item: self.agent.add_odometry(*item),
-            'scan': lambda item: self.agent.add_scan(*item),
-            'frame': lambda item: self.agent.add_frame(*item),
-            'landmarks': lambda item: self.agent.add_landmarks(*item),
-            'sighting': lambda item: self.agent.add_sighting(*item),
+            **dict.fromkeys(
+                ('odometry', 'scan', 'frame', 'landmarks', 'sighting'),
+                lambda item: self.agent.add(*item),
+            ),
             'pose': lambda item: self.agent.set_pose(item[0], *item[1]),
             'follower': lambda item: self.planner.report_follower(item[0], *item[1]),
         }

@@ -125,7 +125,7 @@ class FeatureExtractorNode(Node):
             if not len(self._odometry):
                 return
             pose = self._odometry.at(frame.stamp)
-        if not self._selector.wants(frame.stamp, pose):
+        if not self._selector.select(frame.stamp, pose):
             return
         start = time.perf_counter()
         observations = self._extractor.extract(frame)

@@ -10,9 +10,6 @@ from typing import Any, Protocol
 
 from explore_slam import messages
 from explore_slam.data import (
-    InterRobotObservation,
-    LandmarkObservations,
-    LaserScan,
     OdometryReading,
     RgbdFrame,
 )
@@ -41,20 +38,8 @@ _DEPTH = (TopicKind.DEPTH, TopicKind.DEPTH_COMPRESSED, TopicKind.DEPTH_COMPRESSE
 class Listener(Protocol):
     """What a recording is fed to; the agent is one."""
 
-    def add_odometry(self, vehicle: str, reading: OdometryReading) -> None:
-        """Take an odometry reading."""
-
-    def add_scan(self, vehicle: str, scan: LaserScan) -> None:
-        """Take a laser scan."""
-
-    def add_frame(self, vehicle: str, frame: RgbdFrame) -> None:
-        """Take an RGB-D frame."""
-
-    def add_landmarks(self, vehicle: str, observations: LandmarkObservations) -> None:
-        """Take landmark observations."""
-
-    def add_sighting(self, vehicle: str, sighting: InterRobotObservation) -> None:
-        """Take the sight of another vehicle."""
+    def add(self, vehicle: str, record: Any) -> None:
+        """Add odometry or a measurement of a vehicle."""
 
     def set_pose(self, vehicle: str, pose: Pose2, covariance: Array) -> None:
         """Put a vehicle where a person says it is."""
@@ -217,16 +202,8 @@ class Replay:
     @staticmethod
     def _feed_one(listener: Listener, event: Event, first: bool) -> None:
         vehicle, record = event.vehicle, event.record
-        if event.kind is TopicKind.ODOMETRY and isinstance(record, OdometryReading):
-            listener.add_odometry(vehicle, record)
-        elif isinstance(record, LaserScan):
-            listener.add_scan(vehicle, record)
-        elif isinstance(record, RgbdFrame):
-            listener.add_frame(vehicle, record)
-        elif isinstance(record, LandmarkObservations):
-            listener.add_landmarks(vehicle, record)
-        elif isinstance(record, InterRobotObservation):
-            listener.add_sighting(vehicle, record)
+        if event.kind not in START_KINDS:
+            listener.add(vehicle, record)
         elif (
             event.kind is TopicKind.INITIAL_POSE
             and isinstance(record, OdometryReading)

@@ -107,15 +107,14 @@ class ClosedLoop:
             self.recorder.add_truth(name, record.stamp, record.pose)
             return
         if isinstance(record, OdometryReading):
-            self.agent.add_odometry(name, record)
+            self.agent.add(name, record)
             self.recorder.add_odometry(name, record)
             follower.set_odometry(record)
             follower.set_pose(record.stamp, self.agent.map_pose(name))
-        elif isinstance(record, LaserScan):
-            self.agent.add_scan(name, record)
-            follower.set_scan(record)
         else:
-            self.agent.add_frame(name, record)
+            self.agent.add(name, record)
+            if isinstance(record, LaserScan):
+                follower.set_scan(record)
         for event in self.agent.take_events():
             self.recorder.add_pose(event.vehicle, event.stamp, event.pose)
             if event.update is not None:

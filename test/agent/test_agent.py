@@ -35,11 +35,11 @@ def make_team(config=CONFIG, seed=1):
 def drive(agent, team, ticks, scans=True):
     for tick in range(ticks):
         for name, vehicle in team.items():
-            agent.add_odometry(name, vehicle.advance())
+            agent.add(name, vehicle.advance())
             if tick % 5 == 0:
-                agent.add_landmarks(name, vehicle.landmarks())
+                agent.add(name, vehicle.landmarks())
             if scans and tick % 3 == 0:
-                agent.add_scan(name, vehicle.scan())
+                agent.add(name, vehicle.scan())
 
 
 @pytest.fixture(scope='module')
@@ -82,11 +82,11 @@ def test_vehicles_are_no_walls():
     for tick in range(20):
         for name, vehicle in team.items():
             vehicle.step = IDENTITY
-            agent.add_odometry(name, vehicle.advance())
+            agent.add(name, vehicle.advance())
             scan = vehicle.scan()
             ahead = np.abs(scan.angles) < 0.1
             scan.ranges[ahead] = 1.65  # the body of the other one
-            agent.add_scan(name, scan)
+            agent.add(name, scan)
         agent.advance(2.2 * tick)
     cells = agent.grid.to_cell(np.array([[0.75, 0.0], [-0.75, 0.0]]))
     assert (agent.grid.probability()[cells[:, 0], cells[:, 1]] < 0.5).all()
@@ -107,11 +107,11 @@ def test_records_wait_for_odometry_and_are_used_when_it_comes():
     readings = [vehicle.advance() for _ in range(5)]
     seen = vehicle.landmarks()
     for reading in readings[:-1]:
-        agent.add_odometry('robot1', reading)
-    agent.add_landmarks('robot1', seen)
+        agent.add('robot1', reading)
+    agent.add('robot1', seen)
     agent.take_events()
     assert len(agent.landmarks().ids) == 0
-    agent.add_odometry('robot1', readings[-1])
+    agent.add('robot1', readings[-1])
     (event,) = agent.take_events()
     assert event.update.inserted == len(seen)
     assert event.stamp == seen.stamp
@@ -121,8 +121,8 @@ def test_late_records_are_counted_and_left_out():
     agent, team = make_team()
     drive(agent, team, 20)
     before = agent.estimate('robot1')[0]
-    agent.add_odometry('robot1', OdometryReading(1.5, Pose2(9.0, 9.0, 0.0)))
-    agent.add_landmarks('robot1', LandmarkObservations.empty(0.1))
+    agent.add('robot1', OdometryReading(1.5, Pose2(9.0, 9.0, 0.0)))
+    agent.add('robot1', LandmarkObservations.empty(0.1))
     assert agent.estimate('robot1')[0] == before
     counts = agent.summary()['robot1']
     assert counts['late_odometry'] == 1
@@ -133,8 +133,8 @@ def test_unknown_vehicles_are_named():
     agent, _ = make_team()
     sighting = InterRobotObservation(1.0, 'robot9', np.zeros(2), np.eye(2))
     for call in (
-        lambda: agent.add_odometry('robot9', OdometryReading(1.0, IDENTITY)),
-        lambda: agent.add_sighting('robot1', sighting),
+        lambda: agent.add('robot9', OdometryReading(1.0, IDENTITY)),
+        lambda: agent.add('robot1', sighting),
         lambda: agent.estimate('robot9'),
         lambda: agent.set_pose('robot9', IDENTITY, np.eye(3)),
     ):
@@ -172,9 +172,9 @@ def test_without_camera_scans_still_make_a_map():
     agent, team = make_team()
     for tick in range(120):
         for name, vehicle in team.items():
-            agent.add_odometry(name, vehicle.advance())
+            agent.add(name, vehicle.advance())
             if tick % 3 == 0:
-                agent.add_scan(name, vehicle.scan())
+                agent.add(name, vehicle.scan())
     assert len(agent.trajectory('robot1')[0]) > 5
     assert agent.grid.known().sum() > 5000
 
@@ -197,7 +197,7 @@ def test_silent_vehicles_are_told():
     agent, team = make_team()
     drive(agent, team, 20)
     for _ in range(50):
-        agent.add_odometry('robot1', team['robot1'].advance())
+        agent.add('robot1', team['robot1'].advance())
     states = {status.vehicle: status.state for status in agent.statuses()}
     assert states['robot2'] is VehicleState.SILENT
     assert states['robot1'] is not VehicleState.SILENT
@@ -279,9 +279,9 @@ def test_dedicated_maps_leave_sightings_out():
     agent, team = make_team(with_values(CONFIG, {'maps': 'dedicated'}))
     drive(agent, team, 30)
     sighting = InterRobotObservation(2.9, 'robot2', np.array([2.0, 0.0]), 0.01 * np.eye(2))
-    agent.add_sighting('robot1', sighting)
+    agent.add('robot1', sighting)
     drive(agent, team, 4)  # it waits for the scan after it
-    assert agent.summary()['robot1']['unused_sightings'] == 1
+    assert agent.summary()['robot1']['unused_inter_robot_observations'] == 1
     for name, vehicle in team.items():
         assert vehicle.error_of(agent.estimate(name)[0]) < 0.05
 
@@ -292,9 +292,9 @@ def test_scans_make_odometry_better_where_nothing_else_is_seen():
         agent, team = make_team(with_values(CONFIG, {'scan_matching': matching}))
         for tick in range(150):
             for name, vehicle in team.items():
-                agent.add_odometry(name, vehicle.advance())
+                agent.add(name, vehicle.advance())
                 if tick % 2 == 0:
-                    agent.add_scan(name, vehicle.scan())
+                    agent.add(name, vehicle.scan())
         errors[matching] = {n: v.error_of(agent.estimate(n)[0]) for n, v in team.items()}
         counts = agent.summary()['robot1']
         assert ('matched_scans' in counts) is matching
@@ -307,20 +307,20 @@ def test_frames_wait_for_the_next_scan_but_not_for_ever():
     agent, team = make_team()
     vehicle = team['robot1']
     for _ in range(3):
-        agent.add_odometry('robot1', vehicle.advance())
-        agent.add_scan('robot1', vehicle.scan())
-    agent.add_odometry('robot1', vehicle.advance())
+        agent.add('robot1', vehicle.advance())
+        agent.add('robot1', vehicle.scan())
+    agent.add('robot1', vehicle.advance())
     agent.take_events()
     seen = vehicle.landmarks()
-    agent.add_landmarks('robot1', seen)
+    agent.add('robot1', seen)
     assert not agent.take_events()
-    agent.add_odometry('robot1', vehicle.advance())
+    agent.add('robot1', vehicle.advance())
     assert not agent.take_events()
-    agent.add_scan('robot1', vehicle.scan())
+    agent.add('robot1', vehicle.scan())
     assert [event.stamp for event in agent.take_events()] == [seen.stamp]
-    agent.add_odometry('robot1', vehicle.advance())
+    agent.add('robot1', vehicle.advance())
     silent = vehicle.landmarks()
-    agent.add_landmarks('robot1', silent)
+    agent.add('robot1', silent)
     for _ in range(4):  # no scan any more
-        agent.add_odometry('robot1', vehicle.advance())
+        agent.add('robot1', vehicle.advance())
     assert [event.stamp for event in agent.take_events()] == [silent.stamp]

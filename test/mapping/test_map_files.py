@@ -86,7 +86,7 @@ GOOD = b'P5 2 2 255\n' + bytes([0, 254, 205, 0])
         (b'P5 2', {}, 'header'),
         (b'P5 0 2 255\n', {}, '0 x 2'),
         (b'P5 2 2 65535\n' + bytes(8), {}, '65535'),
-        (b'P2 2 2 255\n0 1 x 3', {}, 'no number'),
+        (b'P2 2 2 255\n0 1 x 3', {}, 'not a number'),
         (b'', {}, 'P5 or P2'),
         (GOOD, {'resolution': 'fine'}, 'resolution'),
         (GOOD, {'resolution': 0.0}, 'resolution'),

@@ -17,7 +17,7 @@ def selector():
             minimum_travel_distance=0.5, minimum_travel_heading=0.2, maximum_keyframe_gap=3.0
         )
     )
-    assert chosen.wants(10.0, Pose2(1.0, 2.0, 3.1))
+    assert chosen.select(10.0, Pose2(1.0, 2.0, 3.1))
     return chosen
 
 
@@ -34,38 +34,38 @@ def selector():
     ],
 )
 def test_choice(selector, stamp, pose, wanted):
-    assert selector.wants(stamp, pose) is wanted
+    assert selector.select(stamp, pose) is wanted
 
 
 def test_distance_counts_from_the_last_keyframe_not_the_last_frame(selector):
     chosen = [
-        selector.wants(10.0 + 0.01 * i, Pose2(1.0 + 0.1 * i, 2.0, 3.1)) for i in range(1, 13)
+        selector.select(10.0 + 0.01 * i, Pose2(1.0 + 0.1 * i, 2.0, 3.1)) for i in range(1, 13)
     ]
     assert [i for i, wanted in enumerate(chosen, start=1) if wanted] == [5, 10]
 
 
 def test_small_moves_add_up(selector):
-    assert not selector.wants(10.1, Pose2(1.3, 2.0, 3.1))
-    assert selector.wants(10.2, Pose2(1.5, 2.0, 3.1))
+    assert not selector.select(10.1, Pose2(1.3, 2.0, 3.1))
+    assert selector.select(10.2, Pose2(1.5, 2.0, 3.1))
 
 
 def test_time_going_back_starts_anew(selector, caplog):
-    assert selector.wants(5.0, Pose2(1.0, 2.0, 3.1))
+    assert selector.select(5.0, Pose2(1.0, 2.0, 3.1))
     assert 'time went back' in caplog.text
-    assert not selector.wants(5.1, Pose2(1.0, 2.0, 3.1))
+    assert not selector.select(5.1, Pose2(1.0, 2.0, 3.1))
 
 
 def test_reset_makes_the_next_frame_a_keyframe(selector):
     selector.reset()
-    assert selector.wants(10.0, Pose2(1.0, 2.0, 3.1))
+    assert selector.select(10.0, Pose2(1.0, 2.0, 3.1))
 
 
 def test_values_that_are_not_finite_are_refused(selector):
     with pytest.raises(VisionError, match='nan'):
-        selector.wants(math.nan, Pose2(0.0, 0.0, 0.0))
+        selector.select(math.nan, Pose2(0.0, 0.0, 0.0))
     with pytest.raises(VisionError, match='inf'):
-        selector.wants(11.0, Pose2(math.inf, 0.0, 0.0))
-    assert not selector.wants(10.1, Pose2(1.0, 2.0, 3.1))
+        selector.select(11.0, Pose2(math.inf, 0.0, 0.0))
+    assert not selector.select(10.1, Pose2(1.0, 2.0, 3.1))
 
 
 def test_takes_the_settings_of_the_room():

@@ -1,0 +1,23 @@
+"""The kinds of measurements that the agent processes; a new kind is a module and a line here."""
+
+from typing import Any
+
+from explore_slam.agent.measurements.frames import FRAMES
+from explore_slam.agent.measurements.inter_robot import INTER_ROBOT
+from explore_slam.agent.measurements.kind import MeasurementKind
+from explore_slam.agent.measurements.landmarks import LANDMARKS
+from explore_slam.agent.measurements.scans import SCANS
+from explore_slam.errors import AgentError
+
+KINDS: tuple[MeasurementKind[Any], ...] = (SCANS, FRAMES, LANDMARKS, INTER_ROBOT)
+
+_BY_RECORD = {kind.record: kind for kind in KINDS}
+
+
+def kind_of(measurement: object) -> MeasurementKind[Any]:
+    """Return the kind of a measurement; AgentError if the type of the record is unknown."""
+    kind = _BY_RECORD.get(type(measurement))
+    if kind is None:
+        names = [record.__name__ for record in _BY_RECORD]
+        raise AgentError(f'measurement is a {type(measurement).__name__}, expected one of {names}')
+    return kind

@@ -1,0 +1,19 @@
+"""RGB-D frames: keyframes are chosen by travel and time, their features become observations."""
+
+from explore_slam.agent.measurements.kind import MeasurementKind
+from explore_slam.agent.team import Team
+from explore_slam.agent.vehicle_track import VehicleTrack
+from explore_slam.data import RgbdFrame
+
+
+def process(team: Team, track: VehicleTrack, frame: RgbdFrame) -> None:
+    """Extract landmark observations from a keyframe and update the filter with them."""
+    if team.is_late(track, frame.stamp):
+        return
+    track.last_seen = frame.stamp
+    track.count('frames')
+    if track.selector.select(frame.stamp, track.odometry.at(frame.stamp)):
+        team.update(track, team.extractor.extract(frame))
+
+
+FRAMES = MeasurementKind(RgbdFrame, process)

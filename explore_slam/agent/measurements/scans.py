@@ -1,0 +1,79 @@
+"""Laser scans: matched to refine odometry, then thinned and drawn into the occupancy grid."""
+
+from explore_slam.agent.measurements.kind import MeasurementKind, enqueue
+from explore_slam.agent.team import Team
+from explore_slam.agent.vehicle_track import VehicleTrack
+from explore_slam.data import LaserScan
+from explore_slam.geometry import Pose2, moved_enough
+from explore_slam.mapping import MAP_FRAME, Body
+
+
+def enqueue_scan(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
+    """Queue a scan for the map and, if scan matching is on, for matching."""
+    if team.config.scan_matching.scan_matching:
+        track.unmatched.push(scan, team.config.inputs.measurement_queue_length)
+    enqueue(team, track, scan)
+
+
+def process(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
+    """Add a scan to the laser map if the vehicle has moved on since the last one."""
+    if track.keyframe is None:
+        track.count('late_observations')
+        return
+    pose = track.odometry.at(scan.stamp)
+    if not _enters_map(team, track, scan.stamp, pose):
+        return
+    track.last_scan = (scan.stamp, pose)
+    _add_keyframe_without_vision(team, track, scan.stamp)
+    moved = track.keyframe.odometry.between(pose)
+    team.laser_map.add(
+        track.keyframe.number,
+        track.name,
+        scan,
+        moved.compose(team.config.laser_mount.pose),
+        _bodies(team, track, scan.stamp),
+    )
+
+
+def _enters_map(team: Team, track: VehicleTrack, stamp: float, pose: Pose2) -> bool:
+    """Return whether the vehicle moved far enough, or long enough passed, since the last scan."""
+    if track.last_scan is None:
+        return True
+    last_stamp, last_pose = track.last_scan
+    scans = team.config.scans
+    return (
+        moved_enough(last_pose.between(pose), scans.map_scan_distance, scans.map_scan_heading)
+        or stamp - last_stamp >= scans.map_scan_period
+    )
+
+
+def _add_keyframe_without_vision(team: Team, track: VehicleTrack, stamp: float) -> None:
+    """Add a keyframe from odometry alone while there are no frames, so that scans have a pose."""
+    keyframes = team.config.vision.keyframes
+    if stamp - track.last_seen < keyframes.maximum_keyframe_gap or team.is_late(track, stamp):
+        return
+    if moved_enough(
+        track.moved_since_keyframe(stamp),
+        keyframes.minimum_travel_distance,
+        keyframes.minimum_travel_heading,
+    ):
+        team.predict(track, stamp)
+        team.add_keyframe(track, stamp)
+
+
+def _bodies(team: Team, track: VehicleTrack, stamp: float) -> list[Body]:
+    """Return the positions of the other vehicles, so that they do not become walls."""
+    radius = team.config.exploration.paths.vehicle_radius + team.config.scans.body_margin
+    bodies = []
+    for other in team.tracks.values():
+        if other is track:
+            continue
+        if other.keyframe is None:
+            bodies.append(Body(MAP_FRAME, other.start, radius))
+        else:
+            moved = other.moved_since_keyframe(stamp)
+            bodies.append(Body(other.keyframe.number, moved, radius))
+    return bodies
+
+
+SCANS = MeasurementKind(LaserScan, process, enqueue=enqueue_scan)

@@ -1,0 +1,106 @@
+"""State of the team: filter, laser map and odometry, and the steps that tie them together.
+
+The measurement kinds (explore_slam.agent.measurements) work on this object.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from explore_slam.agent.config import AgentConfig
+from explore_slam.agent.odometry import OdometryBuffer
+from explore_slam.agent.vehicle_track import Keyframe, VehicleTrack
+from explore_slam.data import LandmarkObservations
+from explore_slam.errors import AgentError
+from explore_slam.geometry import Array, Pose2
+from explore_slam.mapping import LaserMap, ScanMatcher
+from explore_slam.slam import TeamBelief, UpdateSummary
+from explore_slam.vision import FeatureExtractor, KeyframeSelector
+
+
+@dataclass(frozen=True)
+class KeyframeEvent:
+    """A keyframe that entered the filter: the estimate right after it and the update's summary.
+
+    update None: a keyframe without landmarks, from odometry alone.
+    """
+
+    vehicle: str
+    stamp: float
+    pose: Pose2
+    covariance: Array
+    update: UpdateSummary | None
+
+
+class Team:
+    """Filter, laser map and tracks of all vehicles; `configure` replaces the settings."""
+
+    def __init__(self, config: AgentConfig, start_poses: Mapping[str, Pose2], seed: int) -> None:
+        inputs = config.inputs
+        self.config = config
+        self.start_poses = dict(start_poses)
+        self.belief = TeamBelief(self.start_poses, config.slam, seed)
+        self.laser_map = LaserMap(config.mapping)
+        self.extractor = FeatureExtractor(config.vision)
+        self.events: list[KeyframeEvent] = []
+        self.tracks = {
+            name: VehicleTrack(
+                name,
+                pose,
+                OdometryBuffer(
+                    name,
+                    inputs.odometry_duration,
+                    inputs.odometry_jump_speed,
+                    inputs.clock_jump_threshold,
+                ),
+                KeyframeSelector(config.vision),
+                ScanMatcher(config.scan_matching),
+            )
+            for name, pose in self.start_poses.items()
+        }
+
+    def configure(self, config: AgentConfig) -> None:
+        """Replace the settings; those of filter and grid take effect with the next Team."""
+        self.extractor = FeatureExtractor(config.vision)
+        self.config = config
+        for track in self.tracks.values():
+            track.selector.config = config.vision.keyframes
+            track.matcher.config = config.scan_matching
+
+    def track(self, vehicle: str) -> VehicleTrack:
+        """Return the track of a vehicle; AgentError if there is none of this name."""
+        track = self.tracks.get(vehicle)
+        if track is None:
+            raise AgentError(f'unknown vehicle {vehicle!r}, expected one of {list(self.tracks)}')
+        return track
+
+    def is_late(self, track: VehicleTrack, stamp: float) -> bool:
+        """Return whether a stamp (s) lies before the newest keyframe, and count it if so."""
+        if track.keyframe is not None and stamp >= track.keyframe.stamp:
+            return False
+        track.count('late_observations')
+        return True
+
+    def predict(self, track: VehicleTrack, stamp: float) -> None:
+        """Propagate the filter by the odometry from the newest keyframe to a stamp (s)."""
+        noise = self.config.slam.odometry_noise
+        for step in track.steps_since_keyframe(stamp):
+            self.belief.predict(track.name, step.increment, step.covariance_or(noise))
+
+    def add_keyframe(
+        self, track: VehicleTrack, stamp: float, update: UpdateSummary | None = None
+    ) -> None:
+        """Store the current pose as a keyframe; `predict` has brought it to the stamp (s)."""
+        number = self.belief.add_keyframe(track.name, stamp)
+        track.keyframe = Keyframe(number, stamp, track.odometry.at(stamp))
+        pose, covariance = self.belief.estimate(track.name)
+        self.events.append(KeyframeEvent(track.name, stamp, pose, covariance, update))
+
+    def update(self, track: VehicleTrack, observations: LandmarkObservations) -> None:
+        """Update the filter with landmark observations, which become a keyframe."""
+        self.predict(track, observations.stamp)
+        summary = None
+        if len(observations):
+            summary = self.belief.update(track.name, observations)
+        else:
+            track.count('frames_without_landmarks')
+        self.add_keyframe(track, observations.stamp, summary)
