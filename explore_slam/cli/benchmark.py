@@ -4,6 +4,8 @@ import argparse
 import sys
 from pathlib import Path
 
+from explore_slam.cli.arguments import whole_numbers
+
 HELP = 'measure the planner on a map, over team sizes, strategies and seeds'
 
 
@@ -41,21 +43,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar='NAME=VALUE',
         help='another value for a setting of the planner or of the study',
     )
-
-
-def whole_numbers(text: str) -> list[int]:
-    """Return the numbers of '1..8', '1,2,4' or both; argparse tells what else it got."""
-    numbers: list[int] = []
-    for part in text.split(','):
-        low, dots, high = part.partition('..')
-        try:
-            first, last = int(low), int(high if dots else low)
-        except ValueError as error:
-            raise argparse.ArgumentTypeError(f'{text!r}, expected e.g. 1..8 or 1,2,4') from error
-        if not 0 <= first <= last <= 10**6:
-            raise argparse.ArgumentTypeError(f'{text!r}, expected rising numbers from 0')
-        numbers.extend(range(first, last + 1))
-    return list(dict.fromkeys(numbers))
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""`explore_slam demo`: a live exploration by simulated vehicles, over real topics."""
+"""`explore_slam demo`: live exploration with simulated vehicles over ROS topics."""
 
 import argparse
 import sys
@@ -12,25 +12,28 @@ if TYPE_CHECKING:
     from explore_slam.results.run_data import RunData
 
 HELP = 'explore a simulated building with several vehicles, live over ROS topics'
-PERIOD = {True: 0.5, False: 5.0}  # s between progress on a terminal, and elsewhere
+# Time (s) between two reports of progress on a terminal, and elsewhere.
+TERMINAL_PERIOD, LOG_PERIOD = 0.5, 5.0
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument('--vehicles', type=int, default=2, help='how many (default 2)')
+    parser.add_argument('--vehicles', type=int, default=2, help='number of vehicles (default 2)')
     parser.add_argument(
         '--world', default='office', help='world file, map_server YAML, or name (default office)'
     )
-    parser.add_argument('--seed', type=int, default=0, help='of all randomness (default 0)')
-    parser.add_argument('--engine', choices=('fastslam2', 'paper'), help='which FastSLAM')
-    parser.add_argument('--maps', choices=('common', 'dedicated'), help='one map, or one each')
+    parser.add_argument('--seed', type=int, default=0, help='random seed (default 0)')
+    parser.add_argument('--engine', choices=('fastslam2', 'paper'), help='variant of FastSLAM')
+    parser.add_argument(
+        '--maps', choices=('common', 'dedicated'), help='one common map, or one for each vehicle'
+    )
     parser.add_argument('--particles', type=int, help='number of particles')
     parser.add_argument(
         '--set',
         action='append',
         default=[],
         metavar='NAME=VALUE',
-        help='any parameter of the agent; may be repeated',
+        help='value of a setting of the agent; may be repeated',
     )
     parser.add_argument(
         '--vision',
@@ -39,24 +42,29 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help='where features are extracted (default agent)',
     )
     parser.add_argument(
-        '--hardware', action='store_true', help='drive through the real serial drivers over ptys'
+        '--hardware', action='store_true', help='use the serial drivers on emulated hardware'
     )
-    parser.add_argument('--record', action='store_true', help='record a bag into the run folder')
+    parser.add_argument('--record', action='store_true', help='record a bag in the run folder')
     parser.add_argument(
         '--real-time-factor',
         type=float,
         default=0.0,
-        help='simulated seconds per second (default: as fast as the machine keeps up)',
+        help='simulated time per wall time (default: as fast as the machine allows)',
     )
     parser.add_argument(
-        '--time-limit', type=float, default=900.0, help='end after this many seconds (900)'
+        '--time-limit',
+        type=float,
+        default=900.0,
+        help='simulated time (s) after which to end (default 900)',
     )
-    parser.add_argument('--out', type=Path, default=Path('runs'), help='where run folders go')
+    parser.add_argument(
+        '--out', type=Path, default=Path('runs'), help='parent of the run folder (default runs)'
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run to the end or to Ctrl-C; the folder is written either way."""
-    from explore_slam.cli.settings_options import named_settings
+    """Run until complete or until Ctrl-C; write the run folder in both cases."""
+    from explore_slam.cli.arguments import named_settings
     from explore_slam.live.live_run import LiveRun, LiveRunOptions
 
     settings = named_settings(arguments, ('engine', 'maps', 'particles'))
@@ -74,7 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
     live = LiveRun(options, arguments.out)
     print(
         f'{options.vehicles} vehicles explore {live.world.name!r} '
-        f'({live.area.area:.0f} m² within reach); Ctrl-C ends it. Results: {live.folder.path}'
+        f'({live.area.area:.0f} m² reachable); stop with Ctrl-C. Results: {live.folder.path}'
     )
     interrupted = False
     began = time.monotonic()
@@ -82,7 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
         _show(live)
     except KeyboardInterrupt:
         interrupted = True
-        print('\ninterrupted: ending all nodes', flush=True)
+        print('\ninterrupted: stopping all nodes', flush=True)
     data = live.finish()
     _summarize(live, data, time.monotonic() - began)
     if interrupted:
@@ -92,9 +100,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _show(live: 'LiveRun') -> None:
     terminal = sys.stdout.isatty()
+    period = TERMINAL_PERIOD if terminal else LOG_PERIOD
     lines, shown = 0, -1e9
     for state in live.run():
-        if time.monotonic() < shown + PERIOD[terminal]:
+        if time.monotonic() < shown + period:
             continue
         shown = time.monotonic()
         text = progress_text(live, state)
@@ -105,7 +114,7 @@ def _show(live: 'LiveRun') -> None:
 
 
 def progress_text(live: 'LiveRun', state: 'RunState') -> list[str]:
-    """Return what a person wants to see now: a line for the team, one for each vehicle."""
+    """Return the current state: a line for the team, one for each vehicle."""
     assert live.monitor is not None
     if not state.poses:
         return ['starting: waiting for the first poses ...']
@@ -134,7 +143,7 @@ def _effective(live: 'LiveRun') -> str:
 
 def _vehicle_text(name: str, text: str, values: dict[str, str], state: 'RunState') -> str:
     if not values:
-        return f'{name}: no word from the agent yet'
+        return f'{name}: no status from the agent yet'
     goal = values.get('goal', '')
     doing = text + (f' to ({goal.replace(" ", ", ")})' if goal else '')
     deviation = float(values.get('position_deviation_m', 'nan'))
@@ -145,7 +154,7 @@ def _vehicle_text(name: str, text: str, values: dict[str, str], state: 'RunState
 
 
 def _summarize(live: 'LiveRun', data: 'RunData', elapsed: float) -> None:
-    from explore_slam.cli.replay import print_summary
+    from explore_slam.cli.summary import print_summary
 
     metrics: dict[str, Any] = data.metrics
     print()

@@ -1,4 +1,4 @@
-"""`explore_slam experiment 1|2|3|4`: the paper's experiments, beside what the paper published."""
+"""`explore_slam experiment 1|2|3|4`: the experiments of the paper, beside its published tables."""
 
 import argparse
 import os
@@ -6,12 +6,12 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from explore_slam.cli.benchmark import whole_numbers
+from explore_slam.cli.arguments import whole_numbers
 
 if TYPE_CHECKING:
     from explore_slam.studies.experiments.tables import ExperimentReport
 
-HELP = "repeat one of the paper's experiments and print it beside the published tables"
+HELP = 'repeat an experiment of the paper and print it beside the published tables'
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -21,30 +21,34 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help='1: common and dedicated maps; 2: association; 3: time per step; 4: two vehicles',
     )  # fmt: skip
     parser.add_argument(
-        '--seeds', type=whole_numbers, help='0..19 or 3,5; without: 0..19 (1) or 0..4 (2, 3, 4)'
+        '--seeds',
+        type=whole_numbers,
+        help='such as 0..19 or 3,5; default 0..19 (experiment 1) or 0..4 (2, 3, 4)',
     )
-    parser.add_argument('--particles', type=int, help='particles of the filter; without: 1000')
+    parser.add_argument('--particles', type=int, help='number of particles (default 1000)')
     parser.add_argument(
-        '--landmarks', type=int, default=60, help='experiment 1: landmarks in the world'
+        '--landmarks', type=int, default=60, help='experiment 1: number of landmarks (default 60)'
     )
     parser.add_argument(
-        '--without-isam2', action='store_true', help='experiment 1: no yardstick, no gtsam needed'
+        '--without-isam2',
+        action='store_true',
+        help='experiment 1: leave out the reference method (needs gtsam)',
     )
     parser.add_argument(
         '--data',
         type=Path,
-        help='experiment 2: folder of TUM RGB-D frames; without: $EXPLORE_SLAM_DATA/tum_fr1_rpy',
+        help='experiment 2: folder of TUM RGB-D frames (default $EXPLORE_SLAM_DATA/tum_fr1_rpy)',
     )
     parser.add_argument(
         '--world', type=Path, help='experiments 2, 3, 4: world file of the simulated Kinect'
     )
     parser.add_argument(
-        '--output', type=Path, default=Path('runs'), help='where the run folder is made'
+        '--output', type=Path, default=Path('runs'), help='parent of the run folder (default runs)'
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run one experiment, print its tables, write tables and plots."""
+    """Run an experiment, print its tables, write tables and plots."""
     report = _run_number(arguments)
     print(report.markdown())
     folder = report.save(arguments.output)
@@ -80,7 +84,7 @@ def _run_number(arguments: argparse.Namespace) -> 'ExperimentReport':
 
 
 def _recorded_frames() -> Path | None:
-    """Return the folder tum_fr1_rpy below the environment's EXPLORE_SLAM_DATA, if it is there."""
+    """Return the folder tum_fr1_rpy in $EXPLORE_SLAM_DATA, None where there is none."""
     root = os.environ.get('EXPLORE_SLAM_DATA')
     folder = Path(root) / 'tum_fr1_rpy' if root else None
     return folder if folder is not None and folder.is_dir() else None

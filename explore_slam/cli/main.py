@@ -1,4 +1,4 @@
-"""The command line: `explore_slam COMMAND ...`; each command is a module beside this one."""
+"""The command line, `explore_slam COMMAND ...`; each command is a module of this package."""
 
 import argparse
 import importlib
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from explore_slam.errors import ExploreSlamError
 
-# command -> module; a module has HELP, configure(parser) and run(arguments) -> exit code
+# Command -> module with HELP, configure(parser) and run(arguments) -> exit code.
 COMMANDS = {
     'demo': 'demo',
     'replay': 'replay',
@@ -23,12 +23,12 @@ COMMANDS = {
 
 
 def build_parser(wanted: str | None) -> argparse.ArgumentParser:
-    """Return the parser; only the wanted command's module is asked for its options."""
+    """Return the parser; only the wanted command declares its options."""
     parser = argparse.ArgumentParser(
         prog='explore_slam',
-        description='Live exploration by several vehicles that share one feature map.',
+        description='Multi-robot exploration with FastSLAM on a common landmark map.',
     )
-    parser.add_argument('-v', '--verbose', action='store_true', help='show the log')
+    parser.add_argument('-v', '--verbose', action='store_true', help='show log messages')
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
     for name, module_name in COMMANDS.items():
         module = importlib.import_module(f'explore_slam.cli.{module_name}')
@@ -40,7 +40,7 @@ def build_parser(wanted: str | None) -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; a known error is one line on stderr and exit code 1."""
+    """Run a command; an ExploreSlamError is one line on stderr and exit code 1."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     wanted = next((word for word in words if word in COMMANDS), None)
     parsed = build_parser(wanted).parse_args(words)

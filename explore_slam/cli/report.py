@@ -1,11 +1,11 @@
-"""`explore_slam report`: the figures of run folders side by side, and where their reports are."""
+"""`explore_slam report`: compare the metrics of run folders."""
 
 import argparse
 from pathlib import Path
 from typing import Any
 
-HELP = 'show the figures of one or more run folders'
-FIGURES = (
+HELP = 'print the metrics of run folders side by side, and the paths of their reports'
+METRICS = (
     ('mean_online_position_rms', 'position (m)', 3),
     ('mean_online_heading_rms', 'heading (rad)', 4),
     ('mean_odometry_position_rms', 'odometry (m)', 3),
@@ -26,13 +26,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print a table; draw the map where that was asked for."""
+    """Print a table; with --map, draw the map of the first run."""
     from explore_slam.results.run_reader import read_metrics, read_run
 
-    print(f'{"run":28s}' + ''.join(f'{title:>15s}' for _, title, _ in FIGURES))
+    print(f'{"run":28s}' + ''.join(f'{title:>15s}' for _, title, _ in METRICS))
     for folder in arguments.runs:
         metrics = read_metrics(folder)
-        cells = (_cell(metrics.get(name), digits) for name, _, digits in FIGURES)
+        cells = (_cell(metrics.get(name), digits) for name, _, digits in METRICS)
         print(f'{folder.resolve().name:28s}' + ''.join(cells))
     for folder in arguments.runs:
         print((folder / 'report.html').resolve())

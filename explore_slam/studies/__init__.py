@@ -1,1 +1,1 @@
-"""The paper's experiments, and studies of strategies and accuracy."""
+"""The experiments of the paper, studies of strategies and accuracy, and reference methods."""

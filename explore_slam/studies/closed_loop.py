@@ -1,6 +1,6 @@
 """Exploration in one process, without ROS: simulator, path followers and agent in lock step.
 
-The same seed gives the same run, bit for bit; the live demo does the same over topics.
+The same seed gives the same run, bit for bit. The live demo runs the same components over topics.
 """
 
 from dataclasses import dataclass, field
@@ -19,19 +19,25 @@ from explore_slam.simulation import SimulationConfig, Simulator, World
 from explore_slam.simulation.records import TruePose
 from explore_slam.vehicle import PathFollower, PathFollowerConfig
 
-_NO_POINTS = np.empty((0, 2))
+_NO_WAYPOINTS = np.empty((0, 2))
+FIRST_PLANNING = 1.0  # s; by then every vehicle has delivered scans and frames
 ENDED = (ExplorationStatus.COMPLETE, ExplorationStatus.RETURNED)
 
 
 @dataclass(frozen=True)
 class ClosedLoopConfig(Section):
-    """Everything that a run in one process is made of."""
+    """Configuration of a closed-loop run."""
 
     planning_period: float = setting(
         2.0, 'time between planning cycles', unit='s', low=0.1, high=60.0
     )
     time_limit: float = setting(
-        1200.0, 'simulated time after which a run ends', unit='s', low=1.0, high=1e5
+        1200.0,
+        'simulated time after which a run ends',
+        unit='s',
+        low=1.0,
+        high=1e5,
+        tier='basic',
     )
     agent: AgentConfig = section(AgentConfig)
     simulation: SimulationConfig = section(SimulationConfig)
@@ -39,7 +45,7 @@ class ClosedLoopConfig(Section):
 
 @dataclass
 class ClosedLoop:
-    """One run; `step` advances the simulator by a tick, `run` goes on to the end."""
+    """A closed-loop run; `step` advances the simulator by one tick, `run` continues to the end."""
 
     world_path: Path
     config: ClosedLoopConfig = field(default_factory=ClosedLoopConfig)
@@ -60,19 +66,19 @@ class ClosedLoop:
         radius = self.config.agent.exploration.paths.vehicle_radius
         self.area = ReachableArea.of_file(self.world_path, starts.values(), radius)
         self.coverage = 0.0
-        self._next_plan = 1.0
+        self._next_plan = FIRST_PLANNING
         self._sent: dict[str, Plan | None] = {}
 
     @property
     def ended(self) -> bool:
-        """Tell whether nothing is left to explore or the time is up."""
+        """Whether exploration is complete or the time limit is reached."""
         status = self.planner.result.status
         return status in ENDED or self.simulator.time >= self.config.time_limit
 
     def step(self) -> PlanningResult | None:
-        """Advance a tick; return the result of planning when there was one."""
+        """Advance by one tick; return the result of planning in a tick that plans."""
         for event in self.simulator.step():
-            self._take(event.vehicle, event.record)
+            self._process(event.vehicle, event.record)
         now = self.simulator.time
         for name, follower in self.followers.items():
             command = follower.command(now)
@@ -84,7 +90,7 @@ class ClosedLoop:
         return self._plan(now)
 
     def run(self) -> RunData:
-        """Explore to the end; return the data of the run."""
+        """Explore until `ended`; return the data of the run."""
         while not self.ended:
             self.step()
         self.simulator.close()
@@ -101,7 +107,9 @@ class ClosedLoop:
             },
         )
 
-    def _take(self, name: str, record: OdometryReading | LaserScan | RgbdFrame | TruePose) -> None:
+    def _process(
+        self, name: str, record: OdometryReading | LaserScan | RgbdFrame | TruePose
+    ) -> None:
         follower = self.followers[name]
         if isinstance(record, TruePose):
             self.recorder.add_truth(name, record.stamp, record.pose)
@@ -129,7 +137,7 @@ class ClosedLoop:
             if plan is not None and plan is not self._sent.get(name):
                 follower.set_plan(plan)
             elif plan is None and self._sent.get(name) is not None:
-                follower.set_plan(Plan(now, name, Pose2(0.0, 0.0, 0.0), _NO_POINTS))
+                follower.set_plan(Plan(now, name, Pose2(0.0, 0.0, 0.0), _NO_WAYPOINTS))
             self._sent[name] = plan
         grid = self.agent.laser_map.grid
         self.coverage = self.area.explored_fraction(grid.known(), grid.resolution, grid.origin)

@@ -1,7 +1,8 @@
-"""One run of a planning study: the planner explores a grid world with a team.
+"""One run of an exploration study: the planner explores a grid world with a team.
 
-The same grid and planner as in the agent, poses known up to a wandering error instead of SLAM,
-so that what is measured is the planning. Every run ends by itself: done, stuck, or out of time.
+Grid map and planner are those of the agent. Instead of SLAM, poses are known up to a correlated
+error, so that the study measures planning alone. Every run terminates: complete, stuck, or at the
+time limit.
 """
 
 import math
@@ -35,30 +36,45 @@ TIME_LIMIT = 'time_limit'
 
 @dataclass(frozen=True)
 class StudyConfig(Section):
-    """How runs of a study go, beside the vehicles and the planner."""
+    """Configuration of the runs of a study; vehicles and planner have their own."""
 
-    cell_size: float = setting(0.1, 'side of a cell of the map', unit='m', low=0.02, high=0.5)
-    scan_period: float = setting(0.5, 'between scans of a vehicle', unit='s', low=0.05, high=10.0)
-    planning_period: float = setting(2.0, 'between plannings', unit='s', low=0.1, high=60.0)
+    cell_size: float = setting(0.1, 'cell size of the grid map', unit='m', low=0.02, high=0.5)
+    scan_period: float = setting(
+        0.5, 'time between scans of a vehicle', unit='s', low=0.05, high=10.0
+    )
+    planning_period: float = setting(
+        2.0, 'time between planning cycles', unit='s', low=0.1, high=60.0
+    )
     stall_time: float = setting(
-        8.0, 'without getting on until a goal counts as blocked', unit='s', low=1.0, high=120.0
+        8.0,
+        'time without progress after which a goal is reported as blocked',
+        unit='s',
+        low=1.0,
+        high=120.0,
     )
     stuck_time: float = setting(
-        60.0, 'without any plan until the run ends', unit='s', low=1.0, high=600.0
+        60.0, 'time without any plan after which a run ends', unit='s', low=1.0, high=600.0
     )
-    time_limit: float = setting(7200.0, 'of a run', unit='s', low=1.0, high=1e6)
+    time_limit: float = setting(
+        7200.0,
+        'simulated time after which a run ends',
+        unit='s',
+        low=1.0,
+        high=1e6,
+        tier='basic',
+    )
     position_error: float = setting(
-        0.02, 'deviation of the known position', unit='m', low=0.0, high=1.0
+        0.02, 'standard deviation of the known position', unit='m', low=0.0, high=1.0
     )
     heading_error: float = setting(
-        0.003, 'deviation of the known heading', unit='rad', low=0.0, high=0.5
+        0.003, 'standard deviation of the known heading', unit='rad', low=0.0, high=0.5
     )
-    home_at_end: bool = setting(False, 'the team drives home when nothing is left')
+    home_at_end: bool = setting(False, 'drive home when exploration is complete', tier='basic')
 
 
 @dataclass(frozen=True)
 class ExplorationRun:
-    """What came out of one run; lengths in metres, times in seconds of the simulation."""
+    """Result of one run; lengths in meters, times in simulated seconds unless named wall."""
 
     strategy: str
     vehicles: int
@@ -80,24 +96,24 @@ class ExplorationRun:
 
     @property
     def longest_path(self) -> float:
-        """Path of the vehicle that drove most."""
+        """Longest path of a vehicle (m)."""
         return max(self.paths)
 
     @property
     def path_spread(self) -> float:
-        """Standard deviation of the paths over the vehicles, divided by their mean."""
+        """Coefficient of variation of the path lengths of the vehicles."""
         mean = float(np.mean(self.paths))
         return float(np.std(self.paths)) / mean if mean > 0.0 else 0.0
 
     @property
     def real_time_factor(self) -> float:
-        """Simulated seconds per second of computing, planning included."""
+        """Simulated time per wall time, planning included."""
         return self.duration / self.wall_seconds if self.wall_seconds > 0.0 else math.inf
 
 
 @dataclass
 class _Team:
-    """The moving parts of one run."""
+    """State of one run."""
 
     simulator: GridSimulator
     planner: Planner
@@ -119,9 +135,9 @@ def explore(
     planner_settings: Mapping[str, Any] | None = None,
     vehicle_config: GridSimulatorConfig | None = None,
 ) -> ExplorationRun:
-    """Let one team explore a world from its start poses until it is done, stuck or out of time.
+    """Explore a world with one team from its start poses until it is complete, stuck or late.
 
-    planner_settings: settings of ExplorationConfig by name, beside the strategy.
+    planner_settings: further settings of ExplorationConfig by name.
     """
     config = config or StudyConfig()
     team = _make_team(
@@ -129,16 +145,16 @@ def explore(
     )
     simulator, curve = team.simulator, CoverageCurve()
     begun = time.perf_counter()
-    status, reason = TIME_LIMIT, f'not done after {config.time_limit:g} s'
+    status, reason = TIME_LIMIT, f'not complete after {config.time_limit:g} s'
     next_scan = next_plan = last_plan = last_active = 0.0
     while simulator.time < config.time_limit:
         now = simulator.time
         if now >= next_scan - 1e-9:
             next_scan = now + config.scan_period
-            _look(team)
-        waiting = any(map(simulator.is_idle, simulator.vehicles))
+            _scan(team)
+        any_idle = any(map(simulator.is_idle, simulator.vehicles))
         if now >= next_plan - 1e-9 or (
-            waiting and now >= last_plan + 0.5 * config.planning_period
+            any_idle and now >= last_plan + 0.5 * config.planning_period
         ):
             next_plan, last_plan = now + config.planning_period, now
             result = _plan(team, config)
@@ -197,8 +213,8 @@ def _make_team(
     )
 
 
-def _look(team: _Team) -> None:
-    """Let every vehicle scan and draw what it saw where it believes to be."""
+def _scan(team: _Team) -> None:
+    """Insert a scan of every vehicle into the map, at the known pose."""
     simulator = team.simulator
     poses = {vehicle: simulator.known_pose(vehicle) for vehicle in simulator.vehicles}
     radius = simulator.config.body_radius
@@ -208,7 +224,7 @@ def _look(team: _Team) -> None:
 
 
 def _plan(team: _Team, config: StudyConfig) -> PlanningResult:
-    """Report what is blocked, plan, and hand out the plans that are new."""
+    """Report blocked goals, plan, and pass new plans to the vehicles."""
     simulator, now = team.simulator, team.simulator.time
     for vehicle in simulator.vehicles:
         plan = team.plans.get(vehicle)
@@ -238,8 +254,8 @@ def _plan(team: _Team, config: StudyConfig) -> PlanningResult:
     return result
 
 
-def _mapped_share(team: _Team) -> float:
-    """Return the share of the reachable cells whose center the map holds as free."""
+def _mapped_fraction(team: _Team) -> float:
+    """Return the fraction of the reachable cells that are free in the map."""
     simulator, grid = team.simulator, team.grid
     cells = grid.to_cell(simulator.world.to_point(np.argwhere(simulator.reachable)))
     inside = grid.contains(cells)
@@ -267,7 +283,7 @@ def _summarize(
         reason=reason,
         duration=simulator.time,
         curve=curve,
-        mapped=_mapped_share(team),
+        mapped=_mapped_fraction(team),
         paths=tuple(simulator.travelled(vehicle) for vehicle in simulator.vehicles),
         goals_given=sum(counter.given for counter in team.goals.values()),
         goals_changed=sum(counter.changed for counter in team.goals.values()),

@@ -1,4 +1,4 @@
-"""Planning studies: which strategies, team sizes and seeds, run by several processes."""
+"""Exploration studies: strategies, team sizes and seeds, run in several processes."""
 
 import logging
 import multiprocessing
@@ -28,7 +28,7 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Study:
-    """Which runs to make: every strategy with every team size from every seed's start."""
+    """Definition of a study: every strategy with every team size and every seed."""
 
     map_path: Path
     team_sizes: Sequence[int]
@@ -45,7 +45,7 @@ class Study:
                     yield strategy, size, seed
 
     def run_one(self, strategy: str, size: int, seed: int) -> ExplorationRun:
-        """Make one run: the seed gives the start place and all noise."""
+        """Make one run; the seed determines the start poses and all noise."""
         world = _world(self.map_path)
         radius = GridSimulatorConfig().reach_clearance
         poses = world.start_poses(size, seed, radius)
@@ -66,12 +66,12 @@ def make_study(
     seeds: Sequence[int],
     changes: Sequence[str] = (),
 ) -> Study:
-    """Make a study of plain values; changes are 'name=value' of study and planner settings."""
+    """Make a study of plain values; changes: 'name=value' of study and planner settings."""
     for name, values in (('vehicles', team_sizes), ('strategies', strategies), ('seeds', seeds)):
         if not values:
-            raise EvaluationError(f'study: no {name} given')
+            raise EvaluationError(f'study: no {name}, expected at least one')
     if min(team_sizes) < 1:
-        raise EvaluationError(f'study: team of {min(team_sizes)} vehicles, expected 1 or more')
+        raise EvaluationError(f'study: team of {min(team_sizes)} vehicles, expected at least 1')
     for strategy in strategies:
         if strategy not in STRATEGIES:
             raise EvaluationError(f'strategy is {strategy!r}, expected one of {list(STRATEGIES)}')
@@ -82,7 +82,7 @@ def make_study(
         if not equals:
             raise EvaluationError(f'study: {change!r}, expected name=value')
         (own if name in values_of(StudyConfig()) else planner)[name] = yaml.safe_load(text)
-    with_values(ExplorationConfig(), planner)  # a wrong one is told at once
+    with_values(ExplorationConfig(), planner)  # refuse a wrong one at once
     config = with_values(StudyConfig(), own)
     return Study(map_path, team_sizes, strategies, seeds, config, planner)
 
@@ -91,16 +91,16 @@ _WORLDS: dict[Path, GridWorld] = {}
 
 
 def _world(path: Path) -> GridWorld:
-    """Return the world of a file; read once per process."""
+    """Return the world of a file, read once per process."""
     if path not in _WORLDS:
         _WORLDS[path] = GridWorld.load(path)
     return _WORLDS[path]
 
 
 def warm_up() -> None:
-    """Compile all kernels of a run, so that the first one is timed like the others."""
-    for room in (simulation, mapping, exploration):
-        room.warm_up()
+    """Compile all kernels of a run, so that compilation does not count as planning time."""
+    for package in (simulation, mapping, exploration):
+        package.warm_up()
 
 
 def _run_task(task: tuple[Study, str, int, int]) -> ExplorationRun:
@@ -109,8 +109,8 @@ def _run_task(task: tuple[Study, str, int, int]) -> ExplorationRun:
 
 
 def run_study(study: Study, workers: int = 2) -> Iterator[ExplorationRun]:
-    """Yield the runs of a study in their order, made by this many processes."""
-    _world(study.map_path)  # a file that cannot be read is told at once
+    """Yield the runs of a study in order; workers: number of processes."""
+    _world(study.map_path)  # refuse a file that cannot be read at once
     tasks: Iterable[tuple[Study, str, int, int]] = [(study, *task) for task in study.tasks()]
     if workers <= 1:
         warm_up()

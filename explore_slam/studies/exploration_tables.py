@@ -1,4 +1,4 @@
-"""Tables and plots of planning studies."""
+"""Tables and plots of exploration studies."""
 
 import csv
 import json
@@ -13,6 +13,7 @@ from explore_slam.errors import EvaluationError
 from explore_slam.geometry import Array
 from explore_slam.results.coverage import Spread
 from explore_slam.studies.exploration_run import ExplorationRun
+from explore_slam.studies.figures import new_figure
 
 HEADER = (
     'strategy', 'vehicles', 'runs', 'time to 90 % (s)', 'time to 99 % (s)', '99 %: x of 1 vehicle',
@@ -23,7 +24,7 @@ Group = tuple[str, int]
 
 
 def grouped(runs: Iterable[ExplorationRun]) -> dict[Group, list[ExplorationRun]]:
-    """Return the runs of each (strategy, team size), in the order they came."""
+    """Return the runs of each (strategy, team size) in their order."""
     groups: dict[Group, list[ExplorationRun]] = {}
     for run in runs:
         groups.setdefault((run.strategy, run.vehicles), []).append(run)
@@ -31,14 +32,14 @@ def grouped(runs: Iterable[ExplorationRun]) -> dict[Group, list[ExplorationRun]]
 
 
 def time_ratio(
-    runs: Sequence[ExplorationRun], others: Sequence[ExplorationRun], share: float = 0.99
+    runs: Sequence[ExplorationRun], others: Sequence[ExplorationRun], fraction: float = 0.99
 ) -> float:
-    """Return mean time to a share of runs over that of others, on the seeds both have."""
+    """Return the ratio of mean times to a coverage, over the seeds that both sets have."""
     seeds = {run.seed for run in runs} & {run.seed for run in others}
     if not seeds:
-        raise EvaluationError('time ratio: the two sets of runs have no seed in common')
-    above = [run.curve.time_to(share) for run in runs if run.seed in seeds]
-    below = [run.curve.time_to(share) for run in others if run.seed in seeds]
+        raise EvaluationError('time ratio: no seed is in both sets of runs')
+    above = [run.curve.time_to(fraction) for run in runs if run.seed in seeds]
+    below = [run.curve.time_to(fraction) for run in others if run.seed in seeds]
     if not all(map(math.isfinite, (*above, *below))):
         return math.nan
     return float(np.mean(above) / np.mean(below))
@@ -59,7 +60,7 @@ def _ratio_text(runs: Sequence[ExplorationRun], others: Sequence[ExplorationRun]
 
 
 def table_rows(runs: Iterable[ExplorationRun]) -> list[tuple[str, ...]]:
-    """Return one row of text per (strategy, team size), to go below HEADER."""
+    """Return one row of text per (strategy, team size), with the columns of HEADER."""
     groups = grouped(runs)
     rows: list[tuple[str, ...]] = []
     for (strategy, size), members in groups.items():
@@ -87,14 +88,14 @@ def table_rows(runs: Iterable[ExplorationRun]) -> list[tuple[str, ...]]:
 
 
 def markdown_table(runs: Iterable[ExplorationRun]) -> str:
-    """Return the table of a study; contacts are vehicle with vehicle + vehicle with wall."""
+    """Return the table of a study; contacts: with vehicles + with walls."""
     lines = ['| ' + ' | '.join(HEADER) + ' |', '|' + '---|' * len(HEADER)]
     lines += ['| ' + ' | '.join(row) + ' |' for row in table_rows(runs)]
     return '\n'.join(lines) + '\n'
 
 
 def run_values(run: ExplorationRun) -> dict[str, Any]:
-    """Return the metrics of one run by name, plain values."""
+    """Return the metrics of one run by name."""
     return {
         'strategy': run.strategy,
         'vehicles': run.vehicles,
@@ -124,7 +125,7 @@ def run_values(run: ExplorationRun) -> dict[str, Any]:
 def save_study(runs: Sequence[ExplorationRun], folder: Path) -> list[Path]:
     """Write runs.csv, curves.json, table.md, coverage.png and times.png; return their paths."""
     if not runs:
-        raise EvaluationError('there are no runs to save')
+        raise EvaluationError('study: no runs to save')
     folder.mkdir(parents=True, exist_ok=True)
     table, curves = folder / 'table.md', folder / 'curves.json'
     table.write_text(markdown_table(runs), encoding='utf-8')
@@ -148,37 +149,18 @@ _COLORS = {'default': '#1f77b4', 'paper': '#2ca02c', 'nearest': '#d62728', 'rand
 
 
 def _mean_curve(runs: Sequence[ExplorationRun]) -> tuple[Array, Array, Array, Array]:
-    """Return stamps, mean, lowest and highest share of the team over runs."""
+    """Return stamps, and mean, minimum and maximum coverage of the team over runs."""
     end = max(run.curve.stamps[-1] for run in runs)
     stamps = np.linspace(0.0, end, 400)
     shares = np.stack([run.curve.at(stamps) for run in runs])
     return stamps, shares.mean(axis=0), shares.min(axis=0), shares.max(axis=0)
 
 
-def _figure(columns: int) -> tuple[Any, Any]:
-    import matplotlib as mpl
-
-    mpl.use('Agg')
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(
-        1, columns, figsize=(5.0 * columns, 4.0), squeeze=False, layout='constrained'
-    )
-    return figure, axes
-
-
-def _save(figure: Any, path: Path) -> None:
-    from matplotlib import pyplot
-
-    figure.savefig(path, dpi=110)
-    pyplot.close(figure)
-
-
 def plot_coverage(runs: Sequence[ExplorationRun], path: Path) -> None:
-    """Draw share of the reachable area over time: a panel per team size, a band over seeds."""
+    """Plot coverage over time: one panel per team size, mean and range over seeds."""
     groups = grouped(runs)
     sizes = sorted({size for _, size in groups})
-    figure, axes = _figure(len(sizes))
+    figure, axes = new_figure(columns=len(sizes), width=5.0, height=4.0)
     for axis, size in zip(axes[0], sizes, strict=True):
         for (strategy, count), members in groups.items():
             if count != size:
@@ -192,18 +174,17 @@ def plot_coverage(runs: Sequence[ExplorationRun], path: Path) -> None:
         axis.axhline(99.0, color='black', linewidth=0.6, linestyle=':')
         axis.set_title(f'{size} vehicle' + ('s' if size > 1 else ''))
         axis.set_xlabel('time (min)')
-        axis.set_ylabel('reachable area seen (%)')
+        axis.set_ylabel('coverage of the reachable area (%)')
         axis.set_ylim(0.0, 101.0)
         axis.set_xlim(left=0.0)
-        axis.grid(alpha=0.3)
         axis.legend(loc='lower right')
-    _save(figure, path)
+    figure.savefig(path, dpi=110)
 
 
 def plot_times(runs: Sequence[ExplorationRun], path: Path) -> None:
-    """Draw time to 99 % and path per vehicle over the team size, with the spread over seeds."""
+    """Plot time to 99 % and path length over team size: mean and deviation over seeds."""
     groups = grouped(runs)
-    figure, axes = _figure(2)
+    figure, axes = new_figure(columns=2, width=5.0, height=4.0)
     measures = (
         ('time to 99 % (min)', lambda run: run.curve.time_to(0.99) / 60.0),
         ('path per vehicle (m)', lambda run: float(np.mean(run.paths))),
@@ -228,5 +209,4 @@ def plot_times(runs: Sequence[ExplorationRun], path: Path) -> None:
         axis.set_ylabel(label)
         axis.set_xticks(sorted({size for _, size in groups}))
         axis.set_ylim(bottom=0.0)
-        axis.grid(alpha=0.3)
-    _save(figure, path)
+    figure.savefig(path, dpi=110)

@@ -1,8 +1,8 @@
-"""The yardstick: iSAM2 (GTSAM), an incremental smoother, on the data of the filter.
+"""Reference method: iSAM2 (GTSAM), an incremental smoother, on the data of the filter.
 
 Kaess et al., iSAM2: Incremental smoothing and mapping using the Bayes tree, IJRR 31(2), 2012.
-It is told which landmark each observation belongs to. GTSAM is imported when it is needed: the
-package runs without it.
+Data association is given: observations come with the identities of their landmarks. GTSAM is an
+optional dependency, imported on first use.
 """
 
 import math
@@ -15,27 +15,34 @@ from numpy.typing import NDArray
 from explore_slam.data import LandmarkObservations
 from explore_slam.errors import EvaluationError
 from explore_slam.geometry import IDENTITY, Array, Pose2, to_world
+from explore_slam.slam import compound
 
 _POSE, _LANDMARK = 'x', 'l'
+# Change of a variable (m, rad) at which it is linearized again (default of GTSAM: 0.1): far below
+# the noise, so that the smoother is as accurate as batch optimization.
+RELINEARIZE_THRESHOLD = 0.001
+# Keys of different vehicles are this far apart, more than any run has poses.
+_KEYS_PER_VEHICLE = 10_000_000
 
 
 def load_gtsam() -> Any:
-    """Return the module gtsam, or raise EvaluationError telling how to get it."""
+    """Return the module gtsam; EvaluationError where it is not installed."""
     try:
         import gtsam
     except ImportError as error:
         raise EvaluationError(
-            f'iSAM2 needs the Python package gtsam ({error}): '
-            'install it with pip, or leave iSAM2 out'
+            f'iSAM2 needs the Python package gtsam ({error}): install it with pip, or run '
+            'with --without-isam2'
         ) from error
     return gtsam
 
 
 class Isam2:
-    """Poses of all vehicles in the plane and landmarks in space, smoothed after every update.
+    """Planar poses of all vehicles and landmarks in space, smoothed after every update.
 
-    The calls are those of the filter, with the identities (K,) of the landmarks observed.
-    cauchy_width (sigma) bounds outliers as a Cauchy loss; None trusts every observation.
+    Methods are those of the filter, with the identities (K,) of the observed landmarks.
+    cauchy_width: scale of a Cauchy loss on observations, in standard deviations; None for a
+    quadratic loss.
     """
 
     def __init__(
@@ -44,7 +51,7 @@ class Isam2:
         self._gtsam = load_gtsam()
         self._cauchy_width = cauchy_width
         parameters = self._gtsam.ISAM2Params()
-        parameters.setRelinearizeThreshold(0.001)
+        parameters.setRelinearizeThreshold(RELINEARIZE_THRESHOLD)
         parameters.relinearizeSkip = 1
         self._isam = self._gtsam.ISAM2(parameters)
         self._clear_new()
@@ -61,16 +68,17 @@ class Isam2:
         self._smooth()
 
     def predict(self, vehicle: str, increment: Pose2, covariance: Array) -> None:
-        """Append a motion (vehicle frame), covariance (3, 3), to what is not yet in the graph."""
-        from explore_slam.slam.particles.motion import compound
+        """Propagate by an odometry increment (vehicle frame) with covariance (3, 3).
 
+        Increments accumulate and enter the graph at the next update.
+        """
         self._check(vehicle)
         self._pending[vehicle] = compound(*self._pending[vehicle], increment, covariance)
 
     def update(
         self, vehicle: str, observations: LandmarkObservations, identities: Sequence[int]
     ) -> None:
-        """Add a pose and what is seen from it, then smooth."""
+        """Add a pose with its observations and their landmark identities, then smooth."""
         if len(identities) != len(observations):
             raise EvaluationError(
                 f'iSAM2: {len(identities)} identities for {len(observations)} observations'
@@ -95,16 +103,16 @@ class Isam2:
         self._smooth()
 
     def estimate(self, vehicle: str) -> tuple[Pose2, Array]:
-        """Return the newest pose, pending motion included; covariance (3, 3) of the last one."""
+        """Return the pose with pending increments; covariance (3, 3) of the newest graph pose."""
         key = self._newest_key(vehicle)
         pose = _pose_of(self._estimate.atPose2(key)).compose(self._pending[vehicle][0])
-        # GTSAM's covariance is in the vehicle frame, ours in the map
+        # GTSAM gives the covariance in the vehicle frame; the filter uses the map frame.
         c, s = math.cos(pose.theta), math.sin(pose.theta)
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         return pose, turn @ self._isam.marginalCovariance(key) @ turn.T
 
     def trajectory(self, vehicle: str) -> tuple[Array, Array]:
-        """Return stamps (T,) and smoothed poses (T, 3), the start included."""
+        """Return stamps (T,) and smoothed poses (T, 3), beginning with the start pose."""
         self._check(vehicle)
         poses = [
             _pose_of(self._estimate.atPose2(self._pose_key(vehicle, number)))
@@ -113,7 +121,7 @@ class Isam2:
         return np.array(self._stamps[vehicle]), np.array(poses)
 
     def landmarks(self) -> tuple[NDArray[np.int64], Array]:
-        """Return identities (N,) in rising order and positions (N, 3) m."""
+        """Return identities (N,), ascending, and positions (N, 3) m."""
         identities = np.array(sorted(self._known), dtype=np.int64)
         places = [self._estimate.atPoint3(self._landmark_key(int(n))) for n in identities]
         return identities, np.array(places).reshape(-1, 3)
@@ -125,7 +133,7 @@ class Isam2:
         self._counts[vehicle] += 1
         self._stamps[vehicle].append(stamp)
         key = self._newest_key(vehicle)
-        # to the frame where the motion ends; a motion that is certain would be singular
+        # Rotate into the frame at the end of the motion; keep an exact motion regular.
         c, s = math.cos(increment.theta), math.sin(increment.theta)
         turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         at_end = turn @ covariance @ turn.T + 1e-12 * np.eye(3)
@@ -148,14 +156,16 @@ class Isam2:
 
     def _check(self, vehicle: str) -> None:
         if vehicle not in self._counts:
-            raise EvaluationError(f'iSAM2: there is no vehicle {vehicle!r}, only {self._names}')
+            raise EvaluationError(
+                f'iSAM2: unknown vehicle {vehicle!r}, expected one of {self._names}'
+            )
 
     def _newest_key(self, vehicle: str) -> int:
         self._check(vehicle)
         return self._pose_key(vehicle, self._counts[vehicle])
 
     def _pose_key(self, vehicle: str, number: int) -> int:
-        index = self._names.index(vehicle) * 10_000_000 + number
+        index = self._names.index(vehicle) * _KEYS_PER_VEHICLE + number
         return int(self._gtsam.symbol(_POSE, index))
 
     def _landmark_key(self, identity: int) -> int:
@@ -167,7 +177,7 @@ def _pose_of(pose: Any) -> Pose2:
 
 
 def _position_error(measured: Array) -> Any:
-    """Return the error function of a landmark's position (3,) m in the vehicle frame."""
+    """Return the error function of a measured landmark position (3,) m in the vehicle frame."""
 
     def error(factor: Any, values: Any, jacobians: list[Array] | None) -> Array:
         keys = factor.keys()
@@ -176,7 +186,7 @@ def _position_error(measured: Array) -> Any:
         back = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         seen = back @ (landmark - np.array([pose.x(), pose.y(), 0.0]))
         if jacobians is not None:
-            # right perturbation of Pose2: (forward, left, turn) in the vehicle frame
+            # Right perturbation of Pose2: (forward, left, heading) in the vehicle frame.
             jacobians[0] = np.array([[-1.0, 0.0, seen[1]], [0.0, -1.0, -seen[0]], [0.0, 0.0, 0.0]])
             jacobians[1] = back
         difference: Array = seen - measured

@@ -5,7 +5,7 @@ import argparse
 import pytest
 
 from explore_slam.cli import benchmark
-from explore_slam.cli.benchmark import whole_numbers
+from explore_slam.cli.arguments import whole_numbers
 
 
 def parse(*words):

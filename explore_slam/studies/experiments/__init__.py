@@ -1,1 +1,1 @@
-"""The paper's four experiments, repeated: one module each, and what they share."""
+"""The four experiments of the paper, one module each, and what they share."""

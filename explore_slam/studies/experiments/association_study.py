@@ -1,7 +1,7 @@
-"""How often a match of descriptors is right, on real frames against true poses; tables IV and V.
+"""Precision of descriptor matching on real frames with ground truth; tables IV and V.
 
-A match is right when the two observed points lie within TOLERANCE of each other after the true
-poses have put them into the world.
+A match is correct when the two observed points, transformed to the world by the true poses, lie
+within TOLERANCE of each other.
 """
 
 from collections.abc import Iterable, Sequence
@@ -11,38 +11,43 @@ import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.geometry import Array, Pose2
+from explore_slam.results.landmark_agreement import squared_descriptor_distances
 from explore_slam.studies.experiments.tum_frames import TumFrame
 
+# Largest distance (m) of the two points of a correct match: depth noise of a Kinect at 3 m.
 TOLERANCE = 0.10
-GATE = 16.27  # chi² of 3 degrees of freedom that 99.9 % of right matches stay below
-DISTINCT = 0.8**2  # Lowe's ratio, on squared distances
-RULES = ('descriptor', 'gated', 'one to one', 'distinct')
+# 99.9 % quantile of the chi-square distribution with three degrees of freedom.
+CHI_SQUARE_999 = 16.27
+# Ratio test (Lowe, Distinctive image features from scale-invariant keypoints, IJCV 60(2), 2004,
+# section 7.1), here on squared distances.
+RATIO_SQUARED = 0.8**2
+RULES = ('descriptor', 'gated', 'mutual', 'ratio test')
 
 
 @dataclass
 class MatchCount:
-    """Matches made and right ones, per rule and E0."""
+    """Numbers of correct matches and of all matches, by rule and E0."""
 
-    right: dict[tuple[str, float], int] = field(default_factory=dict)
+    correct: dict[tuple[str, float], int] = field(default_factory=dict)
     total: dict[tuple[str, float], int] = field(default_factory=dict)
 
-    def add(self, rule: str, e0: float, right: NDArray[np.bool_]) -> None:
-        """Count the matches of one pair of frames; right (N,) tells which are right."""
+    def add(self, rule: str, e0: float, correct: NDArray[np.bool_]) -> None:
+        """Count the matches of a pair of frames; correct (N,) marks the correct ones."""
         key = (rule, e0)
-        self.right[key] = self.right.get(key, 0) + int(right.sum())
-        self.total[key] = self.total.get(key, 0) + len(right)
+        self.correct[key] = self.correct.get(key, 0) + int(correct.sum())
+        self.total[key] = self.total.get(key, 0) + len(correct)
 
     def precision(self, rule: str, e0: float) -> float:
-        """Return the share of right matches; NaN without any match."""
+        """Return the fraction of correct matches; NaN without any match."""
         total = self.total.get((rule, e0), 0)
-        return self.right[rule, e0] / total if total else float('nan')
+        return self.correct[rule, e0] / total if total else float('nan')
 
 
 @dataclass(frozen=True)
 class PoseError:
-    """How well the pose of the second frame is known: standard deviations, m and rad.
+    """Standard deviations (m, rad) of the pose of the second frame.
 
-    The defaults are a step of table I with σ = 0.5: 2.5 % of 1 m, 3π/180 · σ.
+    Defaults: one step of 1 m with the odometry noise of table I at σ = 0.5.
     """
 
     position: float = 0.025
@@ -56,18 +61,17 @@ def count_matches(
     rng: np.random.Generator,
     error: PoseError | None = None,
 ) -> MatchCount:
-    """Match each frame with the one stride before it, at each threshold E0, by four rules.
+    """Match each frame with the one `stride` before it, at each threshold E0, by four rules.
 
-    descriptor: the nearest descriptor of all; gated: the nearest of those where the erring pose
-    lets expect them; one to one: and no observation is nearer to it; distinct: and no other
-    candidate is nearly as near.
+    descriptor: nearest descriptor; gated: nearest of the landmarks inside the Mahalanobis gate;
+    mutual: additionally nearest in the other direction; ratio test: additionally distinctive.
     """
     count = MatchCount()
     error = error or PoseError()
     for before, now in zip(frames, frames[stride:], strict=False):
         if not len(before.observations) or not len(now.observations):
             continue
-        distances = descriptor_distances(
+        distances = squared_descriptor_distances(
             now.observations.descriptors, before.observations.descriptors
         )
         gated = np.where(_inside_gate(before, now, rng, error), distances, np.inf)
@@ -80,21 +84,15 @@ def count_matches(
     return count
 
 
-def descriptor_distances(a: NDArray[np.float32], b: NDArray[np.float32]) -> Array:
-    """Return the squared distances (N, M) of unit descriptors (N, 128) and (M, 128)."""
-    distances: Array = np.maximum(2.0 - 2.0 * (a @ b.T), 0.0)
-    return distances
-
-
 def _inside_gate(
     before: TumFrame, now: TumFrame, rng: np.random.Generator, error: PoseError
 ) -> NDArray[np.bool_]:
-    """Tell (N, M) which landmarks of the first frame agree with observations of the second.
+    """Return (N, M): is landmark m of the first frame in the gate of observation n of the second.
 
-    The pose of the second frame is off by a drawn error, whose covariance opens the gate.
+    The pose of the second frame has a random error, whose covariance enters the gate.
     """
-    off = rng.standard_normal(3) * (error.position, error.position, error.heading)
-    pose = now.pose.compose(Pose2.from_array(off))
+    noise = rng.standard_normal(3) * (error.position, error.position, error.heading)
+    pose = now.pose.compose(Pose2.from_array(noise))
     here, there = _placed(now, pose), _placed(before, before.pose)
     dx, dy = here.points[:, 0] - pose.x, here.points[:, 1] - pose.y
     turn = np.stack([-dy, dx, np.zeros_like(dx)], axis=1) * error.heading
@@ -103,7 +101,7 @@ def _inside_gate(
     total = spread[:, None] + there.covariances[None]
     apart = here.points[:, None] - there.points[None]
     solved = np.linalg.solve(total, apart[..., None])[..., 0]
-    inside: NDArray[np.bool_] = (apart * solved).sum(axis=2) <= GATE
+    inside: NDArray[np.bool_] = (apart * solved).sum(axis=2) <= CHI_SQUARE_999
     return inside
 
 
@@ -120,30 +118,32 @@ def _placed(frame: TumFrame, pose: Pose2) -> _Placed:
     return _Placed(points, turn @ frame.observations.covariances @ turn.T)
 
 
-def _matches(table: Array, rule: str) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-    """Return rows, columns and distances of the matches that a rule makes of a table (N, M)."""
+def _matches(
+    table: NDArray[np.floating], rule: str
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.floating]]:
+    """Return rows, columns and distances of the matches of a rule in distances (N, M)."""
     rows = np.arange(len(table))
     columns = table.argmin(axis=1)
     values = table[rows, columns]
     keep = np.isfinite(values)
-    if rule in ('one to one', 'distinct'):
+    if rule in ('mutual', 'ratio test'):
         keep &= table.argmin(axis=0)[columns] == rows
-    if rule == 'distinct':
+    if rule == 'ratio test':
         others = table.copy()
         others[rows, columns] = np.inf
-        keep &= values <= DISTINCT * others.min(axis=1)
+        keep &= values <= RATIO_SQUARED * others.min(axis=1)
     return rows[keep], columns[keep], values[keep]
 
 
 def distance_shares(
     descriptors: NDArray[np.float32], limits: Sequence[float], block: int = 1000
 ) -> dict[float, float]:
-    """Return per limit the per cent of all distances between different descriptors below it."""
+    """Return, for each limit, the percentage of distances between descriptors that lie below."""
     count = np.zeros(len(limits), np.int64)
     total = len(descriptors) * (len(descriptors) - 1)
     for first in range(0, len(descriptors), block):
         part = descriptors[first : first + block]
-        distances = descriptor_distances(part, descriptors)
+        distances = squared_descriptor_distances(part, descriptors)
         distances[np.arange(len(part)), first + np.arange(len(part))] = np.inf
         count += [int(np.count_nonzero(distances < limit)) for limit in limits]
     return {limit: 100.0 * n / total for limit, n in zip(limits, count.tolist(), strict=True)}

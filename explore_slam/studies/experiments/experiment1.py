@@ -1,6 +1,7 @@
-"""Experiment 1: two vehicles among landmarks with unique descriptors; tables II and III.
+"""Experiment 1: two vehicles, landmarks with unique descriptors; tables II and III of the paper.
 
-Both engines and iSAM2, common and dedicated maps, on the same drawn data; all estimates online.
+Both engines and iSAM2, with a common map and with dedicated maps, on the same simulated data. All
+estimates are online.
 """
 
 import logging
@@ -13,7 +14,6 @@ import numpy as np
 from explore_slam.geometry import Array
 from explore_slam.settings import with_values
 from explore_slam.slam import FastSlamConfig
-from explore_slam.studies.experiments.figures import COLORS, new_figure
 from explore_slam.studies.experiments.scenarios import (
     HEIGHT,
     PATHS,
@@ -38,19 +38,20 @@ from explore_slam.studies.experiments.trials import (
     rms,
     run_trial,
 )
+from explore_slam.studies.figures import COLORS, new_figure
 
 logger = logging.getLogger(__name__)
 
 MAPS = ('dedicated', 'common')
-# unique descriptors: E0 = 0 in the paper; here what float32 leaves of a distance of zero
-UNIQUE = 1e-4
+# E0 for unique descriptors: 0 in the paper; here the rounding error of float32 distances.
+UNIQUE_DESCRIPTORS = 1e-4
 
 
 @dataclass(frozen=True)
 class Options:
-    """What to run: seeds, particles of both engines, landmarks in the world, iSAM2 or not.
+    """Seeds of the data, particles of both engines, landmarks in the world, iSAM2 or not.
 
-    A filter draws at random: it runs filter_runs times on the data of each seed.
+    Filters are random: each runs filter_runs times on the data of each seed.
     """
 
     seeds: Sequence[int] = tuple(range(20))
@@ -65,7 +66,7 @@ Key = tuple[str, str, str]  # scene, method, maps
 
 
 def run(options: Options | None = None) -> ExperimentReport:
-    """Run both scenes over all seeds and compare."""
+    """Run all methods on both scenes over all seeds."""
     options = options or Options()
     trials: dict[Key, list[Trial]] = {}
     for scene in PATHS:
@@ -73,8 +74,8 @@ def run(options: Options | None = None) -> ExperimentReport:
             scenario = draw_scenario(scene, seed, landmarks=options.landmarks)
             for maps in MAPS:
                 for method in _methods(options):
-                    for again in range(1 if method == 'iSAM2' else options.filter_runs):
-                        draw = seed + 1000 * again
+                    for repetition in range(1 if method == 'iSAM2' else options.filter_runs):
+                        draw = seed + 1000 * repetition
                         estimator = make_estimator(method, maps, scenario, options, draw)
                         done = run_trial(scenario, estimator)
                         trials.setdefault((scene, method, maps), []).append(done)
@@ -89,14 +90,14 @@ def _methods(options: Options) -> tuple[str, ...]:
 def make_estimator(
     method: str, maps: str, scenario: Scenario, options: Options, seed: int
 ) -> Estimator:
-    """Return a filter (paper: σ = 0.5, P0 = 0.9, E0 = 0) or the smoother for a scenario."""
+    """Return a filter (as in the paper: σ = 0.5, P0 = 0.9, E0 = 0) or the smoother."""
     if method == 'iSAM2':
         return SmootherEstimator(scenario.start_poses, maps)
     values = {
         'engine': method,
         'maps': maps,
         'particles': options.paper_particles if method == 'paper' else options.particles,
-        'maximum_descriptor_distance': UNIQUE,
+        'maximum_descriptor_distance': UNIQUE_DESCRIPTORS,
         'minimum_association_probability': 0.9,
     }
     return FilterEstimator(scenario.start_poses, with_values(FastSlamConfig(), values), seed)
@@ -116,13 +117,13 @@ def _report(options: Options, trials: dict[Key, list[Trial]]) -> ExperimentRepor
     report.figures['errors'] = _error_figure(options, trials)
     report.figures['effective_particles'] = _effective_figure(trials)
     report.remarks = [
-        'mean ± standard deviation over seeds, of ratios over the '
+        'mean ± standard deviation over seeds; of ratios, over the '
         f'{options.filter_runs} runs of a filter on the same data; errors of the online estimate '
         'after each step; paper: pose of the best particle, fastslam2: mean, iSAM2: newest pose '
         'after each update',
-        f'particles: paper {options.paper_particles}, fastslam2 {options.particles}; the paper '
-        'used 2000 and its own paths, which the text does not give',
-        "the paper's RMS were taken in its own world; compare rows of one block with each other",
+        f'particles: paper {options.paper_particles}, fastslam2 {options.particles}; the authors '
+        'used 2000, and paths whose coordinates the text does not give',
+        'the published RMS is of another world: compare the rows of one block with each other',
     ]
     return report
 
@@ -190,9 +191,10 @@ def _mean_errors(runs: Sequence[Trial]) -> tuple[float, float]:
 
 
 def _ratios(options: Options, runs: Sequence[Trial], smoother: Sequence[Trial]) -> Array:
-    """Return (filter_runs, 2): position and heading error over that of the smoother."""
+    """Return (filter_runs, 2): position and heading error relative to the smoother."""
     draws = [
-        _mean_errors(runs[again :: options.filter_runs]) for again in range(options.filter_runs)
+        _mean_errors(runs[repetition :: options.filter_runs])
+        for repetition in range(options.filter_runs)
     ]
     ratios: Array = np.array(draws) / np.array(_mean_errors(smoother))
     return ratios
@@ -270,7 +272,7 @@ def _effective_figure(trials: dict[Key, list[Trial]]) -> Any:
         for method in ('paper', 'fastslam2'):
             for maps, style in (('dedicated', '--'), ('common', '-')):
                 series = np.array([run.effective for run in trials[scene, method, maps]])
-                # a step at which nothing is seen is no update and has no weights
+                # A step without observations is no update: its sample size is NaN.
                 steps = np.flatnonzero(~np.isnan(series).all(axis=0))
                 median = np.nanmedian(series[:, steps], axis=0)
                 axis.plot(

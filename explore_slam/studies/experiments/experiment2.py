@@ -1,6 +1,6 @@
-"""Experiment 2: data association with real SIFT features; figure 8, tables IV and V.
+"""Experiment 2: data association with SIFT features; figure 8, tables IV and V of the paper.
 
-Figure 8 on a 10 m walk of the simulated Kinect; the tables on real Kinect frames with motion
+Figure 8 on a 10 m path of the simulated Kinect; the tables on real Kinect frames with motion
 capture, where the paper counted by eye.
 """
 
@@ -21,7 +21,6 @@ from explore_slam.studies.experiments.association_study import (
     count_matches,
     distance_shares,
 )
-from explore_slam.studies.experiments.figures import COLORS, new_figure
 from explore_slam.studies.experiments.filter_study import filter_config, run_filter
 from explore_slam.studies.experiments.kinect_walks import Walk
 from explore_slam.studies.experiments.tables import (
@@ -39,6 +38,7 @@ from explore_slam.studies.experiments.walk_trials import (
     record,
     run_walks,
 )
+from explore_slam.studies.figures import COLORS, new_figure
 from explore_slam.vision import VisionConfig
 
 logger = logging.getLogger(__name__)
@@ -46,35 +46,35 @@ logger = logging.getLogger(__name__)
 QUALITIES = (0.3, 0.5, 0.7, 0.8, 0.9, 0.95)
 THRESHOLDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.2)
 STRIDES = (1, 3, 6)
-PAPER_DESCRIPTORS = 3125
+PAPER_DESCRIPTORS = 3125  # table IV
 
 Sweep = dict[float, list[int]]
 
 
 @dataclass(frozen=True)
 class Options:
-    """Walks as in the other experiments; data: folder of TUM frames, None leaves them out."""
+    """Options of the walks; data: folder of TUM RGB-D frames, None to leave the tables out."""
 
     walks: WalkOptions
     data: Path | None = None
 
 
 def run(options: Options) -> ExperimentReport:
-    """Sweep P0 and E0 on the walk, study matches on the real frames."""
+    """Evaluate matches on real frames and sweep P0 and E0 on the simulated path."""
     report = ExperimentReport('Experiment 2: association of SIFT features')
     if options.data is not None:
         study_frames(read_tum(options.data, _vision(400)), report)
         frames = read_tum(options.data, _vision(200))
         report.tables.append(_filter_table(frames, options.walks, report))
     else:
-        report.remarks.append('no --data: tables IV and V are left out')
+        report.remarks.append('without --data: tables IV and V are left out')
     walks = record(options.walks, {'robot1': CORRIDOR})
     sweep(walks, options.walks, report)
     return report
 
 
 def _vision(budget: int) -> VisionConfig:
-    # a camera in the hand rolls: upright features are for vehicles
+    # A hand-held camera rolls; upright features assume that it does not.
     return with_values(VisionConfig(), {'feature_budget': budget, 'feature_orientation': 'single'})
 
 
@@ -93,7 +93,7 @@ def study_frames(frames: Sequence[TumFrame], report: ExperimentReport) -> None:
     report.figures['association'] = _association_figure(counts, interval)
     report.metrics['association'] = {
         f'{rule}, stride {stride}, E0 {e0}': {
-            'right': count.right[rule, e0],
+            'correct': count.correct[rule, e0],
             'total': count.total[rule, e0],
             'precision': count.precision(rule, e0),
         }
@@ -102,13 +102,12 @@ def study_frames(frames: Sequence[TumFrame], report: ExperimentReport) -> None:
         for e0 in PAPER_ASSOCIATIONS
     }
     report.remarks += [
-        f'{len(frames)} real frames; a match is right when truth puts both points within '
-        f'{100 * TOLERANCE:.0f} cm; the pose is uncertain by one step of table I',
-        'descriptor: nearest descriptor of all (the rule of table V); gated: nearest of those '
-        'that lie where the pose lets expect them; one to one: nearest both ways; distinct: no '
-        'other candidate nearly as near (0.8)',
-        'the frames show one desk again and again, so that more distances are small than in the '
-        "paper's walk",
+        f'{len(frames)} real frames; a match is correct when ground truth places both points '
+        f'within {100 * TOLERANCE:.0f} cm; pose uncertainty of one step of table I',
+        'descriptor: nearest descriptor (the rule of table V); gated: nearest inside the '
+        "Mahalanobis gate; mutual: nearest in both directions; ratio test: Lowe's ratio below 0.8",
+        'the frames show the same desk repeatedly, so that more distances are small than on the '
+        'path of the paper',
     ]
 
 
@@ -119,24 +118,30 @@ def _filter_table(
     for e0 in PAPER_ASSOCIATIONS:
         config = filter_config(e0, options.particles)
         runs = [run_filter(frames, config, seed) for seed in options.seeds]
-        right, total = sum(run.right for run in runs), sum(run.total for run in runs)
+        correct, total = sum(run.correct for run in runs), sum(run.total for run in runs)
         report.metrics[f'filter on real frames, E0 {e0}'] = {
-            'right': right,
+            'correct': correct,
             'total': total,
-            'precision': right / max(total, 1),
+            'precision': correct / max(total, 1),
             'position_rms': [run.position_rms for run in runs],
             'heading_rms': [run.heading_rms for run in runs],
         }
         rows.append(
             (
-                f'{e0}', f'{right}/{total} = {100 * right / max(total, 1):.1f} %',
+                f'{e0}', f'{correct}/{total} = {100 * correct / max(total, 1):.1f} %',
                 spread(run.position_rms for run in runs), spread(run.heading_rms for run in runs),
                 spread(run.odometry_rms for run in runs),
             )
         )  # fmt: skip
     return Table(
-        f'The whole filter (fastslam2) over {len(frames)} real frames, {len(options.seeds)} seeds',
-        ('E0', 'right updates', 'RMS position (m)', 'RMS heading (rad)', 'odometry position (m)'),
+        f'Complete filter (fastslam2) on {len(frames)} real frames, {len(options.seeds)} seeds',
+        (
+            'E0',
+            'correct updates',
+            'RMS position (m)',
+            'RMS heading (rad)',
+            'odometry position (m)',
+        ),
         tuple(rows),
     )
 
@@ -153,7 +158,7 @@ def _distance_table(descriptors: NDArray[np.float32]) -> Table:
     )
     many = len(descriptors[:: max(1, len(descriptors) // 15000)])
     return Table(
-        'Table IV: per cent of squared descriptor distances below a limit',
+        'Table IV: percentage of squared descriptor distances below a limit',
         ('limit', 'published (3125 descriptors)', f'{len(chosen)} drawn', f'{many} of all frames'),
         rows,
     )
@@ -162,20 +167,20 @@ def _distance_table(descriptors: NDArray[np.float32]) -> Table:
 def _association_table(counts: dict[int, MatchCount], interval: float) -> Table:
     rows = [
         (
-            'published', '2 images', *(f'{right}/{total} = {100 * right / total:.0f} %'
-            for right, total in PAPER_ASSOCIATIONS.values()),
+            'published', '2 images', *(f'{correct}/{total} = {100 * correct / total:.0f} %'
+            for correct, total in PAPER_ASSOCIATIONS.values()),
         )
     ]  # fmt: skip
     for rule in RULES:
         for stride, count in counts.items():
             cells = (
-                f'{count.right[rule, e0]}/{count.total[rule, e0]} = '
+                f'{count.correct[rule, e0]}/{count.total[rule, e0]} = '
                 f'{100 * count.precision(rule, e0):.1f} %'
                 for e0 in PAPER_ASSOCIATIONS
             )
             rows.append((rule, f'{stride * interval:.2f} s apart', *cells))
     return Table(
-        'Table V: right associations of all associations',
+        'Table V: correct associations of all associations',
         ('rule', 'images', *(f'E0 = {e0}' for e0 in PAPER_ASSOCIATIONS)),
         tuple(rows),
     )
@@ -184,20 +189,20 @@ def _association_table(counts: dict[int, MatchCount], interval: float) -> Table:
 def _association_figure(counts: dict[int, MatchCount], interval: float) -> Any:
     figure, axes = new_figure(columns=2)
     thresholds = list(PAPER_ASSOCIATIONS)
-    published = [100 * right / total for right, total in PAPER_ASSOCIATIONS.values()]
+    published = [100 * correct / total for correct, total in PAPER_ASSOCIATIONS.values()]
     colors = dict(zip(RULES, ('#999999', '#d9782d', '#1f6fb4', '#3a9a5b'), strict=True))
     styles = dict(zip(counts, ('-', '--', ':'), strict=True))
     for stride, count in counts.items():
         for rule in RULES:
             label = f'{rule}, {stride * interval:.2f} s apart' if stride == STRIDES[0] else None
             precision = [100 * count.precision(rule, e0) for e0 in thresholds]
-            right = [count.right[rule, e0] for e0 in thresholds]
+            correct = [count.correct[rule, e0] for e0 in thresholds]
             axes[0, 0].plot(thresholds, precision, styles[stride], color=colors[rule], label=label)
-            axes[0, 1].plot(thresholds, right, styles[stride], color=colors[rule])
+            axes[0, 1].plot(thresholds, correct, styles[stride], color=colors[rule])
     axes[0, 0].plot(thresholds, published, 'k^', label='published')
     axes[0, 0].axhline(95.0, color='k', linewidth=0.8)
-    axes[0, 0].set(xlabel='E0', ylabel='right matches (%)', ylim=(0.0, 102.0))
-    axes[0, 1].set(xlabel='E0', ylabel='right matches, all pairs of frames', yscale='log')
+    axes[0, 0].set(xlabel='E0', ylabel='correct matches (%)', ylim=(0.0, 102.0))
+    axes[0, 1].set(xlabel='E0', ylabel='correct matches, all pairs of frames', yscale='log')
     axes[0, 1].set_title(
         ', '.join(f'{styles[s]} {s * interval:.2f} s apart' for s in counts), fontsize=9
     )
@@ -206,12 +211,12 @@ def _association_figure(counts: dict[int, MatchCount], interval: float) -> Any:
 
 
 def sweep(walks: Sequence[Walk], options: WalkOptions, report: ExperimentReport) -> None:
-    """Add figure 8: updates as P0 and E0 vary."""
+    """Add figure 8: landmark updates as functions of P0 and E0."""
     by_quality = {engine: _updates(walks, options, engine, QUALITIES, True) for engine in ENGINES}
     by_distance = {
         engine: _updates(walks, options, engine, THRESHOLDS, False) for engine in ENGINES
     }
-    # engine fastslam2 knows no P0
+    # Engine fastslam2 has no P0.
     rows: list[tuple[str, ...]] = [
         ('P0', f'{value}', spread(counts, 0), '') for value, counts in by_quality['paper'].items()
     ]
@@ -221,8 +226,8 @@ def sweep(walks: Sequence[Walk], options: WalkOptions, report: ExperimentReport)
     ]
     report.tables.append(
         Table(
-            'Figure 8: landmark updates on the 10 m walk (P0 varies: E0 = 1.2; E0: P0 = 0.9)',
-            ('varies', 'value', *(f'updates, {engine}' for engine in ENGINES)),
+            'Figure 8: landmark updates on the 10 m path (P0 varied at E0 = 1.2, E0 at P0 = 0.9)',
+            ('varied', 'value', *(f'updates, {engine}' for engine in ENGINES)),
             tuple(rows),
         )
     )

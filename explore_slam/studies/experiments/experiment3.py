@@ -1,4 +1,7 @@
-"""Experiment 3: a vehicle with a Kinect, 16 steps; figure 11 (time of a step), table VI (E0)."""
+"""Experiment 3: one vehicle with a Kinect, 16 steps; figure 11 and table VI of the paper.
+
+Figure 11 shows the time of a step, table VI the influence of E0.
+"""
 
 import logging
 from collections.abc import Sequence
@@ -8,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from explore_slam.slam import warm_up
-from explore_slam.studies.experiments.figures import COLORS, new_figure
 from explore_slam.studies.experiments.kinect_walks import Walk, scenario_of
 from explore_slam.studies.experiments.scenarios import dead_reckoning
 from explore_slam.studies.experiments.tables import (
@@ -26,33 +28,34 @@ from explore_slam.studies.experiments.walk_trials import (
     record,
     run_walks,
 )
+from explore_slam.studies.figures import COLORS, new_figure
 
 logger = logging.getLogger(__name__)
 
 STEPS = 16
-PAPER_SECONDS_PER_STEP = 21.0
-PLOTTED = 0.5  # E0 of figure 11
+PAPER_SECONDS_PER_STEP = 21.0  # section V: 334 s for 16 steps
+PLOTTED_E0 = 0.5  # of figure 11
 
 Key = tuple[str, float]
 
 
 @dataclass
 class Results:
-    """Trials per engine and E0, and what odometry alone gives."""
+    """Trials by engine and E0; odometry: position RMS (m) of odometry alone, by seed."""
 
     trials: dict[Key, list[Trial]] = field(default_factory=dict)
     odometry: list[float] = field(default_factory=list)
 
 
 def run(options: WalkOptions | None = None) -> ExperimentReport:
-    """Drive the rounds once, then filter with each E0, engine and seed."""
+    """Record the path once, then run the filter with each E0, engine and seed."""
     options = options or WalkOptions()
     return evaluate(record(options, {'robot1': ROUNDS}), options)
 
 
 def evaluate(walks: Sequence[Walk], options: WalkOptions) -> ExperimentReport:
-    """Filter the walk of robot1 with each E0, engine and seed."""
-    warm_up()  # compiling is part of start-up, not of a step
+    """Run the filter on the recorded path with each E0, engine and seed."""
+    warm_up()  # compilation is part of start-up, not of a step
     results = Results()
     for seed in options.seeds:
         scenario = scenario_of(walks, seed)
@@ -94,10 +97,10 @@ def _report(options: WalkOptions, walk: Walk, results: Results) -> ExperimentRep
         },
     }
     report.remarks = [
-        "the simulated Kinect in an office of the paper's size; odometry noise of table I; "
+        'simulated Kinect in an office of the size of the paper; odometry noise of table I; '
         f'odometry alone: RMS {spread(results.odometry)} m',
-        'time of the filter alone (predict, update, estimate); the paper: 334 s of filter time '
-        'over 16 steps at E0 = 0.5, in 2014',
+        'time of the filter alone (predict, update, estimate); published: 334 s for 16 steps at '
+        'E0 = 0.5',
     ]
     return report
 
@@ -119,7 +122,7 @@ def _threshold_table(results: Results) -> Table:
             )
         )  # fmt: skip
     return Table(
-        'Table VI: as a function of E0 (P0 = 0.9)',
+        'Table VI: influence of E0 (P0 = 0.9)',
         ('', 'E0', 'estimates/steps', 'updates', 'filter time (s)', 'RMS position (m)'),
         tuple(rows),
     )
@@ -129,7 +132,7 @@ def _time_table(results: Results, extraction: Sequence[float]) -> Table:
     median = float(np.median(extraction))
     rows = [('published', f'{1000 * PAPER_SECONDS_PER_STEP:.0f}', '', '', '')]
     for engine in ENGINES:
-        runs = results.trials[engine, PLOTTED]
+        runs = results.trials[engine, PLOTTED_E0]
         step = float(np.median([s for run in runs for s in run.seconds]))
         worst = max(s for run in runs for s in run.seconds)
         rows.append(
@@ -139,7 +142,7 @@ def _time_table(results: Results, extraction: Sequence[float]) -> Table:
             )
         )  # fmt: skip
     return Table(
-        f'Time of a step at E0 = {PLOTTED}; SIFT of one frame: {1000 * median:.0f} ms',
+        f'Time of a step at E0 = {PLOTTED_E0}; SIFT of one frame: {1000 * median:.0f} ms',
         ('', 'median (ms)', 'worst (ms)', 'median / SIFT', 'landmarks at the end'),
         tuple(rows),
     )
@@ -148,7 +151,7 @@ def _time_table(results: Results, extraction: Sequence[float]) -> Table:
 def _time_figure(results: Results, extraction: Sequence[float]) -> Any:
     figure, axes = new_figure(columns=2)
     for engine in ENGINES:
-        for number, run in enumerate(results.trials[engine, PLOTTED]):
+        for number, run in enumerate(results.trials[engine, PLOTTED_E0]):
             milliseconds = 1000.0 * np.array(run.seconds)
             label = engine if number == 0 else None
             axes[0, 0].plot(
@@ -164,6 +167,6 @@ def _time_figure(results: Results, extraction: Sequence[float]) -> Any:
             1000 * PAPER_SECONDS_PER_STEP, color='#c0392b', linewidth=0.9, label='published, 21 s'
         )
         axis.set(xlabel=name, ylabel='time of a step (ms)', yscale='log')
-    axes[0, 0].set_title(f'as figure 11: E0 = {PLOTTED}, P0 = 0.9')
+    axes[0, 0].set_title(f'as figure 11: E0 = {PLOTTED_E0}, P0 = 0.9')
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc='outside lower center', ncols=4)
     return figure

@@ -1,6 +1,6 @@
-"""Experiment 4: two vehicles over recorded Kinect images, 13 steps each; table VII and figure 14.
+"""Experiment 4: two vehicles with a Kinect, 13 steps each; table VII and figure 14 of the paper.
 
-With the common map a vehicle adds landmarks only where no other vehicle has mapped.
+With a common map, a vehicle inserts landmarks only where no other vehicle has mapped.
 """
 
 import logging
@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from explore_slam.studies.experiments.figures import COLORS, new_figure
 from explore_slam.studies.experiments.kinect_walks import Walk, scenario_of
 from explore_slam.studies.experiments.scenarios import dead_reckoning
 from explore_slam.studies.experiments.tables import (
@@ -27,24 +26,25 @@ from explore_slam.studies.experiments.walk_trials import (
     record,
     run_walks,
 )
+from explore_slam.studies.figures import COLORS, new_figure
 
 logger = logging.getLogger(__name__)
 
 STEPS, E0 = 13, 0.5
-# case a; case b as in the paper; and case b that always inserts, to see what the rule does
+# Case a; case b as in the paper; case b with unrestricted insertion, to show what the rule does.
 CASES = (('dedicated', 'always'), ('common', 'unmapped_region'), ('common', 'always'))
 
 Key = tuple[str, str, str]  # engine, maps, insertion policy
 
 
 def run(options: WalkOptions | None = None) -> ExperimentReport:
-    """Drive both paths once, then filter both together with each case, engine and seed."""
+    """Record both paths once, then run the joint filter with each case, engine and seed."""
     options = options or WalkOptions()
     return evaluate(record(options, TEAM), options)
 
 
 def evaluate(walks: Sequence[Walk], options: WalkOptions) -> ExperimentReport:
-    """Filter the walks of robot1 and robot2 together with each case, engine and seed."""
+    """Run the joint filter on the recorded paths with each case, engine and seed."""
     trials: dict[Key, list[Trial]] = {}
     last: dict[Key, FilterEstimator] = {}
     for seed in options.seeds:
@@ -95,7 +95,7 @@ def _report(
             drift.append(rms(np.hypot(off[:, 0], off[:, 1])))
     report.remarks = [
         f'E0 = {E0}, P0 = 0.9 (engine paper); odometry alone: RMS {spread(drift)} m',
-        'estimates count the 13 steps and the look around at the start',
+        'estimates count the 13 steps and the first frame at the start',
     ]
     return report
 
@@ -138,7 +138,7 @@ def _map_table(trials: dict[Key, list[Trial]]) -> Table:
             ratio = float(np.mean(joint) / np.mean(apart))
             rows.append((f'{engine}, {policy}', f'{ratio:.2f}'))
     return Table(
-        'Landmarks of the common map, as a part of those of both dedicated maps',
+        'Landmarks of the common map relative to those of both dedicated maps',
         ('', 'N common / (N 1 + N 2)'),
         tuple(rows),
     )
@@ -149,16 +149,24 @@ def _map_figure(walks: Sequence[Walk], last: dict[Key, FilterEstimator]) -> Any:
     figure, axes = new_figure(columns=len(cases), width=4.4, height=4.2)
     for axis, key in zip(axes.flat, cases, strict=True):
         landmarks = last[key].belief.landmarks()
-        again = landmarks.counts > 1
+        repeated = landmarks.counts > 1
         axis.plot(
-            *landmarks.means[~again, :2].T, '.', color='#cccccc', markersize=3, label='seen once'
+            *landmarks.means[~repeated, :2].T,
+            '.',
+            color='#cccccc',
+            markersize=3,
+            label='observed once',
         )
         axis.plot(
-            *landmarks.means[again, :2].T, '.', color='#3a9a5b', markersize=4, label='seen again'
+            *landmarks.means[repeated, :2].T,
+            '.',
+            color='#3a9a5b',
+            markersize=4,
+            label='observed again',
         )
         for walk in walks:
             path = np.array([stop.pose for stop in walk.stops])
-            style = '-' if walk is walks[0] else '--'  # both may drive the same way
+            style = '-' if walk is walks[0] else '--'  # paths may coincide
             label = f'{walk.vehicle}, truth'
             axis.plot(*path[:, :2].T, style, color=COLORS[walk.vehicle], label=label)
             axis.plot(*path[0, :2], 'o', color=COLORS[walk.vehicle])

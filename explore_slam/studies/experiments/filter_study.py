@@ -1,4 +1,4 @@
-"""The filter itself on real frames with truth: are the landmarks that it updates those it sees."""
+"""The filter on real frames with ground truth: precision of its landmark updates."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,15 +14,16 @@ from explore_slam.studies.experiments.trials import rms
 from explore_slam.studies.experiments.tum_frames import TumFrame
 
 VEHICLE = 'camera'
-# truth itself errs by millimetres, and a shutter that rolls bends frames taken while turning
-TRUTH_ERROR = 0.005
+# Standard deviation (m) added to a motion between two frames: motion capture errs by millimeters,
+# and a rolling shutter distorts frames of a turning camera.
+TRUTH_SIGMA = 0.005
 
 
 @dataclass(frozen=True)
 class FilterRun:
-    """Landmarks updated over all frames, how many of them rightly; errors of pose; odometry's."""
+    """Landmark updates of a run, the correct ones among them; RMS errors (m, rad) of the pose."""
 
-    right: int
+    correct: int
     total: int
     position_rms: float
     heading_rms: float
@@ -30,25 +31,25 @@ class FilterRun:
 
     @property
     def precision(self) -> float:
-        """Share of updates that were right; NaN without any."""
-        return self.right / self.total if self.total else float('nan')
+        """Fraction of correct updates; NaN without any update."""
+        return self.correct / self.total if self.total else float('nan')
 
 
 def run_filter(frames: Sequence[TumFrame], config: FastSlamConfig, seed: int) -> FilterRun:
-    """Run the filter over the frames as the camera of a planar vehicle with drawn odometry noise.
+    """Run the filter on frames of a planar vehicle with simulated odometry noise.
 
-    An update of a landmark is right when truth puts the point that the best particle took for it
-    within TOLERANCE of where truth put the point that it was made of.
+    The update of a landmark is correct when the true position of the observation lies within
+    TOLERANCE of the true position of the observation that the landmark was initialized from.
     """
     rng = np.random.default_rng(seed)
     slam = FastSlam({VEHICLE: frames[0].pose}, config, seed)
-    places: dict[int, Array] = {}
-    right = total = 0
+    positions: dict[int, Array] = {}
+    correct = total = 0
     errors, drift, drifting = [], [], frames[0].pose
     previous = frames[0].pose
     for frame in frames:
         true = previous.between(frame.pose)
-        covariance = Noise().motion_covariance(true) + np.diag([TRUTH_ERROR**2] * 2 + [0.0])
+        covariance = Noise().motion_covariance(true) + np.diag([TRUTH_SIGMA**2] * 2 + [0.0])
         noisy = np.add(true, rng.multivariate_normal(np.zeros(3), covariance, method='cholesky'))
         increment, previous = Pose2.from_array(noisy), frame.pose
         slam.predict(VEHICLE, increment, covariance)
@@ -57,19 +58,19 @@ def run_filter(frames: Sequence[TumFrame], config: FastSlamConfig, seed: int) ->
             continue
         matches = slam.update(VEHICLE, frame.observations).matches
         for point, number in zip(frame.points, matches.tolist(), strict=True):
-            if number in places:
+            if number in positions:
                 total += 1
-                right += bool(np.linalg.norm(point - places[number]) <= TOLERANCE)
+                correct += bool(np.linalg.norm(point - positions[number]) <= TOLERANCE)
         known = slam.landmarks()
         for number, descriptor in zip(known.ids.tolist(), known.descriptors, strict=True):
-            if number not in places:
-                places[number] = _place(frame, descriptor)
+            if number not in positions:
+                positions[number] = _true_position(frame, descriptor)
         estimate, _ = slam.estimate(VEHICLE)
         errors.append(np.subtract(estimate, frame.pose))
         drift.append(np.subtract(drifting, frame.pose))
     table, odometry = np.array(errors), np.array(drift)
     return FilterRun(
-        right,
+        correct,
         total,
         rms(np.hypot(table[:, 0], table[:, 1])),
         rms(wrap_angles(table[:, 2])),
@@ -78,14 +79,14 @@ def run_filter(frames: Sequence[TumFrame], config: FastSlamConfig, seed: int) ->
 
 
 def filter_config(e0: float, particles: int) -> FastSlamConfig:
-    """Return the settings of the default engine with this E0."""
+    """Return the settings of the default engine with this E0 and number of particles."""
     return with_values(
         FastSlamConfig(), {'particles': particles, 'maximum_descriptor_distance': e0}
     )
 
 
-def _place(frame: TumFrame, descriptor: Array) -> Array:
-    """Return the true place (3,) m of the observation that a new landmark was made of."""
-    likeness = frame.observations.descriptors @ descriptor
-    place: Array = frame.points[int(np.argmax(likeness))]
-    return place
+def _true_position(frame: TumFrame, descriptor: Array) -> Array:
+    """Return the true position (3,) m of the observation with this descriptor."""
+    similarity = frame.observations.descriptors @ descriptor
+    position: Array = frame.points[int(np.argmax(similarity))]
+    return position

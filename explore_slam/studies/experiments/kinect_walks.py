@@ -1,6 +1,6 @@
-"""Walks of the simulated Kinect: drive stops along a path, look at each, keep what is seen.
+"""Paths of the simulated Kinect: drive from stop to stop and record one frame at each.
 
-The images are rendered once; seeds differ in the odometry noise that is drawn afterwards, as the
+Images are rendered once. Seeds differ in the odometry noise, which is added afterwards, as the
 paper ran its filter over recorded images "in a simulated manner".
 """
 
@@ -29,14 +29,14 @@ from explore_slam.vision import CameraMount, FeatureExtractor, VisionConfig
 
 logger = logging.getLogger(__name__)
 
-SPEED, TURN_RATE = 0.6, 1.0
-PATIENCE = 60.0  # simulated seconds for one leg
-NEAR, ALIGNED = 0.01, 0.004
+SPEED, TURN_RATE = 0.6, 1.0  # m/s and rad/s, below the limits of the simulated base
+LEG_TIMEOUT = 60.0  # simulated time (s) for one leg, which takes less than 10 s
+POSITION_TOLERANCE, HEADING_TOLERANCE = 0.01, 0.004  # m and rad, a tenth of the odometry noise
 
 
 @dataclass(frozen=True)
 class Stop:
-    """One stop of a walk: true pose, what the Kinect sees there, seconds it took to extract."""
+    """A stop: true pose, landmark observations, and the time (s) that extraction took."""
 
     pose: Pose2
     observations: LandmarkObservations
@@ -45,28 +45,17 @@ class Stop:
 
 @dataclass(frozen=True)
 class Walk:
-    """The stops of one vehicle, the start first."""
+    """The stops of one vehicle, beginning with its start."""
 
     vehicle: str
     stops: list[Stop]
-
-
-def find_world(name: str) -> Path:
-    """Return the world file of this name, in the source tree or where the package is installed."""
-    here = Path(__file__).resolve()
-    places = [here.parents[3] / 'config' / 'worlds', Path.cwd() / 'config' / 'worlds']
-    places += [up / 'share' / 'explore_slam' / 'config' / 'worlds' for up in here.parents]
-    for place in places:
-        if (place / f'{name}.yaml').is_file():
-            return place / f'{name}.yaml'
-    raise EvaluationError(f'world {name!r} is not found in {places[0]}: name a file with --world')
 
 
 def record_walk(
     world: Path, vehicle: str, corners: Sequence[tuple[float, float]], step: float,
     config: VisionConfig | None = None,
 ) -> Walk:  # fmt: skip
-    """Drive along a path with a stop after every step (m) and look; the truth steers."""
+    """Drive along a path and record a frame after every step (m); control uses the true pose."""
     planned = path_poses(list(corners), step)
     simulation = with_values(
         SimulationConfig(), {'simulated_scan_rate': 0.0, 'simulated_camera_rate': 2.0}
@@ -78,40 +67,42 @@ def record_walk(
         extractor = FeatureExtractor(config, mount)
         for goal in planned:
             _drive(simulator, vehicle, goal)
-            stops.append(_look(simulator, vehicle, extractor))
+            stops.append(_record_stop(simulator, vehicle, extractor))
     if any(simulator.collisions.values()):
         raise EvaluationError(
-            f'walk of {vehicle} in {world} ran into {simulator.collision_log[0]}'
+            f'{vehicle} collided on its path in {world}: {simulator.collision_log[0]}'
         )
     logger.info('%s: %d stops in %s', vehicle, len(stops), world)
     return Walk(vehicle, stops)
 
 
 def _drive(simulator: Simulator, vehicle: str, goal: Pose2) -> None:
-    """Turn towards the goal, drive there, turn to its heading."""
+    """Turn to the goal, drive there, turn to its heading."""
     pose = simulator.true_pose(vehicle)
-    if math.hypot(goal.x - pose.x, goal.y - pose.y) > NEAR:
+    if math.hypot(goal.x - pose.x, goal.y - pose.y) > POSITION_TOLERANCE:
         _turn(simulator, vehicle, math.atan2(goal.y - pose.y, goal.x - pose.x))
-        end = simulator.time + PATIENCE
+        end = simulator.time + LEG_TIMEOUT
         while simulator.time < end:
             pose = simulator.true_pose(vehicle)
             ahead = pose.between(goal)
-            if ahead.x <= NEAR:
+            if ahead.x <= POSITION_TOLERANCE:
                 break
             bend = 1.5 * math.atan2(ahead.y, max(ahead.x, 0.1))
             simulator.set_velocity(vehicle, min(SPEED, 0.8 * ahead.x + 0.02), bend)
             simulator.step()
         else:
-            raise EvaluationError(f'{vehicle} did not come from {pose} to {goal}')
+            raise EvaluationError(
+                f'{vehicle} did not get from {pose} to {goal} in {LEG_TIMEOUT:g} s'
+            )
     _turn(simulator, vehicle, goal.theta)
 
 
 def _turn(simulator: Simulator, vehicle: str, heading: float) -> None:
-    end = simulator.time + PATIENCE
+    end = simulator.time + LEG_TIMEOUT
     while simulator.time < end:
         rest = wrap_angle(heading - simulator.true_pose(vehicle).theta)
         linear, angular = simulator.velocity(vehicle)
-        if abs(rest) < ALIGNED and abs(linear) < 1e-3 and abs(angular) < 0.05:
+        if abs(rest) < HEADING_TOLERANCE and abs(linear) < 1e-3 and abs(angular) < 0.05:
             simulator.set_velocity(vehicle, 0.0, 0.0)
             return
         turn = math.copysign(min(TURN_RATE, 2.0 * abs(rest)), rest)
@@ -120,8 +111,8 @@ def _turn(simulator: Simulator, vehicle: str, heading: float) -> None:
     raise EvaluationError(f'{vehicle} did not turn to {heading:.2f} rad')
 
 
-def _look(simulator: Simulator, vehicle: str, extractor: FeatureExtractor) -> Stop:
-    """Stand still until a frame comes."""
+def _record_stop(simulator: Simulator, vehicle: str, extractor: FeatureExtractor) -> Stop:
+    """Stand still and extract observations from the next frame."""
     simulator.set_velocity(vehicle, 0.0, 0.0)
     end = simulator.time + 2.0
     while simulator.time < end:
@@ -131,14 +122,14 @@ def _look(simulator: Simulator, vehicle: str, extractor: FeatureExtractor) -> St
                 began = time.perf_counter()
                 seen = extractor.extract(event.record)
                 return Stop(simulator.true_pose(vehicle), seen, time.perf_counter() - began)
-    raise EvaluationError(f'{vehicle}: no frame came within 2 s')
+    raise EvaluationError(f'{vehicle}: no frame within 2 s of simulated time')
 
 
 def scenario_of(walks: Sequence[Walk], seed: int, *, table_one: bool = False) -> Scenario:
-    """Return the walks as a scenario, vehicles in turn, with drawn odometry noise (table I).
+    """Return recorded paths as a scenario, vehicles in turn, with odometry noise of table I.
 
-    What is seen at the start counts too: a motion of zero comes before it. With table_one the
-    covariances of what is seen are the paper's, 5 % of the range, instead of the Kinect's.
+    The frame at the start follows a motion of zero. table_one: give observations the covariances
+    of table I, 5 % of the range, instead of those of the Kinect.
     """
     noise = Noise()
     rng = np.random.default_rng(np.random.SeedSequence([seed, len(walks)]))
@@ -154,8 +145,8 @@ def scenario_of(walks: Sequence[Walk], seed: int, *, table_one: bool = False) ->
             else:
                 true = walk.stops[number - 1].pose.between(stop.pose)
                 covariance = noise.motion_covariance(true)
-                wander = rng.multivariate_normal(np.zeros(3), covariance, method='cholesky')
-                increment = Pose2.from_array(np.add(true, wander))
+                noise_sample = rng.multivariate_normal(np.zeros(3), covariance, method='cholesky')
+                increment = Pose2.from_array(np.add(true, noise_sample))
             seen = replace(stop.observations, stamp=float(number))
             if table_one:
                 seen = replace(seen, covariances=_table_one(seen.positions, noise))

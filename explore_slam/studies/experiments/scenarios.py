@@ -1,4 +1,4 @@
-"""Experiment 1's world: landmarks with unique descriptors, paths on a grid, noise of table I."""
+"""World of experiment 1: landmarks with unique descriptors, paths on a grid, noise of table I."""
 
 import itertools
 import math
@@ -11,29 +11,29 @@ from explore_slam.data import DESCRIPTOR_LENGTH, LandmarkObservations
 from explore_slam.errors import EvaluationError
 from explore_slam.geometry import Array, Pose2
 
-WIDTH, HEIGHT = 17.0, 10.5
-STEP = 0.5
+WIDTH, HEIGHT = 17.0, 10.5  # m, figures 5 and 6 of the paper
+STEP = 0.5  # m
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Table I of the paper: standard deviations are these factors times sigma."""
+    """Noise of table I of the paper: standard deviations are these factors times sigma."""
 
     sigma: float = 0.5
-    distance: float = 0.05  # of the step, along the motion
+    distance: float = 0.05  # of the step length, along the motion
     heading: float = 3.0 * math.pi / 180.0  # rad per step
-    depth: float = 0.1  # of the range τ
-    angle: float = 0.1 * math.pi / 180.0  # rad, both φ1 and φ2
+    depth: float = 0.1  # of the range
+    angle: float = 0.1 * math.pi / 180.0  # rad, both angles
 
     def motion_covariance(self, increment: Pose2) -> Array:
-        """Return the covariance (3, 3) of a step that begins by turning and then goes straight."""
-        way = math.hypot(increment.x, increment.y)
-        along = self.distance * way * self.sigma
-        # the paper has no noise across the motion; a hundredth of that along it (and a micron
-        # where nothing moves) keeps the matrix regular
+        """Return the covariance (3, 3) of a step: a turn on the spot, then a straight line."""
+        length = math.hypot(increment.x, increment.y)
+        along = self.distance * length * self.sigma
+        # The paper has no noise across the motion: a hundredth of that along it, and 1 µm
+        # without motion, keep the matrix regular.
         across = 0.01 * along
         floor = 1e-6**2
-        c, s = (increment.x / way, increment.y / way) if way > 0.0 else (1.0, 0.0)
+        c, s = (increment.x / length, increment.y / length) if length > 0.0 else (1.0, 0.0)
         turn = np.array([[c, -s], [s, c]])
         covariance = np.zeros((3, 3))
         covariance[:2, :2] = turn @ np.diag([along**2 + floor, across**2 + floor]) @ turn.T
@@ -43,7 +43,7 @@ class Noise:
 
 @dataclass(frozen=True)
 class VehicleStep:
-    """One step of one vehicle: where it truly is after it, what odometry says, what is seen."""
+    """One step of one vehicle: true pose after it, odometry, observations with identities (K,)."""
 
     vehicle: str
     true_pose: Pose2
@@ -55,7 +55,7 @@ class VehicleStep:
 
 @dataclass(frozen=True)
 class Scenario:
-    """A drawn run: landmarks (N, 3) m, start poses, and the steps of all vehicles in turn."""
+    """A simulated run: landmarks (N, 3) m, start poses, steps of the vehicles in turn."""
 
     name: str
     landmarks: Array
@@ -63,15 +63,15 @@ class Scenario:
     steps: list[VehicleStep]
 
     def true_path(self, vehicle: str) -> Array:
-        """Return the true poses (T + 1, 3) of a vehicle, the start included."""
+        """Return the true poses (T + 1, 3) of a vehicle, beginning with its start."""
         poses = [s.true_pose for s in self.steps if s.vehicle == vehicle]
         return np.array([self.start_poses[vehicle], *poses])
 
 
-# corners of the paths on the 0.5 m grid; 28 and 16 steps as in figures 5 and 6 of the paper.
-# 'crossing': two loops that overlap, driven from opposite corners; 'separate': no landmark is in
-# reach of both; 'late crossing', which the paper has not: each drives about 12 steps alone before
-# it meets what the other has mapped
+# Corners (m) of the paths, of 28 and 16 steps as in figures 5 and 6 of the paper. 'crossing': two
+# overlapping loops from opposite corners; 'separate': no landmark is in range of both vehicles;
+# 'late crossing' (not in the paper): each vehicle drives about 12 steps before it enters the area
+# that the other has mapped.
 PATHS: dict[str, dict[str, list[tuple[float, float]]]] = {
     'crossing': {
         'robot1': [(6.0, 4.0), (10.0, 4.0), (10.0, 7.0), (6.0, 7.0), (6.0, 4.0)],
@@ -89,7 +89,7 @@ PATHS: dict[str, dict[str, list[tuple[float, float]]]] = {
 
 
 def path_poses(corners: list[tuple[float, float]], step: float = STEP) -> list[Pose2]:
-    """Return the poses along a path of axis-parallel legs; the vehicle looks where it goes."""
+    """Return poses along a path of straight legs, each heading along its leg."""
     poses: list[Pose2] = []
     for (x0, y0), (x1, y1) in itertools.pairwise(corners):
         heading = math.atan2(y1 - y0, x1 - x0)
@@ -102,7 +102,7 @@ def path_poses(corners: list[tuple[float, float]], step: float = STEP) -> list[P
 
 
 def unique_descriptors(count: int, rng: np.random.Generator) -> NDArray[np.float32]:
-    """Return random descriptors (count, 128) of unit length, far from each other."""
+    """Return random unit descriptors (count, 128), far from each other."""
     raw = np.abs(rng.standard_normal((count, DESCRIPTOR_LENGTH)))
     unit: NDArray[np.float32] = (raw / np.linalg.norm(raw, axis=1, keepdims=True)).astype(
         np.float32
@@ -118,16 +118,16 @@ def draw_scenario(
     max_range: float = 3.5,
     noise: Noise | None = None,
 ) -> Scenario:
-    """Draw landmarks, true motion and measurements along the paths of this name.
+    """Simulate landmarks, true motion and measurements along the paths of this name.
 
-    As in the paper the vehicle follows its path by odometry, so that the true pose wanders off
-    the path with the noise of table I, and sees 180 degrees to 3.5 m.
+    As in the paper, a vehicle follows its path by odometry, so that its true pose leaves the path
+    with the noise of table I. It observes 180 degrees up to max_range (m).
     """
     if name not in PATHS:
         raise EvaluationError(f'scenario is {name!r}, expected one of {list(PATHS)}')
     noise = noise or Noise()
     rng = np.random.default_rng(np.random.SeedSequence([seed, len(name), landmarks]))
-    places = np.column_stack(
+    positions = np.column_stack(
         [
             rng.uniform(0.0, WIDTH, landmarks),
             rng.uniform(0.0, HEIGHT, landmarks),
@@ -143,13 +143,15 @@ def draw_scenario(
         for vehicle, poses in planned.items():
             increment = poses[number - 1].between(poses[number])
             covariance = noise.motion_covariance(increment)
-            wander = rng.multivariate_normal(np.zeros(3), covariance, method='cholesky')
-            true[vehicle] = true[vehicle].compose(Pose2.from_array(np.add(increment, wander)))
+            noise_sample = rng.multivariate_normal(np.zeros(3), covariance, method='cholesky')
+            true[vehicle] = true[vehicle].compose(
+                Pose2.from_array(np.add(increment, noise_sample))
+            )
             seen = observe(
-                true[vehicle], places, descriptors, float(number), max_range, noise, rng
+                true[vehicle], positions, descriptors, float(number), max_range, noise, rng
             )
             steps.append(VehicleStep(vehicle, true[vehicle], increment, covariance, *seen))
-    return Scenario(name, places, starts, steps)
+    return Scenario(name, positions, starts, steps)
 
 
 def observe(
@@ -161,7 +163,7 @@ def observe(
     noise: Noise,
     rng: np.random.Generator,
 ) -> tuple[LandmarkObservations, NDArray[np.int64]]:
-    """Return what is seen in the half plane ahead, with its identities (K,): range, two angles."""
+    """Simulate observations of the half plane ahead; return them with their identities (K,)."""
     c, s = math.cos(pose.theta), math.sin(pose.theta)
     dx, dy, dz = landmarks[:, 0] - pose.x, landmarks[:, 1] - pose.y, landmarks[:, 2]
     forward, left = c * dx + s * dy, -s * dx + c * dy
@@ -176,7 +178,7 @@ def observe(
 
 
 def from_polar(tau: Array, azimuth: Array, elevation: Array, noise: Noise) -> tuple[Array, Array]:
-    """Return positions (K, 3) and covariances (K, 3, 3) of ranges (m) and angles (rad)."""
+    """Return positions (K, 3) m and covariances (K, 3, 3) m² of ranges tau (m), angles (rad)."""
     ca, sa, ce, se = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
     ray = np.stack([ce * ca, ce * sa, se], axis=1)
     zero = np.zeros_like(ca)
@@ -193,7 +195,7 @@ def from_polar(tau: Array, azimuth: Array, elevation: Array, noise: Noise) -> tu
 
 
 def dead_reckoning(scenario: Scenario, vehicle: str) -> Array:
-    """Return the poses (T + 1, 3) that odometry alone gives."""
+    """Return the poses (T + 1, 3) by odometry alone."""
     pose = scenario.start_poses[vehicle]
     poses = [pose]
     for step in scenario.steps:

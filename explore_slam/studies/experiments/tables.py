@@ -1,7 +1,7 @@
-"""Tables and figures of an experiment, and what the paper published, to print side by side."""
+"""Report of an experiment: its tables and figures, beside the published values."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,8 +11,8 @@ import numpy as np
 from explore_slam.errors import EvaluationError
 from explore_slam.results.run_folder import RunFolder
 
-# table II (28 steps, paths that cross) and III (16 steps, paths apart): RMS of x, y (m) and
-# heading (rad), steps with an estimate, steps, updates of landmarks; case a dedicated, b common
+# Tables II (crossing paths, 28 steps) and III (separate paths, 16 steps): RMS of x, y (m) and
+# heading (rad), steps with an estimate, steps, landmark updates; case a dedicated, b common.
 PAPER_ACCURACY: dict[str, dict[tuple[str, str], tuple[float, float, float, int, int, int]]] = {
     'crossing': {
         ('dedicated', 'robot1'): (0.042, 0.040, 0.108, 16, 28, 106),
@@ -33,7 +33,7 @@ PAPER_TABLE = {
     'separate': 'Table III',
     'late crossing': 'Not in the paper',
 }
-# table IV: squared distance of descriptors -> per cent of all distances that lie below
+# Table IV: squared descriptor distance -> percentage of all distances below.
 PAPER_DISTANCES = {
     0.1: 0.0,
     0.3: 0.003,
@@ -43,11 +43,11 @@ PAPER_DISTANCES = {
     1.1: 15.971,
     1.2: 34.002,
 }
-# table V: E0 -> correct and total associations of two images
+# Table V: E0 -> correct and total associations of two images
 PAPER_ASSOCIATIONS = {0.4: (4, 4), 0.5: (13, 14), 0.6: (22, 25), 0.7: (31, 42)}
-# table VI: E0 -> steps (of 16) with an estimate, updates, seconds
+# Table VI: E0 -> steps (of 16) with an estimate, updates, seconds
 PAPER_THRESHOLDS = {0.3: (3, 3, 299), 0.4: (6, 15, 319), 0.5: (8, 37, 334), 0.6: (9, 88, 369)}
-# table VII: case, vehicle -> steps (of 13) with an estimate, updates, minutes
+# Table VII: case, vehicle -> steps (of 13) with an estimate, updates, minutes
 PAPER_TEAM = {
     ('dedicated', 'robot1'): (5, 38, 4.10),
     ('dedicated', 'robot2'): (8, 47, 3.71),
@@ -58,7 +58,7 @@ PAPER_TEAM = {
 
 @dataclass(frozen=True)
 class Table:
-    """A table of text: title, one header per column, rows."""
+    """A table of text; every row has one cell per column."""
 
     title: str
     header: tuple[str, ...]
@@ -86,7 +86,7 @@ class Table:
 
 @dataclass
 class ExperimentReport:
-    """What an experiment found: tables, remarks, plots by file name, figures as data."""
+    """Results of an experiment: tables, remarks, figures by file name, metrics."""
 
     title: str
     tables: list[Table] = field(default_factory=list)
@@ -112,7 +112,7 @@ class ExperimentReport:
 
 
 def spread(values: Iterable[float], digits: int = 3) -> str:
-    """Return 'mean ± standard deviation' over seeds; the mean alone of a single value."""
+    """Return 'mean ± standard deviation' of values but NaN; of a single value, only the mean."""
     array = np.array([value for value in values if not math.isnan(value)])
     if array.size == 0:
         return '–'
@@ -121,10 +121,5 @@ def spread(values: Iterable[float], digits: int = 3) -> str:
 
 
 def share(part: float, whole: float, digits: int = 1) -> str:
-    """Return 'part/whole' as the paper writes steps with an estimate."""
+    """Return 'part/whole', as the paper prints steps with an estimate."""
     return f'{part:.{digits}f}/{whole:g}'
-
-
-def mean_of(rows: Sequence[Mapping[str, float]], name: str) -> float:
-    """Return the mean of one column of rows."""
-    return float(np.mean([row[name] for row in rows]))

@@ -1,4 +1,4 @@
-"""One run of an estimator over one scenario: errors, estimates, updates, effective particles."""
+"""One run of an estimator on one scenario: errors, landmark updates, effective sample size."""
 
 import time
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from explore_slam.studies.isam2 import Isam2
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one update brought: landmarks updated, landmarks in the map, particles that count."""
+    """Result of an update: landmarks updated, landmarks in the map, effective sample size."""
 
     updated: int
     landmarks: int
@@ -25,26 +25,26 @@ class Outcome:
 
 
 class Estimator(Protocol):
-    """What a trial needs of a filter or smoother."""
+    """Interface of filters and smoothers in a trial."""
 
     def predict(self, vehicle: str, increment: Pose2, covariance: Array) -> None:
-        """Take in a motion."""
+        """Propagate by an odometry increment with covariance (3, 3)."""
 
     def update(
         self, vehicle: str, observations: LandmarkObservations, identities: NDArray[np.int64]
     ) -> Outcome:
-        """Take in what is seen; identities (K,) are the truth, which a filter must not use."""
+        """Update with observations; identities (K,) are true, for smoothers only."""
 
     def pose(self, vehicle: str) -> Pose2:
-        """Return the estimate of where a vehicle is now."""
+        """Return the current pose estimate of a vehicle."""
 
 
 class FilterEstimator:
-    """The filter of the project, with common or dedicated maps."""
+    """The filter of this package, with common or dedicated maps."""
 
     def __init__(self, start_poses: dict[str, Pose2], config: FastSlamConfig, seed: int) -> None:
         self.belief = TeamBelief(start_poses, config, seed)
-        # the paper's estimate of location is the pose in the best particle (section III)
+        # In the paper the pose estimate is that of the best particle (section III).
         self._best = config.engine == 'paper'
         self._landmarks = 0
 
@@ -55,21 +55,21 @@ class FilterEstimator:
     def update(
         self, vehicle: str, observations: LandmarkObservations, identities: NDArray[np.int64]
     ) -> Outcome:
-        """See Estimator; the identities are not looked at."""
+        """See Estimator; identities are not used."""
         del identities
         summary = self.belief.update(vehicle, observations)
         self._landmarks += summary.inserted - summary.removed
         return Outcome(summary.associated, self._landmarks, summary.effective_particles)
 
     def pose(self, vehicle: str) -> Pose2:
-        """Return the best particle's pose (engine paper) or the mean."""
+        """Return the pose of the best particle (engine paper) or the mean."""
         if self._best:
             return self.belief.best_pose(vehicle)
         return self.belief.estimate(vehicle)[0]
 
 
 class SmootherEstimator:
-    """iSAM2: one graph for all vehicles (common) or one for each (dedicated)."""
+    """iSAM2 with one graph for all vehicles (common) or one for each (dedicated)."""
 
     def __init__(self, start_poses: dict[str, Pose2], maps: str) -> None:
         if maps == 'common':
@@ -101,7 +101,7 @@ class SmootherEstimator:
 
 @dataclass
 class VehicleTrial:
-    """One vehicle in one run: errors (T, 3) m, m, rad of the online estimate, and counts."""
+    """One vehicle in one run: errors (x, y, heading) of the online estimate by step, counts."""
 
     errors: list[tuple[float, float, float]] = field(default_factory=list)
     estimates: int = 0
@@ -109,13 +109,13 @@ class VehicleTrial:
 
     @property
     def table(self) -> Array:
-        """Errors (T, 3)."""
+        """Errors (T, 3) m, m, rad."""
         return np.array(self.errors).reshape(-1, 3)
 
 
 @dataclass
 class Trial:
-    """One run: results per vehicle, and after each update effective particles, landmarks, s."""
+    """One run: results by vehicle; after each update sample size, landmarks, time (s)."""
 
     vehicles: dict[str, VehicleTrial]
     effective: list[float] = field(default_factory=list)
@@ -124,38 +124,38 @@ class Trial:
 
     @property
     def position_rms(self) -> float:
-        """Root mean square of the distance (m) to the truth over all vehicles and steps."""
+        """RMS position error (m) over all vehicles and steps."""
         return rms(np.concatenate([np.hypot(*v.table[:, :2].T) for v in self.vehicles.values()]))
 
     @property
     def heading_rms(self) -> float:
-        """Root mean square heading error (rad) over all vehicles and steps."""
+        """RMS heading error (rad) over all vehicles and steps."""
         return rms(np.concatenate([v.table[:, 2] for v in self.vehicles.values()]))
 
     @property
     def updates(self) -> int:
-        """Landmark updates of all vehicles."""
+        """Number of landmark updates of all vehicles."""
         return sum(v.updates for v in self.vehicles.values())
 
     @property
     def estimates(self) -> int:
-        """Steps with at least one landmark update, all vehicles."""
+        """Number of steps of all vehicles with at least one landmark update."""
         return sum(v.estimates for v in self.vehicles.values())
 
 
 def rms(values: Array | Sequence[float]) -> float:
-    """Return the root of the mean square."""
+    """Return the root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
 def run_trial(scenario: Scenario, estimator: Estimator) -> Trial:
-    """Drive an estimator through a scenario and compare its online estimate after each step."""
+    """Run an estimator on a scenario and compare its online estimate with truth at each step."""
     trial = Trial({name: VehicleTrial() for name in scenario.start_poses})
     for step in scenario.steps:
         began = time.perf_counter()
         estimator.predict(step.vehicle, step.increment, step.covariance)
         seen = step.observations
-        # a frame without features is no update
+        # A frame without features is no update.
         outcome = estimator.update(step.vehicle, seen, step.identities) if len(seen) else None
         pose = estimator.pose(step.vehicle)
         seconds = time.perf_counter() - began

@@ -1,4 +1,4 @@
-"""Counting right matches, and shares of descriptor distances."""
+"""Counts of correct matches, and percentages of descriptor distances."""
 
 import numpy as np
 import pytest
@@ -6,10 +6,10 @@ import pytest
 from explore_slam.data import LandmarkObservations
 from explore_slam.geometry import Pose2, to_world
 from explore_slam.studies.experiments.association_study import (
+    RULES,
     MatchCount,
     PoseError,
     count_matches,
-    descriptor_distances,
     distance_shares,
 )
 from explore_slam.studies.experiments.scenarios import unique_descriptors
@@ -31,7 +31,7 @@ def test_perfect_frames_match_perfectly():
     descriptors = unique_descriptors(60, np.random.default_rng(0))
     frames = [frame(0.0, Pose2(0, 0, 0), descriptors), frame(1.0, Pose2(0.2, 0, 0.1), descriptors)]
     count = count_matches(frames, 1, (0.4,), np.random.default_rng(1), PoseError(1e-4, 1e-4))
-    for rule in ('descriptor', 'gated', 'one to one', 'distinct'):
+    for rule in RULES:
         assert count.precision(rule, 0.4) == 1.0
         assert count.total[rule, 0.4] == 60
 
@@ -56,14 +56,14 @@ def test_features_that_repeat_fool_descriptors_but_not_geometry():
     assert count.precision('gated', 0.5) == 1.0
 
 
-def test_one_to_one_and_distinct_take_from_what_is_gated():
+def test_mutual_and_ratio_test_select_from_what_is_gated():
     descriptors = unique_descriptors(60, np.random.default_rng(0))
     frames = [
         frame(0.0, Pose2(0, 0, 0), descriptors),
         frame(1.0, Pose2(0, 0, 0), np.roll(descriptors, 1, axis=0)),
     ]
     count = count_matches(frames, 1, (4.0,), np.random.default_rng(1), PoseError(0.5, 0.5))
-    totals = [count.total[rule, 4.0] for rule in ('gated', 'one to one', 'distinct')]
+    totals = [count.total[rule, 4.0] for rule in RULES[1:]]
     assert totals == sorted(totals, reverse=True)
 
 
@@ -97,16 +97,9 @@ def test_distance_shares_agree_with_all_pairs():
         assert shares[limit] == pytest.approx(100 * np.mean(np.array(apart) < limit), abs=0.05)
 
 
-def test_distances_of_unit_descriptors():
-    descriptors = unique_descriptors(4, np.random.default_rng(4))
-    table = descriptor_distances(descriptors, descriptors)
-    expected = ((descriptors[:, None] - descriptors[None]) ** 2).sum(axis=2)
-    np.testing.assert_allclose(table, expected, atol=1e-5)
-
-
 def test_counts_add_up():
     count = MatchCount()
     count.add('gated', 0.4, np.array([True, False, True]))
     count.add('gated', 0.4, np.array([True]))
-    assert count.right['gated', 0.4] == 3
+    assert count.correct['gated', 0.4] == 3
     assert count.precision('gated', 0.4) == 0.75

@@ -6,10 +6,10 @@ import pytest
 from explore_slam.data import LandmarkObservations
 from explore_slam.errors import EvaluationError
 from explore_slam.geometry import Pose2
+from explore_slam.simulation.worlds.world import world_path
 from explore_slam.studies.experiments.kinect_walks import (
     Stop,
     Walk,
-    find_world,
     record_walk,
     scenario_of,
 )
@@ -34,7 +34,7 @@ def test_walk_of_the_simulated_kinect(small_walks):
 
 def test_walk_that_runs_into_a_wall_is_refused():
     with pytest.raises(EvaluationError, match='robot1'):
-        record_walk(find_world('small'), 'robot1', [(0.8, 2.0), (0.8, -0.5)], 0.5)
+        record_walk(world_path('small'), 'robot1', [(0.8, 2.0), (0.8, -0.5)], 0.5)
 
 
 def test_walks_become_a_scenario_with_drawn_odometry(small_walks):
@@ -55,8 +55,3 @@ def test_walks_of_unequal_length_end_one_after_the_other():
     stop = Stop(START, LandmarkObservations.empty(0.0), 0.0)
     walks = [Walk('a', [stop] * 2), Walk('b', [stop] * 4)]
     assert [s.vehicle for s in scenario_of(walks, 0).steps] == ['a', 'b', 'a', 'b', 'b', 'b']
-
-
-def test_unknown_world_is_refused():
-    with pytest.raises(EvaluationError, match='castle'):
-        find_world('castle')

@@ -1,6 +1,8 @@
-"""What all plots of the experiments share: size, colours, a quiet frame."""
+"""Size, colors and axes that all plots of studies share."""
 
 from typing import Any
+
+from matplotlib.figure import Figure
 
 COLORS = {
     'truth': '#222222',
@@ -14,12 +16,8 @@ COLORS = {
 
 
 def new_figure(columns: int = 1, rows: int = 1, width: float = 5.4, height: float = 3.8) -> Any:
-    """Return a figure of axes (rows, columns) that needs no display."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
+    """Return a figure without display, and its axes (rows, columns)."""
     figure = Figure(figsize=(width * columns, height * rows), layout='constrained')
-    FigureCanvasAgg(figure)
     axes = figure.subplots(rows, columns, squeeze=False)
     for axis in axes.flat:
         axis.spines[['top', 'right']].set_visible(False)

@@ -9,9 +9,10 @@ import pytest
 from explore_slam.cli import experiment
 from explore_slam.errors import EvaluationError
 from explore_slam.settings import with_values
+from explore_slam.simulation.worlds.world import world_path
 from explore_slam.studies.experiments import experiment1, experiment2, experiment3, experiment4
 from explore_slam.studies.experiments.filter_study import filter_config, run_filter
-from explore_slam.studies.experiments.kinect_walks import find_world, record_walk
+from explore_slam.studies.experiments.kinect_walks import record_walk
 from explore_slam.studies.experiments.scenarios import dead_reckoning, draw_scenario
 from explore_slam.studies.experiments.tables import ExperimentReport, Table, share, spread
 from explore_slam.studies.experiments.trials import SmootherEstimator, rms, run_trial
@@ -24,7 +25,7 @@ FEW = WalkOptions(seeds=(0,), particles=30)
 
 @pytest.fixture(scope='module')
 def walks():
-    world = find_world('small')
+    world = world_path('small')
     return [
         record_walk(world, 'robot1', [(0.8, 2.0), (1.8, 2.0)], 0.5),
         record_walk(world, 'robot2', [(1.8, 2.2), (0.8, 2.2)], 0.5),
@@ -140,8 +141,8 @@ def test_experiment2_studies_real_frames(recordings):
     assert associations.rows[0][2:] == (
         '4/4 = 100 %', '13/14 = 93 %', '22/25 = 88 %', '31/42 = 74 %',
     )  # fmt: skip
-    best = report.metrics['association']['distinct, stride 1, E0 0.5']
-    assert best['right'] > 50
+    best = report.metrics['association']['ratio test, stride 1, E0 0.5']
+    assert best['correct'] > 50
     assert best['precision'] > 0.9
 
 

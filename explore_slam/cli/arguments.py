@@ -1,0 +1,40 @@
+"""Values of options that several commands have: settings, and lists of numbers."""
+
+import argparse
+from collections.abc import Iterable
+from typing import Any
+
+
+def named_settings(arguments: argparse.Namespace, names: Iterable[str]) -> dict[str, Any]:
+    """Return the settings given by options of these names, and by `--set NAME=VALUE`."""
+    import yaml
+
+    from explore_slam.errors import ConfigError
+
+    options = {
+        name: getattr(arguments, name) for name in names if getattr(arguments, name) is not None
+    }
+    for text in arguments.set:
+        name, equals, value = text.partition('=')
+        if not equals:
+            raise ConfigError(f'--set is {text!r}, expected NAME=VALUE')
+        try:
+            options[name] = yaml.safe_load(value)
+        except yaml.YAMLError as error:
+            raise ConfigError(f'--set {name}: {value!r} is not a YAML value') from error
+    return options
+
+
+def whole_numbers(text: str) -> list[int]:
+    """Return the numbers of '1..8', '1,2,4' or a mixture (an argparse type)."""
+    numbers: list[int] = []
+    for part in text.split(','):
+        low, dots, high = part.partition('..')
+        try:
+            first, last = int(low), int(high if dots else low)
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(f'{text!r}, expected e.g. 1..8 or 1,2,4') from error
+        if not 0 <= first <= last <= 10**6:
+            raise argparse.ArgumentTypeError(f'{text!r}, expected ascending numbers from 0')
+        numbers.extend(range(first, last + 1))
+    return list(dict.fromkeys(numbers))
