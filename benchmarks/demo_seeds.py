@@ -1,4 +1,4 @@
-"""The live demo on several seeds: explored share, collisions, errors beside odometry, latency.
+"""The live demo over several seeds: coverage, collisions, errors beside odometry, latency.
 
 python benchmarks/demo_seeds.py --seeds 5
 """
@@ -26,7 +26,7 @@ ROWS = (
 
 
 def run_once(seed: int, options: list[str], out: Path) -> dict[str, float]:
-    """Run the demo as a person would; return its figures."""
+    """Run the demo as a command; return its metrics."""
     began = time.monotonic()
     command = [sys.executable, '-m', 'explore_slam.cli.main', 'demo', '--seed', str(seed)]
     done = subprocess.run(
@@ -53,19 +53,19 @@ def run_once(seed: int, options: list[str], out: Path) -> dict[str, float]:
 
 
 def main() -> int:
-    """Run all seeds and print a table: one column a seed, then mean and spread."""
+    """Run all seeds and print a table: one column per seed, then mean and deviation."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--seeds', type=int, default=5)
     parser.add_argument('--first', type=int, default=0)
     parser.add_argument('--out', type=Path, default=Path('runs'))
-    parser.add_argument('options', nargs='*', help='more options of the demo, after --')
+    parser.add_argument('options', nargs='*', help='further options of the demo, after --')
     arguments = parser.parse_args()
     seeds = range(arguments.first, arguments.first + arguments.seeds)
     found = []
     for seed in seeds:
         found.append(run_once(seed, arguments.options, arguments.out))
         print(f'seed {seed}: {json.dumps(found[-1])}', flush=True)
-    print(f'{"":38s}' + ''.join(f'{seed:>9d}' for seed in seeds) + f'{"mean":>9s}{"spread":>9s}')
+    print(f'{"":38s}' + ''.join(f'{seed:>9d}' for seed in seeds) + f'{"mean":>9s}{"std":>9s}')
     for key, label, factor in ROWS:
         values = np.array([one[key] for one in found]) * factor
         cells = ''.join(f'{value:9.3f}' for value in [*values, values.mean(), values.std()])

@@ -1,10 +1,10 @@
-"""Hash the state of the filter after three fixed runs, to show that a change leaves it as it was.
+"""Hash the state of the filter after three fixed runs, to show that a change does not affect it.
 
 python benchmarks/filter_state.py [office] [mrclam] [experiment1] [--duration S]
 
-Each line holds a run and the SHA-256 of poses and weights of all particles, the keyframe path and
-all landmark rows. Two commits that compute the same print the same lines on the same machine and
-with the same library versions; other processors or libraries may round differently.
+Each line holds the name of a run and the SHA-256 of poses and weights of all particles, the
+keyframe path and all landmark rows. Two commits with equal results print equal lines on the same
+machine with the same library versions; other processors or libraries may round differently.
 """
 
 import argparse
@@ -80,9 +80,11 @@ def experiment1() -> str:
 
 
 def main() -> None:
-    """Run what was asked for."""
+    """Run the selected runs."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('runs', nargs='*', default=[], help='office, mrclam, experiment1')
+    parser.add_argument(
+        'runs', nargs='*', default=[], help='office, mrclam, experiment1; default: all'
+    )
     parser.add_argument('--duration', type=float, default=60.0, help='office: simulated time (s)')
     arguments = parser.parse_args()
     runs = {

@@ -1,4 +1,4 @@
-"""How many simulated seconds the grid world makes per second, without planning.
+"""Real-time factor of the grid world simulator, without planning.
 
 Usage: python benchmarks/grid_world_speed.py MAP [--vehicles 4] [--seconds 300]
 """
@@ -19,7 +19,7 @@ SCAN_EVERY = 5  # ticks of 0.1 s
 
 
 def wander(simulator: GridSimulator, rng: np.random.Generator) -> None:
-    """Give vehicles that have nothing to do a straight way of 4 m in any direction."""
+    """Give idle and stalled vehicles a straight path of 4 m in a random direction."""
     for vehicle in simulator.vehicles:
         if simulator.is_idle(vehicle) or simulator.stalled_for(vehicle) > 3.0:
             x, y, _ = simulator.true_pose(vehicle)
@@ -30,7 +30,7 @@ def wander(simulator: GridSimulator, rng: np.random.Generator) -> None:
 
 
 def main() -> None:
-    """Print the factor for each team size."""
+    """Print the real-time factor for each team size."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('map', type=Path)
     parser.add_argument('--vehicles', type=int, nargs='+', default=[1, 2, 4, 8])

@@ -1,8 +1,8 @@
-"""Intel Research Lab: the grid along the reference poses, and how well the beams agree with it.
+"""Intel Research Lab: grid map along the reference poses, and agreement of the beams with it.
 
 python benchmarks/mapping_intel.py FOLDER [--output MAP]
 FOLDER holds intel_raw_odom_scans.npz and reference_pose_flirt.csv. The reference gives a pose for
-510 of the 2726 scans; poses between two of them follow the odometry, its error spread evenly.
+510 of the 2726 scans; between these, poses follow odometry with its error distributed linearly.
 """
 
 import argparse
@@ -20,7 +20,7 @@ MAX_RANGE = 30.0
 
 
 def fill_poses(odometry: Array, steps: list[int], reference: Array) -> dict[int, Array]:
-    """Return poses by scan: the reference, and odometry bent to fit between two references."""
+    """Return poses by scan: the reference, and between two of its poses corrected odometry."""
     poses: dict[int, Array] = {}
     for i in range(len(steps) - 1):
         first, last = steps[i], steps[i + 1]
@@ -33,12 +33,14 @@ def fill_poses(odometry: Array, steps: list[int], reference: Array) -> dict[int,
 
 
 def load(folder: Path) -> tuple[list[LaserScan], list[int], Array, dict[int, Array]]:
-    """Return scans, the steps that have a reference pose, these poses, and poses of all steps."""
+    """Return scans, indices with a reference pose, the reference poses, and poses by index."""
     data = np.load(folder / 'intel_raw_odom_scans.npz')
     ranges = data['ranges'].copy()
     ranges[data['valid'] == 0] = np.nan
     ranges[ranges >= MAX_RANGE] = np.inf
-    increment = math.radians(1.0)  # the SICK's own grid: beam 0 at -90 degrees, one per degree
+    increment = math.radians(
+        1.0
+    )  # beams of the SICK laser: the first at -90 degrees, one per degree
     scans = [
         LaserScan(float(k), -math.pi / 2, increment, ranges[k], 0.05, MAX_RANGE)
         for k in range(len(ranges))
@@ -52,9 +54,9 @@ def load(folder: Path) -> tuple[list[LaserScan], list[int], Array, dict[int, Arr
 def agreement(
     grid: OccupancyGrid, scans: list[LaserScan], steps: list[int], poses: Array
 ) -> tuple[float, float, float]:
-    """Return shares of beams: end within a cell of an occupied one; cross one before; both fit.
+    """Return fractions of beams that end next to an occupied cell, cross one, and agree in both.
 
-    A beam crosses an obstacle if it is in an occupied cell more than 0.3 m before its end.
+    A beam crosses an obstacle if it enters an occupied cell more than 0.3 m before its end.
     """
     occupied = np.pad(grid.known() & (grid.probability() > 0.5), 1)
     near = np.zeros_like(occupied)
@@ -106,7 +108,7 @@ def main() -> None:
     print(f'beams that agree in both: {100 * both:.1f} %')
     full = OccupancyGrid(config)
     begun = time.perf_counter()
-    for k, scan in enumerate(scans):  # before the first reference and after the last: stand
+    for k, scan in enumerate(scans):  # standing before the first reference pose
         full.insert_scan(Pose2(*poses.get(k, reference[0]).tolist()), scan)
     print(f'all {len(scans)} scans: {time.perf_counter() - begun:.2f} s')
     if arguments.output:

@@ -1,4 +1,4 @@
-"""Speed of the grid: one 361-beam scan at 0.05 m, and redraws of thousands of keyframes.
+"""Speed of the grid map: insertion of a 361-beam scan at 0.05 m, redraw of many keyframes.
 
 python benchmarks/mapping_speed.py [--keyframes 5000]
 """
@@ -14,11 +14,11 @@ from explore_slam.geometry import Array, Pose2
 from explore_slam.mapping import GridConfig, LaserMap, OccupancyGrid, warm_up
 
 BEAMS = 361
-HALLS = 12.0  # m: the vehicle drives through a row of halls of this side
+HALLS = 12.0  # m, side of the square halls that the vehicle drives through
 
 
 def room_scan(x: float, y: float, theta: float) -> LaserScan:
-    """Make the scan of a laser in a square hall, with some beams that never return."""
+    """Simulate a scan in a square hall; every 50th beam has no return."""
     angles = -math.pi / 2 + math.pi / (BEAMS - 1) * np.arange(BEAMS) + theta
     left, low = math.floor(x / HALLS) * HALLS, math.floor(y / HALLS) * HALLS
     with np.errstate(divide='ignore', invalid='ignore'):
@@ -32,7 +32,7 @@ def room_scan(x: float, y: float, theta: float) -> LaserScan:
 
 
 def drive(count: int) -> Array:
-    """Return a path (K, 3) that winds through the halls, a keyframe every 0.3 m."""
+    """Return a path (K, 3) through the halls with a keyframe every 0.3 m."""
     at = 0.3 * np.arange(count)
     lane = np.floor(at / 60.0)
     along = np.where(lane % 2 == 0, at % 60.0, 60.0 - at % 60.0)
@@ -47,7 +47,7 @@ def main() -> None:
     arguments = parser.parse_args()
     begun = time.perf_counter()
     warm_up()
-    print(f'warm-up (compiled loops from cache or new): {time.perf_counter() - begun:.2f} s')
+    print(f'warm-up (kernels from the cache or compiled): {time.perf_counter() - begun:.2f} s')
     path = drive(arguments.keyframes)
     scans = [room_scan(*pose) for pose in path]
     grid = OccupancyGrid(GridConfig(resolution=0.05))
@@ -59,8 +59,8 @@ def main() -> None:
         cpu.append(1e3 * (time.process_time() - used))
     print(
         f'insert one scan of {BEAMS} beams at 0.05 m: median {np.median(wall):.2f} ms; '
-        f'of CPU time 95 % at most {np.quantile(cpu, 0.95):.2f} ms, growth of the grid included '
-        '(asked: at most 2 ms)'
+        f'CPU time p95 {np.quantile(cpu, 0.95):.2f} ms, growth of the grid included '
+        '(required: 2 ms)'
     )
     laser_map = LaserMap(GridConfig(resolution=0.05))
     for number, scan in enumerate(scans):

@@ -1,4 +1,4 @@
-"""MR.CLAM recordings read in a simple way, and driven through a belief in the order of time."""
+"""MR.CLAM recordings (Leung et al., IJRR 30(8), 2011) as events in time order, without bags."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ ROBOTS = 5
 
 @dataclass(frozen=True)
 class Recording:
-    """One robot: odometry t v ω; measurements t, subject, range, bearing; truth t x y θ (rows)."""
+    """One robot: odometry (t v ω), measurements (t subject range bearing), truth (t x y θ)."""
 
     odometry: Array
     measurements: Array
@@ -24,7 +24,7 @@ class Recording:
 
 @dataclass(frozen=True)
 class Team:
-    """All robots, landmarks (15, 2) in the order of subjects 6 … 20, and the common time."""
+    """All robots, landmarks (15, 2) m by subject from 6 to 20, and the common interval."""
 
     robots: list[Recording]
     landmarks: Array
@@ -34,9 +34,9 @@ class Team:
 
 @dataclass(frozen=True)
 class Event:
-    """One robot at one time: motion since its last event, and what it measured (m, 3).
+    """One robot at one time: motion since its last event, and its measurements.
 
-    steps (n, 3): odometry steps x y θ; measured: subject (1 … 20), range, bearing.
+    steps (n, 3): odometry increments x y θ; measured (m, 3): subject (1 to 20), range, bearing.
     """
 
     stamp: float
@@ -46,7 +46,7 @@ class Event:
 
 
 def read(folder: Path) -> Team:
-    """Read a folder; the common time is where all odometry and truth exist."""
+    """Read a folder; the common interval is that of all odometry and ground truth."""
     barcodes = np.loadtxt(folder / 'Barcodes.dat')
     subject_of = {int(code): int(subject) for subject, code in barcodes}
     robots = []
@@ -69,7 +69,7 @@ def read(folder: Path) -> Team:
 
 
 def true_poses(recording: Recording, stamps: Array) -> Array:
-    """Interpolate the truth at stamps (n,): (n, 3)."""
+    """Interpolate ground truth at stamps (n,); return poses (n, 3)."""
     t = recording.truth[:, 0]
     heading = np.unwrap(recording.truth[:, 3])
     return np.stack(
@@ -89,15 +89,15 @@ def _steps(odometry: Array, begin: float, end: float) -> Array:
     edges = np.concatenate([[begin], inside, [end]])
     held = np.clip(np.searchsorted(t, edges[:-1], side='right') - 1, 0, None)
     span = np.diff(edges)
-    way, turn = odometry[held, 1] * span, odometry[held, 2] * span
+    distance, turn = odometry[held, 1] * span, odometry[held, 2] * span
     half = 0.5 * turn
-    chord = way * np.sinc(half / np.pi)
+    chord = distance * np.sinc(half / np.pi)
     steps = np.stack([chord * np.cos(half), chord * np.sin(half), turn], axis=1)
     return steps[(np.abs(steps) > 0.0).any(axis=1)]
 
 
 def events(team: Team, period: float = 1.0) -> Iterator[Event]:
-    """Yield measurements of all robots by time, and every period an event without any."""
+    """Yield measurements of all robots by time, and periodically events without measurements."""
     stamps: list[tuple[float, int, int]] = []
     groups: list[list[NDArray[np.float64]]] = []
     for robot, recording in enumerate(team.robots):
@@ -125,7 +125,7 @@ def start_poses(team: Team) -> dict[str, Pose2]:
 
 
 def covariances(ranges: Array, bearings: Array, sr: float, sr_part: float, sb: float) -> Array:
-    """Return (m, 2, 2) of positions with deviation sr + sr_part · range and bearing sb."""
+    """Return covariances (m, 2, 2) for range noise sr + sr_part · range and bearing noise sb."""
     c, s = np.cos(bearings), np.sin(bearings)
     J = np.array([[c, -ranges * s], [s, ranges * c]]).transpose(2, 0, 1)
     Q = np.zeros_like(J)
@@ -137,7 +137,7 @@ def covariances(ranges: Array, bearings: Array, sr: float, sr_part: float, sb: f
 def observations(
     stamp: float, measured: Array, noise: tuple[float, float, float]
 ) -> tuple[LandmarkObservations, list[InterRobotObservation]]:
-    """Turn measurements into landmark observations (bar code = descriptor) and sightings."""
+    """Convert measurements to landmark observations (bar code as descriptor) and sightings."""
     subject, distance, bearing = measured.T
     xy = np.stack([distance * np.cos(bearing), distance * np.sin(bearing)], axis=1)
     R2 = covariances(distance, bearing, *noise)

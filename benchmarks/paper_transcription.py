@@ -1,7 +1,7 @@
-"""The paper's pseudocode (section III) as it stands: NumPy and SciPy, one kd-tree per particle.
+"""Literal transcription of the pseudocode of the paper (section III), in NumPy and SciPy.
 
-Nothing is shared between particles: each holds its pose, its landmarks and a kd-tree over their
-descriptors, and resampling copies particles whole. The yardstick for `slam_speed.py`.
+Particles share nothing: each holds its pose, its landmarks and a kd-tree over their descriptors;
+resampling copies whole particles. It is the reference of `slam_speed.py`.
 """
 
 import copy
@@ -25,8 +25,8 @@ class Particle:
         self.tree: cKDTree | None = None
         self.weight = 1.0
 
-    def grow_tree(self) -> None:
-        """Make the kd-tree anew."""
+    def rebuild_tree(self) -> None:
+        """Build the kd-tree of the current descriptors."""
         self.tree = cKDTree(self.descriptors) if len(self.descriptors) else None
 
 
@@ -93,4 +93,4 @@ class PaperFastSlam:
             [particle.covariances, T @ seen.covariances[new] @ T.T]
         )
         particle.descriptors = np.vstack([particle.descriptors, seen.descriptors[new]])
-        particle.grow_tree()
+        particle.rebuild_tree()

@@ -1,8 +1,8 @@
-"""Speed of planning, always against something run beside it on the same 1000 x 1000 cells.
+"""Speed of planning, relative to reference methods on the same 1000 x 1000 cells.
 
 python benchmarks/planning_speed.py [--size 1000] [--repeats 5]
-Value iteration against scipy (values) and scikit-image MCP_Geometric (time); A* against
-the value of its goal; a whole planning cycle for four vehicles in multiples of one scipy Dijkstra.
+Value iteration is compared with SciPy Dijkstra (values) and scikit-image MCP_Geometric (time), A*
+with the value of its goal, a planning cycle for four vehicles with one SciPy Dijkstra.
 """
 
 import argparse
@@ -33,7 +33,7 @@ ROOM = 80  # cells
 
 
 def office(size: int, generator: np.random.Generator) -> NDArray[np.float32]:
-    """Make rooms of 4 m with doors of 1 m at 0.05 m, and free cells seen more or less often."""
+    """Make rooms of 4 m with doors of 1 m, at 0.05 m, and free cells of varying probability."""
     grid = generator.choice([0.03, 0.06, 0.15, 0.4], (size, size)).astype(np.float32)
     grid[::ROOM] = grid[:, ::ROOM] = grid[-1] = grid[:, -1] = 0.97
     for row in range(0, size, ROOM):
@@ -48,14 +48,14 @@ def office(size: int, generator: np.random.Generator) -> NDArray[np.float32]:
 
 
 def noise(size: int, generator: np.random.Generator) -> NDArray[np.float32]:
-    """Make cells of random probability, a fifth of them obstacles."""
+    """Make cells of random probability, one fifth of them occupied."""
     grid = generator.uniform(0.03, 0.5, (size, size)).astype(np.float32)
     grid[generator.random((size, size)) < 0.2] = 0.9
     return grid
 
 
 def graph_of(grid: NDArray[np.float32]) -> csr_matrix:
-    """Return the same graph for scipy: step length times the probability of the cell entered."""
+    """Return the graph for SciPy: step length times the probability of the entered cell."""
     height, width = grid.shape
     index = np.arange(height * width, dtype=np.int32).reshape(height, width)
     free = (grid <= OCC_MAX).ravel()
@@ -78,7 +78,7 @@ def graph_of(grid: NDArray[np.float32]) -> csr_matrix:
 
 
 def best_of(repeats: int, function: Callable[[], Any]) -> tuple[float, Any]:
-    """Return the shortest time (s) of some runs, and the last result."""
+    """Return the shortest time (s) of several calls, and the last result."""
     times, result = [], None
     for _ in range(repeats):
         begun = time.perf_counter()
@@ -88,7 +88,7 @@ def best_of(repeats: int, function: Callable[[], Any]) -> tuple[float, Any]:
 
 
 def compare_values(name: str, grid: NDArray[np.float32], repeats: int) -> float:
-    """Print figures for one grid; return the time of scipy's Dijkstra (s)."""
+    """Print the comparison on one grid; return the time (s) of SciPy Dijkstra."""
     size = grid.shape[0]
     start = (size // 2 + 7, size // 2 + 7)
     grid[start] = 0.05
@@ -103,8 +103,8 @@ def compare_values(name: str, grid: NDArray[np.float32], repeats: int) -> float:
     costs = np.where(grid <= OCC_MAX, grid, -1.0).astype(np.float64)
     mcp, _ = best_of(repeats, lambda: MCP_Geometric(costs).find_costs([start]))
     print(f'{name}: value iteration {1e3 * own:.0f} ms, largest relative error {error:.1e} ')
-    print(f'  (asked 1e-4), same cells reached: {same}; {int(seen.sum())} cells')
-    print(f'  {own / mcp:.2f} of MCP_Geometric ({1e3 * mcp:.0f} ms; asked 0.40)')
+    print(f'  (required 1e-4), same cells reached: {same}; {int(seen.sum())} cells')
+    print(f'  {own / mcp:.2f} of MCP_Geometric ({1e3 * mcp:.0f} ms; required 0.40)')
     print(f'  {own / scipy_time:.2f} of scipy Dijkstra ({1e3 * scipy_time:.0f} ms)')
     rows, cols = np.nonzero(seen)
     far = int(np.argmax(exact[rows, cols]))
@@ -115,7 +115,7 @@ def compare_values(name: str, grid: NDArray[np.float32], repeats: int) -> float:
 
 
 def planning_cycle(grid: NDArray[np.float32], repeats: int) -> float:
-    """Return the time (s) of one planning cycle for 4 vehicles in a half explored office."""
+    """Return the time (s) of a planning cycle for 4 vehicles in a partly explored office."""
     size = grid.shape[0]
     known = np.zeros(grid.shape, np.bool_)
     known[: size // 2 + 20] = True
@@ -145,13 +145,13 @@ def main() -> None:
     arguments = parser.parse_args()
     begun = time.perf_counter()
     warm_up()
-    print(f'warm-up (compiled loops from cache or new): {time.perf_counter() - begun:.2f} s')
+    print(f'warm-up (kernels from the cache or compiled): {time.perf_counter() - begun:.2f} s')
     generator = np.random.default_rng(0)
     compare_values('random grid', noise(arguments.size, generator), arguments.repeats)
     rooms = office(arguments.size, generator)
     one = compare_values('office grid', rooms, arguments.repeats)
     seconds = planning_cycle(rooms, arguments.repeats)
-    print(f'  {seconds / one:.2f} of one scipy Dijkstra on that grid (asked 2)')
+    print(f'  {seconds / one:.2f} of one scipy Dijkstra on that grid (required 2)')
 
 
 if __name__ == '__main__':

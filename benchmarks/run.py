@@ -1,6 +1,6 @@
-"""Every benchmark one after the other: `make bench`, or `make bench ARGS='slam planning'`.
+"""Run all benchmarks: `make bench`, or `make bench ARGS='slam planning'` for some.
 
-Benchmarks on recordings are left out, with a word, where EXPLORE_SLAM_DATA does not lead to them.
+Benchmarks on recordings are skipped, with a message, unless EXPLORE_SLAM_DATA is their folder.
 """
 
 import os
@@ -10,7 +10,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 DATA = Path(os.environ.get('EXPLORE_SLAM_DATA', HERE.parents[1] / 'shared' / 'data'))
-# script, its arguments, and the recordings that it takes as its first argument
+# Script, its arguments, and the recordings that it takes as first argument.
 BENCHMARKS: list[tuple[str, list[str], str | None]] = [
     ('slam_speed', ['all'], None),
     ('slam_mrclam', [], 'mrclam6'),
@@ -28,14 +28,16 @@ BENCHMARKS: list[tuple[str, list[str], str | None]] = [
 
 
 def main(wanted: list[str]) -> int:
-    """Run those whose names contain one of the words; return how many failed."""
+    """Run the benchmarks whose name contains one of the words; return the number of failures."""
     failed = 0
     for name, arguments, recordings in BENCHMARKS:
         if wanted and not any(word in name for word in wanted):
             continue
         folder = [] if recordings is None else [str(DATA / recordings)]
         if recordings is not None and not (DATA / recordings).exists():
-            print(f'== {name}: left out, {DATA / recordings} is absent (set EXPLORE_SLAM_DATA)')
+            print(
+                f'== {name}: skipped, {DATA / recordings} does not exist (set EXPLORE_SLAM_DATA)'
+            )
             continue
         print(f'== {name} {" ".join(folder + arguments)}', flush=True)
         command = [sys.executable, str(HERE / f'{name}.py'), *folder, *arguments]

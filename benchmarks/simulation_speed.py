@@ -1,9 +1,8 @@
-"""The simulator: time of a frame against MuJoCo's own renderer, and of a team's second.
+"""Rendered simulator: time of a frame relative to `mujoco.Renderer`, cost of a team.
 
 python benchmarks/simulation_speed.py [--world office] [--views 100]
-Times are CPU seconds of this process (software OpenGL uses all cores, so wall time is less) and,
-in brackets, wall time. The picture is compared with what `mujoco.Renderer` does: one pass for
-colour, another one for depth.
+Times are CPU time of this process and, in parentheses, wall time; software OpenGL uses all cores.
+`mujoco.Renderer` needs one pass for color and another one for depth.
 """
 
 import argparse
@@ -39,7 +38,7 @@ def timed(work: Callable[[], Any], times: int) -> tuple[float, float]:
 
 
 def place(scene: Scene, data: Any, pose: Pose2) -> None:
-    """Put the first vehicle somewhere."""
+    """Move the first vehicle to a pose."""
     data.mocap_pos[0] = (pose.x, pose.y, 0.0)
     data.mocap_quat[0] = (math.cos(pose.theta / 2), 0.0, 0.0, math.sin(pose.theta / 2))
     mujoco.mj_kinematics(scene.model, data)
@@ -47,7 +46,7 @@ def place(scene: Scene, data: Any, pose: Pose2) -> None:
 
 
 def compare_passes(world: World) -> None:
-    """Print one pass of ours beside two passes of mujoco.Renderer."""
+    """Print the time of one pass beside that of two passes of mujoco.Renderer."""
     config = SimulationConfig()
     scene = build_scene(world, ['a'], config)
     data = mujoco.MjData(scene.model)
@@ -68,13 +67,13 @@ def compare_passes(world: World) -> None:
 
     two = timed(two_passes, 40)
     theirs.close()
-    print(f'colour and depth, one pass       {one[0]:7.2f} ms ({one[1]:.2f})')
+    print(f'color and depth, one pass        {one[0]:7.2f} ms ({one[1]:.2f})')
     print(f'mujoco.Renderer, two passes      {two[0]:7.2f} ms ({two[1]:.2f})')
     print(f'ratio                            {one[0] / two[0]:7.2f}')
 
 
 def measure_team(world: World) -> None:
-    """Print what a simulated second costs, by number of vehicles."""
+    """Print the cost of a simulated second by number of vehicles."""
     for count in range(1, 1 + min(4, len(world.starts))):
         starts = dict(list(world.starts.items())[:count])
         for rate, what in ((4.0, 'laser and camera'), (0.0, 'laser only      ')):
@@ -95,7 +94,7 @@ def measure_team(world: World) -> None:
 
 
 def count_features(world: World, views: int) -> None:
-    """Print how many SIFT features with valid depth random views have."""
+    """Print the number of SIFT features with valid depth in random views."""
     room, rng = Obstacles(world).clearance, np.random.default_rng(0)
     extractor = FeatureExtractor(with_values(VisionConfig(), {'feature_budget': 5000}))
     x0, y0, x1, y1 = world.bounds

@@ -1,8 +1,8 @@
-"""Real data: five robots of MR.CLAM set 6, online, common and dedicated maps, several seeds.
+"""Accuracy on MR.CLAM 6: five robots, online estimates, common or dedicated maps, several seeds.
 
 python benchmarks/slam_mrclam.py FOLDER [--seeds 10] [--particles 500] [--sightings]
-Prints per seed the RMS position of each robot (m, mean over robots last), the greatest error and
-the RMS of the landmarks, in the frame of the true start poses, without any alignment.
+Prints, for each seed, the RMS position error of each robot and their mean (m), the largest error
+and the RMS error of the landmarks, in the frame of the true start poses, without alignment.
 """
 
 import argparse
@@ -11,13 +11,14 @@ from pathlib import Path
 
 import mrclam
 import numpy as np
+import yaml
 
 from explore_slam.geometry import Array, Pose2
 from explore_slam.settings import with_values
 from explore_slam.slam import FastSlamConfig, OdometryNoise, TeamBelief
 
-#: The same for all robots: variance of what was driven (OdometryNoise), and of the camera,
-#: deviation of the range 0.03 m + 0.035 · range, of the bearing 0.014 rad.
+# Noise of all robots, fitted to the residuals of the recording: odometry; standard deviation of
+# the camera, range 0.03 m + 0.035 · range, bearing 0.014 rad.
 ODOMETRY = OdometryNoise(
     forward_variance_per_metre=0.005,
     lateral_variance_per_metre=0.0005,
@@ -31,7 +32,7 @@ CAMERA = (0.03, 0.035, 0.014)
 def drive(
     team: mrclam.Team, config: FastSlamConfig, seed: int, sightings: bool
 ) -> tuple[Array, Array, TeamBelief]:
-    """Run a belief over the recording; return times × robots × (dx, dy), the times, the belief."""
+    """Run the filter; return errors (T, robots, 2) m, stamps (T,) s and the filter."""
     belief = TeamBelief(mrclam.start_poses(team), config, seed)
     errors: dict[float, Array] = {}
     for event in mrclam.events(team):
@@ -56,14 +57,14 @@ def drive(
 
 
 def landmark_errors(team: mrclam.Team, belief: TeamBelief) -> Array:
-    """Return (n, 2) errors of the landmarks mapped (of the first vehicle's map if dedicated)."""
+    """Return errors (N, 2) m of the landmarks, with dedicated maps those of the first vehicle."""
     found = belief.landmarks(belief.vehicles[0])
     subjects = np.argmax(found.descriptors, axis=1)
     return found.means[:, :2] - team.landmarks[subjects - mrclam.ROBOTS - 1]
 
 
 def main() -> None:
-    """Run the seeds and print a line for each."""
+    """Run all seeds and print a line for each."""
     parser = argparse.ArgumentParser(description=__doc__.split('\n')[0])
     parser.add_argument('folder', type=Path)
     parser.add_argument('--seeds', type=int, default=10)
@@ -79,8 +80,8 @@ def main() -> None:
         'maximum_descriptor_distance': 0.0,
     }
     for text in arguments.set:
-        name, value = text.split('=')
-        values[name] = eval(value)
+        name, _, value = text.partition('=')
+        values[name] = yaml.safe_load(value)
     config = with_values(FastSlamConfig(), values)
     team = mrclam.read(arguments.folder)
     means, marks = [], []
@@ -93,7 +94,7 @@ def main() -> None:
         means.append(rms.mean())
         marks.append(mark)
         print(
-            f'seed {seed}: robots {rms.round(3)} mean {rms.mean():.3f} m, greatest '
+            f'seed {seed}: robots {rms.round(3)} mean {rms.mean():.3f} m, largest '
             f'{lengths.max():.2f} m, last {lengths[-1].round(2)}, landmarks {mark:.3f} m, '
             f'{time.perf_counter() - begin:.1f} s',
             flush=True,

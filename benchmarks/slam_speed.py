@@ -1,13 +1,13 @@
-"""Speed and memory of the belief, each as a ratio to something run beside it.
+"""Speed and memory of the filter, relative to reference computations run beside it.
 
-python benchmarks/slam_speed.py update      one update beside one extraction of SIFT
+python benchmarks/slam_speed.py update      one update relative to one SIFT extraction
 python benchmarks/slam_speed.py map         updates with 1,000 to 100,000 landmarks in the map
-python benchmarks/slam_speed.py paper       beside a transcription of the paper's pseudocode
-python benchmarks/slam_speed.py vehicles    1, 2, 4, 8 vehicles: time and effective particles
+python benchmarks/slam_speed.py paper       relative to a transcription of the pseudocode of the paper
+python benchmarks/slam_speed.py vehicles    1, 2, 4, 8 vehicles: time and effective sample size
 python benchmarks/slam_speed.py memory      1000 particles, 100,000 landmarks, 500 resamplings
-python benchmarks/slam_speed.py index       descriptor lookups: recall and time beside brute force
-Times are the median over updates; cpu is the processor time of the process (all threads), wall
-the clock. On a machine with other work only cpu can be compared.
+python benchmarks/slam_speed.py index       descriptor queries: recall and time, brute force and FLANN
+Times are medians over updates: cpu is the processor time of all threads, wall the elapsed time.
+On a busy machine only cpu is comparable.
 """
 
 import argparse
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from explore_slam.data import Intrinsics, LandmarkObservations, RgbdFrame
 from explore_slam.geometry import Pose2, to_world
+from explore_slam.recording.tum_format import read_associations
 from explore_slam.settings import with_values
 from explore_slam.slam import FastSlam, FastSlamConfig, warm_up
 from explore_slam.slam.descriptors.index import (
@@ -38,29 +39,29 @@ COVARIANCE = np.diag([0.03, 0.02, 0.02]) ** 2
 
 
 def like_sift(random: np.random.Generator, count: int) -> NDArray[np.float32]:
-    """Return unit vectors with the clipping and sparseness of SIFT descriptors."""
+    """Return random unit vectors, clipped and sparse like SIFT descriptors."""
     rows = random.gamma(0.3, 1.0, (count, 128)).astype(np.float32)
     rows = np.minimum(rows / np.linalg.norm(rows, axis=1, keepdims=True), 0.2)
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
 
 def timed(call: Callable[[], object]) -> tuple[float, float]:
-    """Return wall and processor milliseconds of a call."""
+    """Return wall and processor time (ms) of a call."""
     wall, cpu = time.perf_counter(), time.process_time()
     call()
     return 1e3 * (time.perf_counter() - wall), 1e3 * (time.process_time() - cpu)
 
 
 def median(rows: list[tuple[float, float]]) -> tuple[float, float]:
-    """Return the medians of wall and processor times."""
+    """Return the median wall and processor times."""
     wall, cpu = np.median(np.array(rows), axis=0)
     return float(wall), float(cpu)
 
 
 class Corridor:
-    """Landmarks in a band ahead of vehicles that circle: SEEN of them are observed each time.
+    """Landmarks on a ring around circling vehicles; the nearest `seen` are observed at each step.
 
-    A part of what is observed, the strangers, is seen this one time only.
+    strangers: fraction of the observations with a descriptor that never occurs again.
     """
 
     def __init__(self, seed: int = 0, seen: int = SEEN, strangers: float = 0.0) -> None:
@@ -75,7 +76,7 @@ class Corridor:
         self.true: dict[str, Pose2] = {}
 
     def start(self, vehicles: int) -> dict[str, Pose2]:
-        """Return start poses evenly on a circle of 2 m, and let the vehicles stand there."""
+        """Place the vehicles evenly on a circle of 2 m; return their start poses."""
         angles = 2.0 * np.pi * np.arange(vehicles) / vehicles
         self.true = {
             f'robot{i + 1}': Pose2(2.0 * np.cos(a), 2.0 * np.sin(a), a + 0.5 * np.pi)
@@ -84,7 +85,7 @@ class Corridor:
         return dict(self.true)
 
     def step(self, vehicle: str, stamp: float) -> LandmarkObservations:
-        """Drive one step and observe the nearest landmarks, descriptors as if seen again."""
+        """Drive one step and observe the nearest landmarks with noisy descriptors."""
         noise = self.random.standard_normal(3) * np.sqrt(np.diag(NOISE))
         self.true[vehicle] = self.true[vehicle].compose(Pose2(*(np.asarray(STEP) + noise)))
         local = to_world(np.asarray(self.true[vehicle].inverse()), self.points)
@@ -98,7 +99,7 @@ class Corridor:
 
 
 def make(vehicles: int, corridor: Corridor, **values: object) -> FastSlam:
-    """Make a filter with settings."""
+    """Make a filter with 1000 particles and the given settings."""
     config = with_values(FastSlamConfig(), {'particles': 1000} | values)
     return FastSlam(corridor.start(vehicles), config, seed=1)
 
@@ -106,7 +107,7 @@ def make(vehicles: int, corridor: Corridor, **values: object) -> FastSlam:
 def run_updates(
     slam: FastSlam, corridor: Corridor, steps: int, first: int = 0
 ) -> tuple[list[tuple[float, float]], list[float]]:
-    """Drive all vehicles; return the times of the updates and the effective particles."""
+    """Drive all vehicles; return times and effective sample sizes of the updates."""
     times, effective = [], []
     for number in range(first, first + steps):
         for vehicle in slam.vehicles:
@@ -119,20 +120,18 @@ def run_updates(
 
 
 def extraction(folder: Path | None) -> tuple[list[RgbdFrame], str]:
-    """Return frames: recorded ones (TUM layout), or drawn ones of random shapes."""
+    """Return frames and their name: recorded ones (TUM RGB-D), or random images."""
     import cv2
 
     intrinsics = Intrinsics(640, 480, 517.3, 516.5, 318.6, 255.3)
     if folder is not None:
-        rows = [line.split() for line in (folder / 'associations.txt').read_text().splitlines()]
-        rows = [row for row in rows if row and not row[0].startswith('#')][:40:2]
         frames = []
-        for number, row in enumerate(rows):
-            names = [name for name in row if name.endswith('.png')]
-            rgb = cv2.imread(str(folder / next(n for n in names if 'rgb' in n)))[:, :, ::-1].copy()
-            depth = cv2.imread(str(folder / next(n for n in names if 'depth' in n)), -1)
-            metres = depth.astype(np.float32) / 5000.0
-            frames.append(RgbdFrame(float(number), rgb, metres, intrinsics))
+        chosen = read_associations(folder / 'associations.txt')[:40:2]
+        for number, association in enumerate(chosen):
+            rgb = cv2.imread(str(folder / association.color_file))[:, :, ::-1].copy()
+            depth = cv2.imread(str(folder / association.depth_file), cv2.IMREAD_UNCHANGED)
+            meters = depth.astype(np.float32) / 5000.0
+            frames.append(RgbdFrame(float(number), rgb, meters, intrinsics))
         return frames, str(folder.name)
     random = np.random.default_rng(0)
     frames = []
@@ -141,11 +140,11 @@ def extraction(folder: Path | None) -> tuple[list[RgbdFrame], str]:
         rgb = cv2.resize(small, (640, 480), interpolation=cv2.INTER_CUBIC)
         depth = np.full((480, 640), 2.0, np.float32)
         frames.append(RgbdFrame(float(number), rgb, depth, intrinsics))
-    return frames, 'drawn images'
+    return frames, 'random images'
 
 
 def compare_update(folder: Path | None) -> None:
-    """One update with 1000 particles and 200 observations beside one frame's extraction."""
+    """Compare an update (1000 particles, 200 observations) with the extraction of one frame."""
     from explore_slam.vision import CameraMount, FeatureExtractor, VisionConfig
 
     frames, name = extraction(folder)
@@ -155,19 +154,19 @@ def compare_update(folder: Path | None) -> None:
     slam = make(1, corridor)
     run_updates(slam, corridor, 30)
     sift, update = [], []
-    for number, frame in enumerate(frames):  # in turn, so that both meet the same load
+    for number, frame in enumerate(frames):  # alternate, so that both run under the same load
         sift.append(timed(lambda f=frame: extractor.extract(f)))
         update += run_updates(slam, corridor, 1, 30 + number)[0]
     (sw, sc), (uw, uc) = median(sift), median(update)
     print(f'extraction of a 640 x 480 frame ({name}): wall {sw:.1f} ms, cpu {sc:.1f} ms')
     print(f'update, 1000 particles, {SEEN} observations: wall {uw:.1f} ms, cpu {uc:.1f} ms')
-    print(f'update / extraction: wall {uw / sw:.2f}, cpu {uc / sc:.2f} (asked: at most 0.5)')
+    print(f'update / extraction: wall {uw / sw:.2f}, cpu {uc / sc:.2f} (required: at most 0.5)')
 
 
 def fill(slam: FastSlam, landmarks: int, random: np.random.Generator) -> None:
-    """Put landmarks far away into the map, as ones of an older part of the exploration.
+    """Insert landmarks far away, as if from an earlier part of the exploration.
 
-    The particles are resampled in between, so that the landmarks are held by few ancestors.
+    Resampling in between leaves the landmarks with few common ancestors.
     """
     particles = slam.config.particles
     while len(slam.map) < landmarks:
@@ -185,9 +184,9 @@ def fill(slam: FastSlam, landmarks: int, random: np.random.Generator) -> None:
 
 
 def compare_map() -> None:
-    """Time updates with more and more landmarks that are not in view."""
-    for strangers, asked in ((0.0, ' (asked: at most 1.3)'), (0.5, '')):
-        print(f'{strangers:.0%} of {SEEN} observations are of what was never seen before')
+    """Measure updates with increasing numbers of landmarks that are not in view."""
+    for strangers, required in ((0.0, ' (required: at most 1.3)'), (0.5, '')):
+        print(f'{strangers:.0%} of {SEEN} observations are of new landmarks')
         base = 0.0
         for landmarks in (1_000, 10_000, 100_000):
             corridor = Corridor(strangers=strangers)
@@ -199,13 +198,13 @@ def compare_map() -> None:
             base = base or cpu
             print(
                 f'{len(slam.map):7d} landmarks: wall {wall:.1f} ms, cpu {cpu:.1f} ms, '
-                f'{cpu / base:.2f} of the first{asked}',
+                f'{cpu / base:.2f} of the first{required}',
                 flush=True,
             )
 
 
 def compare_paper(landmarks: int) -> None:
-    """One step of both on the same data: 1000 particles, 2,000 landmarks, 20 observations."""
+    """Compare one step on the same data: 1000 particles, 2,000 landmarks, 20 observations."""
     from paper_transcription import PaperFastSlam
 
     corridor = Corridor(seen=20)
@@ -224,22 +223,22 @@ def compare_paper(landmarks: int) -> None:
         particle.means = far.copy()
         particle.covariances = np.tile(0.01 * np.eye(3), (landmarks, 1, 1))
         particle.descriptors = descriptors.astype(np.float64)
-        particle.grow_tree()
+        particle.rebuild_tree()
     theirs = []
     for number in range(3):
         seen = corridor.step('robot1', float(number))
         theirs.append(timed(lambda s=seen: plain.step(np.asarray(STEP), NOISE, s)))
     (ow, oc), (tw, tc) = median(ours), median(theirs)
     tw, tc = tw * 1000 / particles, tc * 1000 / particles
-    print(f'ours, engine paper: wall {ow:.2f} ms, cpu {oc:.2f} ms per step')
+    print(f'engine paper: wall {ow:.2f} ms, cpu {oc:.2f} ms per step')
     print(
         f'transcription ({particles} particles run, times 1000 / {particles}): wall {tw:.0f} ms, '
-        f'cpu {tc:.0f} ms: {tc / oc:.0f} times ours (asked: at least 100)'
+        f'cpu {tc:.0f} ms: {tc / oc:.0f} times the engine (required: at least 100)'
     )
 
 
 def compare_vehicles() -> None:
-    """Cost per update and effective particles for more and more vehicles in one filter."""
+    """Measure cost per update and effective sample size by number of vehicles."""
     base = 0.0
     for vehicles in (1, 2, 4, 8):
         corridor = Corridor()
@@ -257,7 +256,7 @@ def compare_vehicles() -> None:
 
 
 def show_memory() -> None:
-    """200 new landmarks before each of 500 resamplings of 1000 particles."""
+    """Insert 200 new landmarks before each of 500 resamplings of 1000 particles."""
     corridor = Corridor()
     slam = make(1, corridor)
     random = np.random.default_rng(3)
@@ -278,12 +277,12 @@ def show_memory() -> None:
     print(
         f'{len(slam.map)} landmarks, 1000 particles, 500 resamplings: rows '
         f'{rows.rows_held() / len(slam.map):.1f} per landmark, slabs {rows.memory() / 2**20:.0f} '
-        f'MiB; process: peak {peak:.0f} MiB, {before:.0f} MiB of it before (asked: at most 1024)'
+        f'MiB; process: peak {peak:.0f} MiB, {before:.0f} MiB of it before (required: at most 1024)'
     )
 
 
 class FlannIndex:
-    """FLANN's randomized kd-forest of OpenCV, built once over all."""
+    """Randomized kd-forest of FLANN (Muja and Lowe, VISAPP 2009), in OpenCV, built once."""
 
     def __init__(self, rows: NDArray[np.float32]) -> None:
         import cv2
@@ -300,7 +299,7 @@ class FlannIndex:
 
 
 def lookup(index: DescriptorIndex, rows: Descriptors, queries: Descriptors, batch: int) -> str:
-    """Fill an index in batches; return recall of the nearest within E0, and times, as text."""
+    """Fill an index in batches; return recall of the nearest neighbor and times as text."""
 
     def build() -> None:
         for begin in range(0, len(rows), batch):
@@ -315,14 +314,14 @@ def lookup(index: DescriptorIndex, rows: Descriptors, queries: Descriptors, batc
 
 
 def recall_of(found: NDArray[np.int64], rows: Descriptors, queries: Descriptors) -> float:
-    """Return the part of queries whose nearest of all rows was found."""
+    """Return the fraction of queries whose nearest neighbor was found."""
     brute = BruteForceIndex()
     brute.add(np.arange(len(rows)), rows)
     return float(np.mean(found == brute.query(queries, 0.4, 1)[0]))
 
 
 def compare_index() -> None:
-    """Recall of the nearest within E0 against brute force, time of 200 queries, of building."""
+    """Compare recall of the nearest neighbor, time of 200 queries and time to build."""
     for landmarks in (1_000, 10_000, 100_000):
         random = np.random.default_rng(2)
         rows = like_sift(random, landmarks)
@@ -340,7 +339,7 @@ def compare_index() -> None:
 
 
 def main() -> None:
-    """Run one comparison."""
+    """Run one comparison, or all."""
     parser = argparse.ArgumentParser(description=__doc__.split('\n')[0])
     parser.add_argument(
         'what', choices=('update', 'map', 'paper', 'vehicles', 'memory', 'index', 'all')

@@ -1,4 +1,4 @@
-"""The driver on ptys: latency from the last serial byte to the topic, losses, CPU share.
+"""Hardware driver on emulated devices: latency from last serial byte to topic, losses, CPU load.
 
     python benchmarks/vehicle_driver.py --seconds 600
 
@@ -34,12 +34,12 @@ from explore_slam.vehicle.arcos_status import parse_status
 from explore_slam.vehicle.lms200_scan import parse_scan, scan_ranges
 from explore_slam.vehicle.lms200_telegrams import Reply, TelegramDecoder
 
-Event = tuple[float, tuple[int, ...]]  # when (monotonic s), what tells it from others
-SETTLE = 3.0  # s before and after what is counted
+Event = tuple[float, tuple[int, ...]]  # time (monotonic, s), content that identifies it
+SETTLE = 3.0  # s before and after the measured window
 
 
 def emulate(folder: str, pipe: Connection) -> None:
-    """Run both devices; send the times of all status packets and scans at the end."""
+    """Emulate both devices; at the end send the times of all status packets and scans."""
     body = KinematicBody()
     body.obstacles = [(4.0, 0.0, 0.7), (-3.0, 3.0, 0.5), (0.0, -4.0, 1.0), (-3.0, -1.0, 0.4)]
     sent: dict[str, list[Event]] = {'odom': [], 'scan': []}
@@ -65,32 +65,32 @@ def emulate(folder: str, pipe: Connection) -> None:
 
 
 def cpu_seconds(process: int) -> float:
-    """Return the CPU time (s) that a process has used."""
+    """Return the CPU time (s) of a process."""
     fields = Path(f'/proc/{process}/stat').read_text().rpartition(')')[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
 
 
 def identity(ranges: np.ndarray) -> tuple[int, ...]:
-    """Return what tells a scan from its neighbours while the vehicle drives."""
+    """Return the ranges (mm) as identity of a scan, unique while the vehicle drives."""
     finite = np.where(np.isfinite(ranges), ranges, 0.0)
     return tuple(np.rint(1000.0 * finite).astype(int).tolist())
 
 
 def on_odometry(got: list[Event], message: Odometry) -> None:
-    """Keep when a message came, and the counters it was made of (1 mm, 15 bits)."""
+    """Record the arrival of a message and its counters (1 mm, 15 bits)."""
     now, pose = time.monotonic(), odometry_record(message).pose
     x, y = (round(1000.0 * value) & 0x7FFF for value in pose[:2])
     got.append((now, (x, y, round(pose.theta / (np.pi / 2048)))))
 
 
 def on_scan(got: list[Event], message: LaserScan) -> None:
-    """Keep when a message came, and its ranges."""
+    """Record the arrival of a message and its ranges."""
     now = time.monotonic()
     got.append((now, identity(np.asarray(message.ranges))))
 
 
 def match(sent: list[Event], came: list[Event]) -> tuple[list[float], int]:
-    """Return latencies (s) of what was sent and came, in order, and how many did not come."""
+    """Return latencies (s) of received events, in order, and the number of lost ones."""
     delays, missing, at = [], 0, 0
     for when, what in sent:
         window = range(at, min(at + 10, len(came)))
@@ -106,7 +106,7 @@ def match(sent: list[Event], came: list[Event]) -> tuple[list[float], int]:
 def measure(
     folder: str, seconds: float
 ) -> tuple[dict[str, list[Event]], float, tuple[float, float]]:
-    """Return times of messages by topic, the driver's CPU share, and the window counted."""
+    """Return messages by topic, CPU load of the driver, and the measured window."""
     arguments = {
         'base_port': f'{folder}/robot1_base', 'laser_port': f'{folder}/robot1_laser',
         'use_camera': 'false', 'motors_at_start': 'true',
@@ -143,7 +143,7 @@ def measure(
 
 
 def main() -> int:
-    """Run the measurement; 0 where all is as asked."""
+    """Run the measurement; return 1 if a message was lost."""
     parser = argparse.ArgumentParser(description=__doc__.split('\n', maxsplit=1)[0])
     parser.add_argument('--seconds', type=float, default=60.0)
     arguments = parser.parse_args()
@@ -163,7 +163,7 @@ def main() -> int:
     print(f'{arguments.seconds:.0f} s on {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}')
     lost = 0
     for name in got:
-        # what was sent in the window must have come, a little later
+        # What was sent in the window must arrive, perhaps after its end.
         inside = [event for event in sent[name] if start <= event[0] < end]
         came = [event for event in got[name] if event[0] >= start]
         found, missing = match(inside, came)
@@ -174,7 +174,7 @@ def main() -> int:
             f'{np.median(delays):.1f} ms, p99 {np.percentile(delays, 99):.1f} ms, '
             f'largest {delays.max():.1f} ms'
         )
-    print(f'CPU share of the driver: {100.0 * share:.1f} % of one core')
+    print(f'CPU load of the driver: {100.0 * share:.1f} % of one core')
     return 0 if lost == 0 else 1
 
 

@@ -1,10 +1,10 @@
-"""How soon the robot is told to stand after each fault, measured at the emulated robot.
+"""Time from a fault until the robot is commanded to stop, measured at the emulated robot.
 
     python benchmarks/vehicle_faults.py --runs 3
 
-Emulated Pioneer and LMS-200, driver and follower as processes; the agent is played here: plan,
-pose at 5 Hz, heartbeat at 10 Hz. Each fault comes while 0.4 m/s are driven. Asked: 0.3 s and one
-status packet (0.1 s); a cable pulled and put back: data again within 3 s.
+Pioneer and LMS-200 are emulated, driver and follower are processes, and this script stands in for
+the agent: plan, pose at 5 Hz, heartbeat at 10 Hz. Each fault occurs at 0.4 m/s. Required: 0.3 s
+plus one status packet (0.1 s); after a cable is pulled and plugged in again, data within 3 s.
 """
 
 import argparse
@@ -32,7 +32,7 @@ from explore_slam.nodes.vehicle_support import LATCHED, now_seconds
 from explore_slam.simulation.emulators.kinematic_body import KinematicBody
 from explore_slam.simulation.emulators.vehicle_emulator import VehicleEmulator
 
-ASKED = 0.4  # s: 0.3 s and one status packet
+REQUIRED = 0.4  # s: 0.3 s plus one status packet
 FAULTS = (
     'silent agent', 'silent laser', 'SIGKILL of the follower', 'SIGTERM of the driver',
     'SIGINT twice to the driver', 'front bumper', 'cable of the base', 'cable of the laser',
@@ -40,7 +40,7 @@ FAULTS = (
 
 
 class Scene:
-    """One vehicle with all its processes, driving a long straight plan."""
+    """One vehicle with all its processes on a long straight path."""
 
     def __init__(self, folder: Path) -> None:
         self.body = KinematicBody()
@@ -88,7 +88,7 @@ class Scene:
             self.pose.publish(message)
 
     def wait(self, condition: object, limit: float) -> float:
-        """Return how long (s) a condition took to hold; inf where it did not."""
+        """Return the time (s) until a condition holds; inf after the limit."""
         began = time.monotonic()
         while time.monotonic() < began + limit:
             if condition():
@@ -96,8 +96,8 @@ class Scene:
             time.sleep(0.002)
         return float('inf')
 
-    def bring_about(self, fault: str) -> None:
-        """Make a fault happen."""
+    def inject(self, fault: str) -> None:
+        """Inject a fault."""
         if fault == 'silent agent':
             self.heartbeat.stop()
             self.poses.cancel()
@@ -118,14 +118,14 @@ class Scene:
             self.emulator.laser_line.unplug()
 
     def measure(self, fault: str) -> tuple[str, float]:
-        """Return what was measured and its value (s)."""
+        """Return the name of the measured time and its value (s)."""
         speed = self.wait(lambda: self.body.velocity()[0] > 0.39, 30.0)
         if speed == float('inf'):
-            return 'never drove', speed
+            return 'did not drive', speed
         time.sleep(float(np.random.default_rng().uniform(0.5, 1.0)))
-        self.bring_about(fault)
+        self.inject(fault)
         if not fault.startswith('cable'):
-            return 'told to stand', self.wait(
+            return 'stop commanded', self.wait(
                 lambda: self.emulator.robot.commanded == (0.0, 0.0), 5.0
             )
         time.sleep(1.5)
@@ -139,7 +139,7 @@ class Scene:
         return f'{topic} again', self.wait(lambda: self.heard[topic] > count, 10.0)
 
     def close(self) -> None:
-        """End all processes and the emulators."""
+        """Stop all processes and the emulators."""
         for process in (self.follower, self.driver):
             process.terminate()
         for process in (self.follower, self.driver):
@@ -151,7 +151,7 @@ class Scene:
 
 
 def main() -> int:
-    """Run the measurement; 0 where all is as asked."""
+    """Run the measurement; return 1 if a requirement is violated."""
     parser = argparse.ArgumentParser(description=__doc__.split('\n', maxsplit=1)[0])
     parser.add_argument('--runs', type=int, default=3)
     arguments = parser.parse_args()
@@ -169,10 +169,10 @@ def main() -> int:
                 finally:
                     scene.close()
             values.append(value)
-        asked = 3.0 if fault.startswith('cable') else ASKED
-        worst += max(values) > asked
+        required = 3.0 if fault.startswith('cable') else REQUIRED
+        worst += max(values) > required
         text = ' '.join(f'{value:.3f}' for value in values)
-        print(f'{fault:28} {what}: {text} s (asked {asked:.1f} s)', flush=True)
+        print(f'{fault:28} {what}: {text} s (required {required:.1f} s)', flush=True)
     rclpy.try_shutdown()
     return int(worst > 0)
 

@@ -1,9 +1,9 @@
-"""Path following in the MuJoCo simulator: cross-track error of a slalom, room before obstacles.
+"""Path following in the rendered simulator: cross-track error, distance kept to obstacles.
 
     python benchmarks/vehicle_following.py --seeds 5
 
-Poses come as from the agent: at keyframe rate (2 Hz), 0.15 s late, 1 cm and 0.5° off; odometry
-and scans are the simulator's, with its noise. The truth is what is measured.
+Poses arrive as from the agent: at 2 Hz, 0.15 s late, with noise of 1 cm and 0.5°. Odometry and
+scans have the noise of the simulator. Errors are those of the true pose.
 """
 
 import argparse
@@ -28,12 +28,12 @@ starts: {robot1: [2.0, 4.0, 0.0]}
 """
 BOX = 'furniture: [{kind: crate, at: [8.0, 4.1], size: [0.6, 0.6, 0.6]}]\n'
 POSE_LATENCY = 0.15  # s
-ODOMETRY_LATENCY = 0.06  # s, as over a 9600 Bd line
-SCAN_LATENCY = 0.2  # s of scans, as over a 38400 Bd line
+ODOMETRY_LATENCY = 0.06  # s, of a line with 9600 Bd
+SCAN_LATENCY = 0.2  # s, of a line with 38400 Bd
 
 
 class Run:
-    """One vehicle in the simulator with a follower that hears everything late."""
+    """One vehicle in the simulator; its follower receives everything with latency."""
 
     def __init__(self, path: np.ndarray, seed: int, world: str) -> None:
         rates = {
@@ -89,7 +89,7 @@ class Run:
                 self.follower.set_pose(*record, now)
 
     def drive(self, limit: float) -> tuple[np.ndarray, str, float]:
-        """Return true poses (T, 4: t x y heading), the follower's last state, its usual speed."""
+        """Return true poses (T, 4: t x y heading), last state and median speed of the follower."""
         command = None
         with self.simulator:
             while self.simulator.time < limit:
@@ -103,14 +103,14 @@ class Run:
                     self.speeds.append(self.simulator.velocity('robot1')[0])
                 if command.state in (FollowerState.ARRIVED, FollowerState.BLOCKED):
                     break
-            for _ in range(50):  # until it stands
+            for _ in range(50):  # until standstill
                 self._sense()
         state = f'{command.state.value}: {command.reason}'
         return np.array(self.truth), state, float(np.median(self.speeds))
 
 
 def cross_track(truth: np.ndarray, path: np.ndarray) -> np.ndarray:
-    """Return the distance (T,) m of true poses from the path."""
+    """Return the cross-track errors (T,) m of true poses."""
     dense = np.concatenate(
         [np.linspace(a, b, 20, endpoint=False) for a, b in itertools.pairwise(path)]
     )
@@ -118,7 +118,7 @@ def cross_track(truth: np.ndarray, path: np.ndarray) -> np.ndarray:
 
 
 def main() -> int:
-    """Run the measurement; 0 where all is as asked."""
+    """Run the measurement and print it."""
     parser = argparse.ArgumentParser(description=__doc__.split('\n', maxsplit=1)[0])
     parser.add_argument('--seeds', type=int, default=5)
     arguments = parser.parse_args()
@@ -138,8 +138,8 @@ def main() -> int:
         room = 8.0 - 0.3 - truth[:, 1].max() - 0.25
         rooms.append(room)
         print(f'seed {seed}: stopped {room:.3f} m before the box; {state}')
-    print(f'cross-track RMS: largest {max(errors):.3f} m (asked 0.05 m)')
-    print(f'room before an obstacle: least {min(rooms):.3f} m (asked 0.15 m)')
+    print(f'cross-track RMS: largest {max(errors):.3f} m (required 0.05 m)')
+    print(f'distance to an obstacle: smallest {min(rooms):.3f} m (required 0.15 m)')
     return 0
 
 

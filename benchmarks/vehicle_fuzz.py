@@ -1,8 +1,8 @@
-"""Feed random and mutated byte strings to every parser of the vehicle's protocols.
+"""Feed random and mutated byte strings to all parsers of the serial protocols.
 
     python benchmarks/vehicle_fuzz.py --strings 1000000
 
-For each string: no exception, bounded memory, and the valid packets that follow are found.
+Each string must cause no exception, keep memory bounded, and leave later packets readable.
 """
 
 import argparse
@@ -23,7 +23,7 @@ TELEGRAM = lms200_telegrams.encode_telegram(0xB0, SCAN[:724] + b'\x10', 0x80)
 
 
 def strings(generator: np.random.Generator, seeds: list[bytes]) -> bytes:
-    """Return a random string: noise, header-like noise, or a valid packet changed somewhere."""
+    """Return a random string: noise, noise of header bytes, or a mutated valid packet."""
     kind = generator.integers(4)
     if kind == 0:
         return generator.bytes(int(generator.integers(LONGEST)))
@@ -48,13 +48,13 @@ def strings(generator: np.random.Generator, seeds: list[bytes]) -> bytes:
 
 
 def fuzz_stream(make: Callable[[], object], valid: bytes, bound: int) -> Callable[[bytes], None]:
-    """Return a check of a decoder that lives on through all strings."""
+    """Return a check with one decoder for all strings."""
     decoder = make()
 
     def check(data: bytes) -> None:
         decoder.feed(data)
         assert decoder.pending <= bound, f'{decoder.pending} bytes kept'
-        # what looks like a head may hold back as many bytes as it announces, never more
+        # A false header may hold back as many bytes as it announces, never more.
         for _ in range(bound // len(valid) + 2):
             if decoder.feed(valid):
                 break
@@ -65,7 +65,7 @@ def fuzz_stream(make: Callable[[], object], valid: bytes, bound: int) -> Callabl
 
 
 def check_status(data: bytes) -> None:
-    """Parse the string as every content of ARCOS packets."""
+    """Parse the string as payload of all kinds of ARCOS packets."""
     for payload in (data, b'\x32' + data, b'\x33' + data):
         arcos_status.parse_status(payload)
     arcos_status.parse_configuration(b'\x20' + data)
@@ -75,7 +75,7 @@ def check_status(data: bytes) -> None:
 
 
 def check_scan(data: bytes) -> None:
-    """Parse the string as every content of telegrams."""
+    """Parse the string as payload of all kinds of telegrams."""
     for content in (data, SCAN[:2] + data, data[:2] + SCAN):
         scan = lms200_scan.parse_scan(content)
         if scan is not None:
@@ -86,11 +86,11 @@ def check_scan(data: bytes) -> None:
 
 
 def main() -> int:
-    """Run the measurement; 0 where all is as asked."""
+    """Run all checks; return 1 at the first failure."""
     parser = argparse.ArgumentParser(description=__doc__.split('\n', maxsplit=1)[0])
     parser.add_argument('--strings', type=int, default=1_000_000, help='per parser')
     parser.add_argument('--seed', type=int, default=0)
-    parser.add_argument('--parser', help='part of the name of the parser; default all')
+    parser.add_argument('--parser', help='part of the name of a parser (default: all)')
     arguments = parser.parse_args()
     checks = {
         'ARCOS framing': fuzz_stream(arcos_packets.PacketDecoder, VALID_PACKET, 203),

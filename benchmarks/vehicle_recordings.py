@@ -1,4 +1,4 @@
-"""Decode recordings of a real LMS-200: telegrams, check sums, scans, plausibility of the ranges.
+"""Decode recordings of a real LMS-200: telegrams, checksum errors, scans, statistics of ranges.
 
 python benchmarks/vehicle_recordings.py ../shared/data/lms200
 """
@@ -14,7 +14,7 @@ from explore_slam.vehicle.lms200_telegrams import Reply, TelegramDecoder
 
 
 def decode(data: bytes) -> tuple[int, int, np.ndarray]:
-    """Return telegrams, failures (bytes left over count as one), ranges (S, 361) m."""
+    """Return the numbers of telegrams and of failures, and the ranges (S, 361) m."""
     decoder = TelegramDecoder()
     telegrams, rows, bits = 0, [], 13
     for telegram in decoder.feed(data):
@@ -27,7 +27,7 @@ def decode(data: bytes) -> tuple[int, int, np.ndarray]:
 
 
 def main() -> int:
-    """Print one line for each recording; 0 where all decode whole."""
+    """Print a line for each recording; return 1 if one does not decode completely."""
     parser = argparse.ArgumentParser(description=__doc__.split('\n', maxsplit=1)[0])
     parser.add_argument('folder', type=Path)
     arguments = parser.parse_args()

@@ -46,7 +46,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Make the runs, print the table, save what was asked for."""
+    """Make the runs, print their table, save it with --output."""
     from explore_slam.studies.exploration_study import make_study, run_study
     from explore_slam.studies.exploration_tables import markdown_table, save_study
 
