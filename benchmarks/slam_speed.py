@@ -2,10 +2,10 @@
 
 python benchmarks/slam_speed.py update      one update relative to one SIFT extraction
 python benchmarks/slam_speed.py map         updates with 1,000 to 100,000 landmarks in the map
-python benchmarks/slam_speed.py paper       relative to a transcription of the pseudocode of the paper
+python benchmarks/slam_speed.py paper       relative to a literal transcription of the paper
 python benchmarks/slam_speed.py vehicles    1, 2, 4, 8 vehicles: time and effective sample size
 python benchmarks/slam_speed.py memory      1000 particles, 100,000 landmarks, 500 resamplings
-python benchmarks/slam_speed.py index       descriptor queries: recall and time, brute force and FLANN
+python benchmarks/slam_speed.py index       recall and time beside brute force and FLANN
 Times are medians over updates: cpu is the processor time of all threads, wall the elapsed time.
 On a busy machine only cpu is comparable.
 """
