@@ -277,7 +277,7 @@ def show_memory() -> None:
     print(
         f'{len(slam.map)} landmarks, 1000 particles, 500 resamplings: rows '
         f'{rows.rows_held() / len(slam.map):.1f} per landmark, slabs {rows.memory() / 2**20:.0f} '
-        f'MiB; process: peak {peak:.0f} MiB, {before:.0f} MiB of it before (required: at most 1024)'
+        f'MiB; process: peak {peak:.0f} MiB, of it {before:.0f} MiB before (limit: 1024)'
     )
 
 

@@ -27,7 +27,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         '--strategy',
         action='append',
         metavar='NAME',
-        help='default, paper, nearest or random; several: repeat it; without: default and nearest',
+        help='exploration strategy; may be repeated (default: default and nearest)',
     )
     exploration.add_argument(
         '--seeds', type=whole_numbers, default=list(range(10)), help='0..9 or 3,5; one run each'

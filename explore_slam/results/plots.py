@@ -22,7 +22,7 @@ from explore_slam.results.run_data import Panel, RunData, Series, VehicleRun, er
 from explore_slam.results.trajectory import Trajectory
 
 # Okabe and Ito, Color Universal Design (2008): distinguishable with any color vision.
-COLORS = ('#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9', '#7a5195', '#404040')
+PALETTE = ('#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9', '#7a5195', '#404040')
 INK, MUTED, GRID = '#1f2933', '#7b8794', '#e4e7eb'
 UNKNOWN, FREE, OCCUPIED = '#dfe4ea', '#ffffff', '#323f4b'
 # Points per curve that a figure of 10 inches still resolves; more only make the file larger.
@@ -52,7 +52,7 @@ STYLE: dict[str, Any] = {
 
 def color_of(index: int) -> str:
     """Return the color of the vehicle with this index."""
-    return COLORS[index % len(COLORS)]
+    return PALETTE[index % len(PALETTE)]
 
 
 def map_figure(data: RunData) -> str | None:
@@ -223,15 +223,15 @@ def coverage_figure(data: RunData) -> str | None:
         figure = Figure(figsize=(10.0, 2.6), layout='constrained')
         axes = figure.add_subplot()
         times = data.coverage.stamps - _begin(data)
-        axes.fill_between(times, values, step='post', color=COLORS[0], alpha=0.12, linewidth=0)
-        axes.step(times, values, where='post', color=COLORS[0], lw=1.8)
+        axes.fill_between(times, values, step='post', color=PALETTE[0], alpha=0.12, linewidth=0)
+        axes.step(times, values, where='post', color=PALETTE[0], lw=1.8)
         axes.annotate(
             f'{values[-1]:.1f} {data.coverage_unit}',
             (times[-1], values[-1]),
             xytext=(-4, -12),
             textcoords='offset points',
             ha='right',
-            color=COLORS[0],
+            color=PALETTE[0],
             fontweight='bold',
         )
         top = 102.0 if data.coverage_unit == '%' else 1.06 * float(values.max()) + 1e-3
@@ -251,8 +251,8 @@ def particles_figure(data: RunData) -> str | None:
         times, low = _binned(data.effective_particles, np.min)
         _, high = _binned(data.effective_particles, np.max)
         _, middle = _binned(data.effective_particles, np.median)
-        axes.fill_between(times - begin, low, high, color=COLORS[2], alpha=0.18, linewidth=0)
-        axes.plot(times - begin, middle, color=COLORS[2], lw=1.4)
+        axes.fill_between(times - begin, low, high, color=PALETTE[2], alpha=0.18, linewidth=0)
+        axes.plot(times - begin, middle, color=PALETTE[2], lw=1.4)
         top = float(max(data.particles, high.max()))
         if data.particles:
             axes.axhline(data.particles, color=MUTED, lw=0.9, ls='--')
@@ -277,7 +277,7 @@ def panel_figure(panel: Panel, name: str) -> str | None:
         figure = Figure(figsize=(10.0, 2.6), layout='constrained')
         axes = figure.add_subplot()
         times, values = _binned(panel.series, np.mean)
-        axes.plot(times - times[0], values, color=COLORS[0], lw=1.6, marker='o', ms=2.5)
+        axes.plot(times - times[0], values, color=PALETTE[0], lw=1.6, marker='o', ms=2.5)
         top = float(values.max())
         axes.set(ylim=(0.0, 1.15 * top + 1e-9), xlabel='time (s)', ylabel=panel.label)
         return _svg(figure, name)

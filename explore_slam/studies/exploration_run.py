@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from explore_slam.data import Plan
-from explore_slam.errors import EvaluationError
 from explore_slam.exploration import (
     ExplorationConfig,
     ExplorationStatus,
@@ -30,7 +29,6 @@ from explore_slam.settings import Section, setting, with_values
 from explore_slam.simulation.grid.grid_simulator import GridSimulator, GridSimulatorConfig
 from explore_slam.simulation.grid.grid_world import GridWorld
 
-STRATEGIES = ('default', 'paper', 'nearest', 'random')
 TIME_LIMIT = 'time_limit'
 
 
@@ -186,8 +184,6 @@ def _make_team(
     planner_settings: Mapping[str, Any],
     vehicle_config: GridSimulatorConfig | None,
 ) -> _Team:
-    if strategy not in STRATEGIES:
-        raise EvaluationError(f'strategy is {strategy!r}, expected one of {list(STRATEGIES)}')
     noise = {'position_noise': config.position_error, 'heading_noise': config.heading_error}
     simulator_config = with_values(vehicle_config or GridSimulatorConfig(), noise)
     simulator = GridSimulator(world, starts, simulator_config, seed)

@@ -17,7 +17,6 @@ from explore_slam.settings import values_of, with_values
 from explore_slam.simulation.grid.grid_simulator import GridSimulatorConfig
 from explore_slam.simulation.grid.grid_world import GridWorld
 from explore_slam.studies.exploration_run import (
-    STRATEGIES,
     ExplorationRun,
     StudyConfig,
     explore,
@@ -72,9 +71,6 @@ def make_study(
             raise EvaluationError(f'study: no {name}, expected at least one')
     if min(team_sizes) < 1:
         raise EvaluationError(f'study: team of {min(team_sizes)} vehicles, expected at least 1')
-    for strategy in strategies:
-        if strategy not in STRATEGIES:
-            raise EvaluationError(f'strategy is {strategy!r}, expected one of {list(STRATEGIES)}')
     own: dict[str, Any] = {}
     planner: dict[str, Any] = {}
     for change in changes:
@@ -82,7 +78,8 @@ def make_study(
         if not equals:
             raise EvaluationError(f'study: {change!r}, expected name=value')
         (own if name in values_of(StudyConfig()) else planner)[name] = yaml.safe_load(text)
-    with_values(ExplorationConfig(), planner)  # refuse a wrong one at once
+    for strategy in strategies:  # refuse a wrong setting or strategy at once
+        with_values(ExplorationConfig(), planner | {'strategy': strategy})
     config = with_values(StudyConfig(), own)
     return Study(map_path, team_sizes, strategies, seeds, config, planner)
 

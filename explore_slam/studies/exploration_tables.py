@@ -12,6 +12,7 @@ import numpy as np
 from explore_slam.errors import EvaluationError
 from explore_slam.geometry import Array
 from explore_slam.results.coverage import Spread
+from explore_slam.results.plots import color_of
 from explore_slam.studies.exploration_run import ExplorationRun
 from explore_slam.studies.figures import new_figure
 
@@ -145,7 +146,10 @@ def save_study(runs: Sequence[ExplorationRun], folder: Path) -> list[Path]:
     return [table, folder / 'runs.csv', curves, *pictures]
 
 
-_COLORS = {'default': '#1f77b4', 'paper': '#2ca02c', 'nearest': '#d62728', 'random': '#7f7f7f'}
+def _colors(groups: Iterable[Group]) -> dict[str, str]:
+    """Return a color for each strategy, in the order in which they occur."""
+    names = dict.fromkeys(strategy for strategy, _ in groups)
+    return {name: color_of(index) for index, name in enumerate(names)}
 
 
 def _mean_curve(runs: Sequence[ExplorationRun]) -> tuple[Array, Array, Array, Array]:
@@ -159,6 +163,7 @@ def _mean_curve(runs: Sequence[ExplorationRun]) -> tuple[Array, Array, Array, Ar
 def plot_coverage(runs: Sequence[ExplorationRun], path: Path) -> None:
     """Plot coverage over time: one panel per team size, mean and range over seeds."""
     groups = grouped(runs)
+    colors = _colors(groups)
     sizes = sorted({size for _, size in groups})
     figure, axes = new_figure(columns=len(sizes), width=5.0, height=4.0)
     for axis, size in zip(axes[0], sizes, strict=True):
@@ -166,7 +171,7 @@ def plot_coverage(runs: Sequence[ExplorationRun], path: Path) -> None:
             if count != size:
                 continue
             stamps, mean, low, high = _mean_curve(members)
-            color = _COLORS.get(strategy)
+            color = colors[strategy]
             axis.plot(stamps / 60.0, 100.0 * mean, color=color, label=strategy)
             axis.fill_between(
                 stamps / 60.0, 100.0 * low, 100.0 * high, color=color, alpha=0.15, linewidth=0.0
@@ -184,6 +189,7 @@ def plot_coverage(runs: Sequence[ExplorationRun], path: Path) -> None:
 def plot_times(runs: Sequence[ExplorationRun], path: Path) -> None:
     """Plot time to 99 % and path length over team size: mean and deviation over seeds."""
     groups = grouped(runs)
+    colors = _colors(groups)
     figure, axes = new_figure(columns=2, width=5.0, height=4.0)
     measures = (
         ('time to 99 % (min)', lambda run: run.curve.time_to(0.99) / 60.0),
@@ -199,7 +205,7 @@ def plot_times(runs: Sequence[ExplorationRun], path: Path) -> None:
                     [n for n, _ in kept],
                     [s.mean for _, s in kept],
                     [s.deviation for _, s in kept],
-                    color=_COLORS.get(strategy),
+                    color=colors[strategy],
                     marker='o',
                     capsize=3,
                     label=strategy,

@@ -215,7 +215,7 @@ def test_a_ratio_needs_common_seeds_and_runs_that_got_there(small_study):
 
 def test_wrong_studies_are_refused(tmp_path):
     path = tmp_path / 'none.pgm'
-    with pytest.raises(EvaluationError, match='strategy'):
+    with pytest.raises(ConfigError, match='strategy'):
         make_study(path, [1], ['fastest'], [0])
     with pytest.raises(EvaluationError, match='no seeds'):
         make_study(path, [1], ['default'], [])
@@ -227,5 +227,5 @@ def test_wrong_studies_are_refused(tmp_path):
         make_study(path, [1], ['default'], [0], ['time_limit'])
     with pytest.raises(ExploreSlamError, match=r'none\.pgm'):
         list(run_study(make_study(path, [1], ['default'], [0])))
-    with pytest.raises(EvaluationError, match='strategy'):
+    with pytest.raises(ConfigError, match='strategy'):
         run(GridWorld.from_drawing(TWO_ROOMS), (1.5, 1.5, 0.0), strategy='fastest')
