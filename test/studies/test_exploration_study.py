@@ -135,7 +135,7 @@ def test_a_vehicle_shut_in_ends_as_one_that_cannot_search_or_has_nothing_left():
 def test_a_run_out_of_time_says_so():
     done = run(GridWorld.from_drawing(TWO_ROOMS), (1.5, 1.5, 0.0), limit=5.0)
     assert done.status == 'time_limit'
-    assert 'not done after 5 s' in done.reason
+    assert 'not complete after 5 s' in done.reason
     assert done.duration == pytest.approx(5.0)
 
 
@@ -206,7 +206,7 @@ def test_tables_and_pictures_are_written(small_study, tmp_path):
 
 def test_a_ratio_needs_common_seeds_and_runs_that_got_there(small_study):
     _, runs = small_study
-    with pytest.raises(EvaluationError, match='no seed in common'):
+    with pytest.raises(EvaluationError, match='no seed is in both'):
         time_ratio(runs[:1], [])
     assert math.isnan(time_ratio(runs[:1], runs[:1], share=1.01))
     with pytest.raises(EvaluationError, match='no runs'):
