@@ -256,3 +256,23 @@ def moved(x: Array, step: Array, place: Integers, poses: int) -> Array:
             for i in range(3):
                 out[n, i] = x[n, i] + d[i]
     return out
+
+
+@kernel
+def antithetic_poses(x: Array, steps: Array, out: Array) -> None:
+    """Write to out (N, 3, M) poses x (N, 3) moved by ± steps (N, 3, M // 2), pair by pair.
+
+    The last of an odd number is x.
+    """
+    pairs = steps.shape[2]
+    for n in range(len(x)):
+        c, s = math.cos(x[n, 2]), math.sin(x[n, 2])
+        for m in range(pairs):
+            dx = c * steps[n, 0, m] - s * steps[n, 1, m]
+            dy = s * steps[n, 0, m] + c * steps[n, 1, m]
+            out[n, 0, 2 * m], out[n, 0, 2 * m + 1] = x[n, 0] + dx, x[n, 0] - dx
+            out[n, 1, 2 * m], out[n, 1, 2 * m + 1] = x[n, 1] + dy, x[n, 1] - dy
+            out[n, 2, 2 * m] = wrapped(x[n, 2] + steps[n, 2, m])
+            out[n, 2, 2 * m + 1] = wrapped(x[n, 2] - steps[n, 2, m])
+        for i in range(3):
+            out[n, i, 2 * pairs :] = x[n, i]

@@ -8,12 +8,15 @@ records what was measured, and asks for joint samples of the path and for landma
 A call that raises SlamError leaves the graph unchanged.
 """
 
+from typing import Self
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Array
-from explore_slam.slam.graph import checks, motion
+from explore_slam.slam.checkpoint import State, part, under
+from explore_slam.slam.graph import bounding, checks, motion
 from explore_slam.slam.graph.config import GraphConfig
 from explore_slam.slam.graph.factors import (
     CAUCHY,
@@ -52,6 +55,31 @@ class JointGraph:
         self._storage = Storage()
         self._posteriors: dict[Component, Solution] = {}
 
+    def state_dict(self) -> State:
+        """Return the whole state as named arrays; see `from_state`."""
+        state = under('storage', self._storage.state_dict())
+        for number, vehicles in enumerate(self._components(None)):
+            solution = self._posteriors.get(vehicles)
+            if solution and solution.problem.versions == self._storage.versions_of(vehicles):
+                state |= {
+                    f'posterior{number}/vehicles': np.array(vehicles, np.int64),
+                    f'posterior{number}/linearized_at': solution.linearized_at,
+                }
+        return state
+
+    @classmethod
+    def from_state(cls, state: State, config: GraphConfig | None = None) -> Self:
+        """Make a graph that goes on, bit by bit, where `state_dict` was called."""
+        graph = cls(config)
+        graph._storage.restore(part('storage', state))
+        for name in state:
+            if name.startswith('posterior') and name.endswith('/vehicles'):
+                where = state[name.replace('/vehicles', '/linearized_at')]
+                vehicles = tuple(state[name].tolist())
+                problem = collect(graph._storage, vehicles, graph.config)
+                graph._posteriors[vehicles] = posterior_at(problem, where)
+        return graph
+
     # ---- recording measurements
 
     def add_start(
@@ -67,9 +95,7 @@ class JointGraph:
         store.check_new(keyframe)
         at = checks.matrix('pose', pose, (3,))
         W = checks.information('covariance', covariance)
-        row = store.newest[vehicle] = store.keyframes.append(
-            1, number=keyframe, vehicle=vehicle, live=True, previous=-1, pose=at, chain=at
-        )
+        row = store.append_keyframe(vehicle, number=keyframe, pose=at, chain=at)
         return store.add_factor(PRIOR, -1, row, at, W, SQUARED, 1.0)
 
     def add_prior(
@@ -107,17 +133,13 @@ class JointGraph:
         white_information = (
             np.zeros((3, 3)) if white is None else checks.information('white', white)
         )
-        before = store.newest[vehicle]
         pose = np.empty(3)
-        motion.compose(store.keyframes['chain'][before], u, pose)
-        store.newest[vehicle] = store.keyframes.append(
-            1,
+        motion.compose(store.keyframes['chain'][store.newest[vehicle]], u, pose)
+        store.append_keyframe(
+            vehicle,
             number=keyframe,
-            vehicle=vehicle,
-            live=True,
             increment=u,
             covariance=P,
-            previous=before,
             motion=u,
             motion_covariance=P,
             motion_information=W,
@@ -126,7 +148,8 @@ class JointGraph:
             pose=pose,
             chain=pose,
         )
-        store.touch([before])
+        if self.config.graph_bounded:
+            bounding.retire_oldest(store, vehicle, self.config)
 
     def add_observations(
         self,
@@ -160,6 +183,7 @@ class JointGraph:
             number=store.next_observation + np.arange(count),
             keyframe=row,
             landmark=[store.landmark_row_of(number) for number in ids.tolist()],
+            visit=bounding.count_visits(store, row, ids, self.config.graph_visit_gap),
             z=places,
             W=W * weight[:, None],
             weight=weight,
@@ -207,7 +231,10 @@ class JointGraph:
         if a < 0 and not self._has_other_prior(row):
             raise SlamError(f'factor {factor} is the only prior of vehicle {store.vehicle_of(b)}')
         store.factors.keep(numbers != factor)
-        store.touch([end for end in (a, b) if end >= 0])
+        ends = [end for end in (a, b) if end >= 0]
+        store.touch(ends)
+        for end in ends:
+            bounding.drop_if_free(store, end)
 
     def remove_landmarks(self, landmarks: ArrayLike) -> None:
         """Forget landmarks with their observations; ids that are not stored are ignored."""
@@ -235,15 +262,29 @@ class JointGraph:
         both = set(sources.tolist()) & set(targets.tolist())
         if both:
             raise SlamError(f'landmark {min(both)} is to be merged and to be merged into')
-        rows = []
-        owners = store.observations['landmark']
-        for source, target in zip(sources.tolist(), targets.tolist(), strict=True):
-            if source in store.landmark_rows:
-                rows.append(store.landmark_rows[source])
-                owners[owners == rows[-1]] = store.landmark_row_of(target)
+        rows = [
+            store.merge_landmark(source, target)
+            for source, target in zip(sources.tolist(), targets.tolist(), strict=True)
+            if source in store.landmark_rows
+        ]
         if rows:
             store.forget_landmarks(np.array(rows))
             store.touch()
+
+    def pin(self, keyframe: int) -> None:
+        """Keep a keyframe in the graph until it is unpinned as often as it was pinned.
+
+        Keyframes between which something was measured stay without it.
+        """
+        self._storage.keyframes['pins'][self._storage.live_row_of(keyframe)] += 1
+
+    def unpin(self, keyframe: int) -> None:
+        """Take back a `pin`; a keyframe that nothing else holds is dropped in due course."""
+        row = self._storage.row_of(keyframe)
+        if self._storage.keyframes['pins'][row] < 1:
+            raise SlamError(f'keyframe {keyframe} is not pinned')
+        self._storage.keyframes['pins'][row] -= 1
+        bounding.drop_if_free(self._storage, row)
 
     # ---- estimating
 
@@ -299,12 +340,36 @@ class JointGraph:
 
     def estimate(self, keyframe: int) -> Array:
         """Return the estimated pose (3,) of a keyframe."""
-        pose: Array = self._storage.keyframes['pose'][self._storage.row_of(keyframe)].copy()
+        row = self._storage.row_of(keyframe)
+        if not self._storage.keyframes['live'][row]:
+            hung: Array = self.path()[row]
+            return hung
+        pose: Array = self._storage.keyframes['pose'][row].copy()
         return pose
 
     def path(self) -> Array:
-        """Return the estimated poses (K, 3) of all keyframes ever added, ascending by number."""
-        poses: Array = self._storage.keyframes['pose'].copy()
+        """Return the estimated poses (K, 3) of all keyframes ever added, ascending by number.
+
+        Those that were dropped hang between their neighbours by the motion that was measured.
+        """
+        keyframes = self._storage.keyframes
+        poses: Array = keyframes['pose'].copy()
+        live, before = keyframes['live'], keyframes['before']
+        for end in np.flatnonzero(live & (before != keyframes['previous'])).tolist():
+            begin, chain = int(keyframes['previous'][end]), [end]
+            while before[chain[-1]] != begin:
+                chain.append(int(before[chain[-1]]))
+            rows = np.array(chain[::-1])
+            hung = np.empty((len(rows) - 1, 3))
+            motion.hang_between(
+                keyframes['chain'][begin],
+                keyframes['chain'][end],
+                keyframes['increment'][rows],
+                keyframes['covariance'][rows],
+                checks.EXACT_DEVIATION**2,
+                hung,
+            )
+            poses[rows[:-1]] = hung
         return poses
 
     def covariance(self, keyframe: int) -> Array:

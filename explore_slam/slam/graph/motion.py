@@ -47,3 +47,49 @@ def compound(u: Array, P: Array, v: Array, Q: Array) -> tuple[Array, Array]:
                     total[i, j] += F[i, k] * P[k, n] * F[j, n] + G[i, k] * Q[k, n] * G[j, n]
             total[j, i] = total[i, j]
     return mean, total
+
+
+@kernel
+def _carry(u: Array, v: Array, P: Array, out: Array) -> None:
+    """Write P Fᵀ (3, 3), the covariance of a motion u of covariance P with the longer motion v.
+
+    F is the Jacobian of v's components in those of u, where v begins with u.
+    """
+    dx, dy = v[0] - u[0], v[1] - u[1]
+    for i in range(3):
+        out[i, 0], out[i, 1] = P[i, 0] - dy * P[i, 2], P[i, 1] + dx * P[i, 2]
+        out[i, 2] = P[i, 2]
+
+
+@kernel
+def hang_between(
+    begin: Array, end: Array, increments: Array, covariances: Array, least: float, out: Array
+) -> None:
+    """Write the poses (n, 3) between two poses that n + 1 increments connect.
+
+    The increments (n + 1, 3) do not lead exactly from `begin` to `end`; the error is spread as
+    their covariances (n + 1, 3, 3) have it, which is the conditional mean of a chain whose ends
+    are known. least: variance (m², rad²) that the whole motion has at least.
+    """
+    n = len(out)
+    means, spreads = np.zeros((n + 1, 3)), np.zeros((n + 1, 3, 3))
+    means[0], spreads[0] = increments[0], covariances[0]
+    for k in range(n):
+        means[k + 1], spreads[k + 1] = compound(
+            means[k], spreads[k], increments[k + 1], covariances[k + 1]
+        )
+    found, error = np.empty(3), np.empty(3)
+    relative(begin, end, found)
+    error[0], error[1] = found[0] - means[n, 0], found[1] - means[n, 1]
+    error[2] = wrapped(found[2] - means[n, 2])
+    scaled = np.linalg.solve(spreads[n] + least * np.eye(3), error)
+    together, moved = np.empty((3, 3)), np.empty(3)
+    for k in range(n):
+        _carry(means[k], means[n], spreads[k], together)
+        for i in range(3):
+            moved[i] = means[k, i] + (
+                together[i, 0] * scaled[0]
+                + together[i, 1] * scaled[1]
+                + together[i, 2] * scaled[2]
+            )
+        compose(begin, moved, out[k])

@@ -14,7 +14,14 @@ import numpy as np
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Array
 from explore_slam.slam.graph import cholesky
-from explore_slam.slam.graph.factors import Factors, Integers, assemble, moved, total_cost
+from explore_slam.slam.graph.factors import (
+    Factors,
+    Integers,
+    antithetic_poses,
+    assemble,
+    moved,
+    total_cost,
+)
 from explore_slam.slam.graph.ordering import Structure, eliminate
 from explore_slam.slam.graph.problem import Problem
 
@@ -22,7 +29,7 @@ FIRST_DAMPING = 1e-4  # of the diagonal; Marquardt's λ after the first step tha
 DAMPING_FACTOR = 10.0
 LARGEST_DAMPING = 1e8
 ROUNDING = 1e-12  # of the cost: what summing it up may err by
-PAIRS_AT_ONCE = 64  # samples that are solved for together, so that they stay in the cache
+PAIRS_AT_ONCE = 16  # samples that are solved for together, so that they stay in the cache
 
 
 class OptimizeSummary(NamedTuple):
@@ -141,12 +148,10 @@ class Solution:
         if samples < 1:
             raise SlamError(f'samples are {samples}, expected 1 or more')
         keyframes = self.problem.keyframes
-        x = self.nodes[: len(keyframes)]
         steps = self.factorization.sample(len(keyframes), samples // 2, random)
-        d = np.zeros((len(keyframes), 3, samples))
-        d[:, :, 0 : 2 * (samples // 2) : 2] = steps
-        d[:, :, 1::2] = -steps
-        return Draws(keyframes, _moved_poses(x, d))
+        poses = np.empty((len(keyframes), 3, samples))
+        antithetic_poses(self.nodes[: len(keyframes)], steps, poses)
+        return Draws(keyframes, poses)
 
     def node_of(self, keyframe: int) -> int:
         """Return the node of a keyframe's pose."""
@@ -185,17 +190,6 @@ class Solution:
         return np.array(
             [_turned(P, angle) for P, angle in zip(total, theta, strict=True)]
         ).reshape(-1, 3, 3)
-
-
-def _moved_poses(x: Array, d: Array) -> Array:
-    """Return poses x (N, 3) moved by steps d (N, 3, M) in their frames."""
-    c, s = np.cos(x[:, 2])[:, None], np.sin(x[:, 2])[:, None]
-    out = np.empty_like(d)
-    out[:, 0] = x[:, 0, None] + c * d[:, 0] - s * d[:, 1]
-    out[:, 1] = x[:, 1, None] + s * d[:, 0] + c * d[:, 1]
-    theta = x[:, 2, None] + d[:, 2]
-    out[:, 2] = theta - 2.0 * np.pi * np.round(theta / (2.0 * np.pi))
-    return out
 
 
 def _turned(covariance: Array, angle: float) -> Array:

@@ -7,9 +7,11 @@ from numpy.typing import NDArray
 
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Array
+from explore_slam.slam.checkpoint import State, part, under
 from explore_slam.slam.graph.factors import Integers
 from explore_slam.slam.graph.tables import Table
 
+TABLES = ('keyframes', 'factors', 'observations', 'landmarks')
 SPARSE = 2  # a table is compacted when it has more dead rows than 1 / SPARSE of all
 
 
@@ -20,7 +22,12 @@ class Storage:
         self.keyframes = Table(
             number=(np.int64, ()),
             vehicle=(np.int64, ()),
+            ordinal=(np.int64, ()),  # number among those of the vehicle
             live=(np.bool_, ()),  # not dropped: a variable of the graph
+            retired=(np.bool_, ()),  # not among the newest: it has been decided on
+            holds_landmarks=(np.bool_, ()),  # it stays for the sake of its landmarks
+            pins=(np.int64, ()),  # how often the caller has pinned it
+            before=(np.int64, ()),  # row of the vehicle's keyframe before; −1: none
             increment=(np.float64, (3,)),  # raw motion since the vehicle's keyframe before
             covariance=(np.float64, (3, 3)),
             previous=(np.int64, ()),  # row of the vehicle's live keyframe before; −1: none
@@ -46,6 +53,7 @@ class Storage:
             number=(np.int64, ()),
             keyframe=(np.int64, ()),  # row
             landmark=(np.int64, ()),  # row; −1: dropped
+            visit=(np.int64, ()),  # which visit of the landmark by the vehicle, from 1
             z=(np.float64, (3,)),
             W=(np.float64, (6,)),  # information, scaled by the weight
             weight=(np.float64, ()),
@@ -59,8 +67,26 @@ class Storage:
         self.landmark_rows: dict[int, int] = {}
         self.newest: dict[int, int] = {}  # vehicle -> row of its newest keyframe
         self.versions: dict[int, int] = {}  # vehicle -> changes that concern it
+        # (landmark id, vehicle) -> ordinal of the keyframe that observed it last, visits
+        self.visits: dict[tuple[int, int], tuple[int, int]] = {}
         self.next_factor = 0
         self.next_observation = 0
+
+    def append_keyframe(self, vehicle: int, **values: object) -> int:
+        """Append a keyframe at the end of a vehicle's path; returns its row."""
+        before = self.newest.get(vehicle, -1)
+        row = self.keyframes.append(
+            1,
+            vehicle=vehicle,
+            live=True,
+            ordinal=0 if before < 0 else self.keyframes['ordinal'][before] + 1,
+            before=before,
+            previous=before,
+            **values,
+        )
+        self.newest[vehicle] = row
+        self.touch([row])
+        return row
 
     def check_new(self, keyframe: int) -> None:
         """Refuse a keyframe number that does not follow the last one."""
@@ -102,6 +128,18 @@ class Storage:
         self.touch([row for row in (a, b) if row >= 0])
         return number
 
+    def merge_landmark(self, source: int, target: int) -> int:
+        """Give the observations of a landmark to another; returns the row that is left empty."""
+        row = self.landmark_rows[source]
+        owners = self.observations['landmark']
+        owners[owners == row] = self.landmark_row_of(target)
+        for vehicle in self.newest:
+            last, count = self.visits.get((source, vehicle), (-1, 0))
+            if count:
+                other_last, other_count = self.visits.get((target, vehicle), (-1, 0))
+                self.visits[target, vehicle] = (max(last, other_last), max(count, other_count))
+        return row
+
     def vehicle_of(self, row: int) -> int:
         """Return the vehicle of a keyframe."""
         return int(self.keyframes['vehicle'][row])
@@ -127,6 +165,8 @@ class Storage:
         """Remove landmarks that have no observations any more."""
         for number in self.landmarks['number'][rows].tolist():
             self.landmark_rows.pop(number, None)
+            for vehicle in self.newest:
+                self.visits.pop((number, vehicle), None)
         self.landmarks['number'][rows] = -1
         alive = self.landmarks['number'] >= 0
         if SPARSE * int(alive.sum()) < len(alive):
@@ -137,3 +177,29 @@ class Storage:
             self.landmark_rows = {
                 number: row for row, number in enumerate(self.landmarks['number'].tolist())
             }
+
+    def state_dict(self) -> State:
+        """Return everything as named arrays."""
+        visits = [(*key, *value) for key, value in self.visits.items()]
+        state: State = {
+            'visits': np.array(visits, np.int64).reshape(-1, 4),
+            'next': np.array([self.next_factor, self.next_observation], np.int64),
+        }
+        for name in TABLES:
+            state |= under(name, getattr(self, name).state_dict())
+        return state
+
+    def restore(self, state: State) -> None:
+        """Replace everything by what `state_dict` returned."""
+        for name in TABLES:
+            getattr(self, name).restore(name, part(name, state))
+        self.landmark_rows = {
+            number: row
+            for row, number in enumerate(self.landmarks['number'].tolist())
+            if number >= 0
+        }
+        vehicles = self.keyframes['vehicle'].tolist()
+        self.newest = {vehicle: row for row, vehicle in enumerate(vehicles)}
+        self.versions = dict.fromkeys(self.newest, 0)
+        self.visits = {(a, b): (c, d) for a, b, c, d in state['visits'].tolist()}
+        self.next_factor, self.next_observation = state['next'].tolist()

@@ -1,10 +1,12 @@
 """Growing tables: named columns of equal length whose memory doubles as rows are appended."""
 
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
+
+from explore_slam.errors import SlamError
 
 Column = NDArray[Any]
 SPARE_ROWS = 64  # rows that an empty table has memory for
@@ -51,8 +53,13 @@ class Table:
         """Return a copy of all columns."""
         return {name: self[name].copy() for name in self._memory}
 
-    def restore(self, state: Mapping[str, Column]) -> Self:
-        """Replace all rows by those of `state_dict`."""
+    def restore(self, what: str, state: Mapping[str, Column]) -> None:
+        """Replace all rows by those of `state_dict`; SlamError names what does not fit."""
+        count = len(next(iter(state.values()), ()))
+        for name, memory in self._memory.items():
+            expected = (count, *memory.shape[1:])
+            found = state[name].shape if name in state else None
+            if found != expected:
+                raise SlamError(f'state of {what}: {name} has shape {found}, expected {expected}')
         self._count = 0
-        self.append(len(next(iter(state.values()))), **state)
-        return self
+        self.append(count, **state)

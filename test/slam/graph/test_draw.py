@@ -21,7 +21,7 @@ def steps_of(draws, path):
 
 def test_samples_have_the_joint_covariance_of_the_posterior(world):
     path = world.graph.path()
-    draws = world.graph.draw(20_000, np.random.default_rng(0))
+    draws = world.graph.draw(40_000, np.random.default_rng(0))
     steps = steps_of(draws, path)
     found = steps.T @ steps / len(steps)
     solution = world.graph.posterior(0)

@@ -1,0 +1,88 @@
+"""Forgetting that keeps the graph in proportion to the area and counts nothing twice.
+
+Of each visit of a landmark a few observations are kept, of each vehicle a few visits. Whatever a
+keyframe holds beyond that is dropped with the keyframe: its observations are lost, never
+summarized, and the motions to and from it become one.
+"""
+
+import numpy as np
+
+from explore_slam.slam.graph import checks, motion
+from explore_slam.slam.graph.config import GraphConfig
+from explore_slam.slam.graph.factors import Integers
+from explore_slam.slam.graph.storage import Storage
+
+
+def count_visits(storage: Storage, row: int, landmarks: Integers, gap: int) -> Integers:
+    """Return (n,) in which visit of its vehicle a keyframe observes landmarks (n,), from 1.
+
+    A visit ends when the vehicle has not observed the landmark for `gap` keyframes.
+    """
+    vehicle = storage.vehicle_of(row)
+    now = int(storage.keyframes['ordinal'][row])
+    visits = []
+    for number in landmarks.tolist():
+        last, count = storage.visits.get((number, vehicle), (-gap - 1, 0))
+        count += now - last > gap
+        storage.visits[number, vehicle] = (max(now, last), count)
+        visits.append(count)
+    return np.array(visits, np.int64)
+
+
+def retire_oldest(storage: Storage, vehicle: int, config: GraphConfig) -> None:
+    """Decide on the keyframe that is no longer among a vehicle's newest ones."""
+    keyframes = storage.keyframes
+    row = storage.newest[vehicle]
+    for _ in range(config.graph_recent_keyframes):
+        row = int(keyframes['previous'][row])
+        if row < 0:
+            return
+    if keyframes['retired'][row]:
+        return
+    keyframes['retired'][row] = True
+    keyframes['holds_landmarks'][row] = _is_needed(storage, row, config)
+    if not keyframes['holds_landmarks'][row]:
+        storage.drop_observations(storage.observations['keyframe'] == row)
+        drop_if_free(storage, row)
+
+
+def _is_needed(storage: Storage, row: int, config: GraphConfig) -> bool:
+    """Tell whether a keyframe observes a landmark of which few observations are kept."""
+    table, vehicle = storage.observations, storage.keyframes['vehicle']
+    owners, frames, visit = table['landmark'], table['keyframe'], table['visit']
+    alive = owners >= 0
+    own = np.flatnonzero(alive & (frames == row) & (visit <= config.graph_visits))
+    counts = np.bincount(owners[alive], minlength=len(storage.landmarks))
+    own = own[counts[owners[own]] >= config.graph_minimum_sightings]
+    visit_of = np.full(len(storage.landmarks), -1)
+    visit_of[owners[own]] = visit[own]
+    before = alive & (frames < row) & (vehicle[frames] == vehicle[row])
+    before &= visit_of[owners] == visit
+    kept = np.bincount(owners[before], minlength=len(storage.landmarks))
+    return bool((kept[owners[own]] < config.graph_visit_sightings).any())
+
+
+def drop_if_free(storage: Storage, row: int) -> None:
+    """Drop a keyframe that is retired, holds no landmarks and is neither pinned nor measured."""
+    keyframes, factors = storage.keyframes, storage.factors
+    if (
+        not keyframes['retired'][row]
+        or not keyframes['live'][row]
+        or keyframes['holds_landmarks'][row]
+        or keyframes['pins'][row] > 0
+        or ((factors['a'] == row) | (factors['b'] == row)).any()
+    ):
+        return
+    after = int(np.flatnonzero(keyframes['live'] & (keyframes['previous'] == row))[0])
+    mean, covariance = motion.compound(
+        keyframes['motion'][row],
+        keyframes['motion_covariance'][row],
+        keyframes['motion'][after],
+        keyframes['motion_covariance'][after],
+    )
+    keyframes['motion'][after] = mean
+    keyframes['motion_covariance'][after] = covariance
+    keyframes['motion_information'][after] = checks.information('motion', covariance)
+    keyframes['previous'][after] = keyframes['previous'][row]
+    keyframes['live'][row] = False
+    storage.touch([row])

@@ -1,0 +1,158 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from explore_slam.errors import SlamError
+from explore_slam.geometry import between, compose
+from explore_slam.slam.graph import GraphConfig, JointGraph
+
+NOISE = np.diag([0.02, 0.01, 0.01]) ** 2
+STEP = np.array([0.4, 0.0, 0.25])  # 25 of them are a circle
+LAP = 25
+
+
+@pytest.fixture
+def bounded_world(make_world):
+    def make(seed=0, **values):
+        world = make_world(seed)
+        world.config = replace(world.config, graph_bounded=True, **values)
+        world.graph = JointGraph(world.config)
+        return world
+
+    return make
+
+
+def lap(world, vehicles):
+    """Drive a lap, steering by truth, so that all laps are the same; returns errors and NEES."""
+    errors, nees = [], []
+    for _ in range(LAP):
+        for vehicle in range(vehicles):
+            place = LAP * vehicle // 3 + len(errors) // vehicles + 1
+            target = compose([0.0, -1.6, 0.0], circle_pose(place))
+            increment = between(world.true[world.newest[vehicle]], target)
+            keyframe = world.drive(vehicle, increment, NOISE)
+            world.see(keyframe)
+            world.graph.optimize(vehicle)
+            error = between(world.true[keyframe], world.graph.estimate(keyframe))
+            theta = world.true[keyframe][2]
+            c, s = np.cos(theta), np.sin(theta)
+            turned = np.array([c * error[0] - s * error[1], s * error[0] + c * error[1], error[2]])
+            errors.append(np.hypot(*error[:2]))
+            nees.append(turned @ np.linalg.solve(world.graph.covariance(keyframe), turned))
+    return errors, nees
+
+
+def circle_pose(place):
+    pose = np.zeros(3)
+    for _ in range(place % LAP):
+        pose = compose(pose, [0.4, 0.0, 2 * np.pi / LAP])
+    return pose
+
+
+def start(world, vehicles):
+    for vehicle in range(vehicles):
+        pose = compose([0.0, -1.6, 0.0], circle_pose(LAP * vehicle // 3))
+        world.start(vehicle, pose)
+
+
+def test_graph_stops_growing_and_stays_consistent(bounded_world):
+    nees, sizes = [], []
+    for seed in range(3):
+        world = bounded_world(seed)
+        start(world, 2)
+        for _ in range(6):
+            nees += lap(world, 2)[1]
+            sizes.append(len(world.graph.live_keyframes()))
+    by_lap = np.array(sizes).reshape(3, 6)
+    assert (by_lap[:, 5] <= by_lap[:, 2] + 2).all(), by_lap
+    assert (by_lap[:, 5] < 2 * 6 * LAP / 2).all(), by_lap
+    # means over 6 laps of errors that are correlated along a lap, expectation 3
+    assert 2.0 < np.mean(nees) < 4.0
+
+
+def test_bound_costs_little_accuracy(bounded_world):
+    errors = {}
+    for bounded in (True, False):
+        world = bounded_world(5)
+        world.graph = JointGraph(replace(world.config, graph_bounded=bounded))
+        start(world, 1)
+        errors[bounded] = np.concatenate([lap(world, 1)[0] for _ in range(4)])
+    rms = {bounded: np.sqrt(np.mean(e**2)) for bounded, e in errors.items()}
+    assert rms[True] < 1.2 * rms[False]
+
+
+def test_motion_over_dropped_keyframes_is_exact(bounded_world):
+    """Without landmarks, dropping changes neither the estimate nor the covariance."""
+    world, whole = bounded_world(), JointGraph(GraphConfig(graph_bounded=False))
+    for graph in (world.graph, whole):
+        graph.add_start(0, 0, [1.0, 2.0, 0.3])
+        for k in range(1, 40):
+            graph.add_keyframe(0, k, STEP, NOISE)
+        graph.optimize()
+    assert world.graph.live_keyframes().tolist() == [0, *range(32, 40)]
+    np.testing.assert_allclose(world.graph.path(), whole.path(), atol=1e-9)
+    for k in (33, 39):
+        expected = whole.covariance(k)
+        np.testing.assert_allclose(world.graph.covariance(k), expected, rtol=1e-6, atol=1e-12)
+
+
+def test_dropped_keyframes_hang_where_the_whole_graph_has_them(bounded_world):
+    """A correction between two kept keyframes is spread as the exact smoother spreads it."""
+    world, whole = bounded_world(), JointGraph(GraphConfig(graph_bounded=False))
+    for graph in (world.graph, whole):
+        graph.add_start(0, 0, [0.0, 0.0, 0.0])
+        for k in range(1, 30):
+            graph.add_keyframe(0, k, [0.4, 0.0, 0.05 * (k % 3)], NOISE)
+            if k == 20:
+                graph.pin(k)
+        graph.optimize()
+        pose = graph.estimate(20) + [0.05, -0.04, 0.03]
+        graph.add_prior(20, pose, 1e-4 * np.eye(3))
+        graph.optimize()
+    assert len(world.graph.live_keyframes()) < len(whole.live_keyframes())
+    np.testing.assert_allclose(world.graph.path(), whole.path(), atol=2e-3)
+    assert np.abs(world.graph.path() - whole.path())[:, 2].max() < 1e-3
+    np.testing.assert_array_equal(world.graph.estimate(7), world.graph.path()[7])
+
+
+def test_what_is_measured_or_pinned_stays(bounded_world):
+    graph = bounded_world().graph
+    graph.add_start(0, 0, [0.0, 0.0, 0.0])
+    for k in range(1, 9):
+        graph.add_keyframe(0, k, STEP, NOISE)
+    graph.pin(2)
+    graph.pin(2)
+    closure = graph.add_relative_pose(1, 4, [1.2, 0.0, 0.7], 1e3 * np.eye(3))
+    for k in range(9, 30):
+        graph.add_keyframe(0, k, STEP, NOISE)
+    newest = list(range(22, 30))
+    assert graph.live_keyframes().tolist() == [0, 1, 2, 4, *newest]
+    graph.unpin(2)
+    assert 2 in graph.live_keyframes()
+    graph.unpin(2)
+    assert graph.live_keyframes().tolist() == [0, 1, 4, *newest]
+    with pytest.raises(SlamError, match='keyframe 2 is not pinned'):
+        graph.unpin(2)
+    with pytest.raises(SlamError, match='keyframe 2 was dropped'):
+        graph.pin(2)
+    with pytest.raises(SlamError, match='keyframe 3 was dropped'):
+        graph.add_relative_pose(0, 3, [0, 0, 0], NOISE)
+    graph.remove_factor(closure)
+    assert graph.live_keyframes().tolist() == [0, *newest]
+    graph.optimize()
+    np.testing.assert_allclose(graph.estimate(29), graph.path()[-1])
+
+
+def test_observations_kept_per_visit(bounded_world):
+    """One landmark in view all the time: three sightings of each of two visits are kept."""
+    graph = bounded_world().graph
+    R = [[0.01, 0.0, 0.0, 0.01, 0.0, 0.01]]
+    graph.add_start(0, 0, [0.0, 0.0, 0.0])
+    for k in range(1, 100):
+        graph.add_keyframe(0, k, [0.0, 0.0, 0.0], NOISE)
+        if k % 30 < 10:  # 1 … 9, 30 … 39, 60 … 69, 90 … 99
+            graph.add_observations(k, [7], [[2.0, 0.0, 1.0]], R)
+    kept = graph.observations_of([7]).keyframes
+    assert kept.tolist() == [1, 2, 3, 30, 31, 32, *range(92, 100)]
+    assert graph.live_keyframes().tolist() == [0, *kept]
