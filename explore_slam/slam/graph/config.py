@@ -47,9 +47,9 @@ class GraphConfig(Section):
         high=1000,
     )
     graph_landmark_heights: bool = setting(
-        True,
-        'Let correlated height and distance errors of an observation constrain the pose; '
-        'without it observations are planar',
+        False,
+        'Let the height of a landmark tell its distance, as far as their errors are correlated. '
+        'More accurate where the noise is known exactly, overconfident where ranges are biased',
     )
     graph_iterations: int = setting(
         20, 'Most Gauss-Newton iterations of one optimization', low=1, high=1000

@@ -63,12 +63,16 @@ def chosen_landmarks(
 
 
 def planar(W: Array) -> Array:
-    """Return packed information matrices (n, 6) with height and position made independent."""
+    """Return packed information matrices (n, 6) with height and position made independent.
+
+    The marginal distributions of both stay: Schur complements of the height and of the plane.
+    """
+    xx, xy, xz, yy, yz, zz = W.T
     flat = np.zeros_like(W)
-    flat[:, 0] = W[:, 0] - W[:, 2] * W[:, 2] / W[:, 5]
-    flat[:, 1] = W[:, 1] - W[:, 2] * W[:, 4] / W[:, 5]
-    flat[:, 3] = W[:, 3] - W[:, 4] * W[:, 4] / W[:, 5]
-    flat[:, 5] = W[:, 5]
+    flat[:, 0] = xx - xz * xz / zz
+    flat[:, 1] = xy - xz * yz / zz
+    flat[:, 3] = yy - yz * yz / zz
+    flat[:, 5] = zz - (yy * xz * xz - 2.0 * xy * xz * yz + xx * yz * yz) / (xx * yy - xy * xy)
     return flat
 
 

@@ -20,6 +20,7 @@ EVERYTHING = GraphConfig(
     graph_observations_per_keyframe=1000,
     graph_independent_observations=1e6,
     graph_bounded=False,
+    graph_landmark_heights=True,
     graph_tolerance=1e-12,
 )
 

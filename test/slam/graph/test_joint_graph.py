@@ -176,3 +176,20 @@ def test_frame_counts_as_few_independent_observations(make_world):
     per_frame = np.bincount(factors.a[factors.kind == 3], factors.W[factors.kind == 3, 0, 0])
     single = np.linalg.inv([[0.0025, 0.0004, 0.0003], [0.0004, 0.0009, 0], [0.0003, 0, 0.0009]])
     assert per_frame.max() == pytest.approx(2.0 * single[0, 0])
+
+
+def test_planar_observations_are_those_without_height(make_world):
+    """Without heights, the answer is that of observations whose height is independent."""
+    worlds = [make_world(11), make_world(11)]
+    worlds[0].graph = JointGraph(replace(worlds[0].config, graph_landmark_heights=False))
+    record = worlds[1].graph.add_observations
+    worlds[1].graph.add_observations = lambda k, ids, z, R: record(
+        k, ids, z, R * [1.0, 1.0, 0.0, 1.0, 0.0, 1.0]
+    )
+    for world in worlds:
+        world.circle(10)
+        world.graph.optimize()
+    np.testing.assert_allclose(worlds[0].graph.path(), worlds[1].graph.path(), atol=1e-9)
+    newest = worlds[0].newest[0]
+    planar, same = (world.graph.covariance(newest) for world in worlds)
+    np.testing.assert_allclose(planar, same, rtol=1e-6, atol=1e-12)
