@@ -26,7 +26,7 @@ from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import LaserScan
 
 from explore_slam.messages import odometry_record, twist_message
-from explore_slam.nodes.messages import MESSAGES
+from explore_slam.nodes.ros_types import MESSAGES
 from explore_slam.simulation.emulators.kinematic_body import KinematicBody
 from explore_slam.simulation.emulators.vehicle_emulator import VehicleEmulator
 from explore_slam.vehicle.arcos_packets import PacketDecoder

@@ -21,14 +21,15 @@ import numpy as np
 import rclpy
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
-from nav_msgs.msg import Path as PathMessage
 from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import LaserScan
 
 from explore_slam.messages import estimate_message, odometry_record, path_message
+from explore_slam.messages.topics import VehicleTopic
+from explore_slam.nodes.endpoints import publisher
 from explore_slam.nodes.heartbeat import Heartbeat
-from explore_slam.nodes.messages import MESSAGES
-from explore_slam.nodes.vehicle_support import LATCHED, now_seconds
+from explore_slam.nodes.node_support import now_seconds
+from explore_slam.nodes.ros_types import MESSAGES
 from explore_slam.simulation.emulators.kinematic_body import KinematicBody
 from explore_slam.simulation.emulators.vehicle_emulator import VehicleEmulator
 
@@ -52,7 +53,7 @@ class Scene:
         self.odometry = None
         self.node.create_subscription(Odometry, 'robot1/odom', self._on_odometry, 10)
         self.node.create_subscription(LaserScan, 'robot1/scan', self._on_scan, 10)
-        self.plan = self.node.create_publisher(PathMessage, 'robot1/plan', LATCHED)
+        self.plan = publisher(self.node, VehicleTopic.PLAN, 'robot1')
         self.pose = self.node.create_publisher(PoseWithCovarianceStamped, 'robot1/pose', 10)
         self.heartbeat = Heartbeat(self.node, ['robot1'])
         self.poses = self.node.create_timer(0.2, self._send_pose)

@@ -1,43 +1,41 @@
-"""`explore_slam import`: public data sets as bags in the package's own topics."""
+"""`explore_slam import`: public data sets as bags with the package's own topics."""
 
 import argparse
 from pathlib import Path
 
-HELP = 'write a public data set (MR.CLAM, Intel, TUM RGB-D) as a bag'
+HELP = 'write a public data set as a bag'
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    parser.add_argument('kind', choices=('mrclam', 'intel', 'tum'), help='which data set it is')
-    parser.add_argument('folder', type=Path, help='folder of the data set')
-    parser.add_argument('out', type=Path, help='bag to write (a new folder)')
-    parser.add_argument(
-        '--camera',
-        default='freiburg1',
-        choices=('freiburg1', 'freiburg2', 'freiburg3'),
-        help='which Kinect took a TUM data set (default: %(default)s)',
-    )
+    """Declare a subcommand for each importer, with its options."""
+    from explore_slam.recording.importers.registry import importers
+    from explore_slam.settings import settings_of
+
+    kinds = parser.add_subparsers(dest='kind', required=True, metavar='KIND')
+    for name, importer in importers().items():
+        kind = kinds.add_parser(name, help=importer.description, description=importer.description)
+        kind.add_argument('folder', type=Path, help='folder of the data set')
+        kind.add_argument('out', type=Path, help='bag to write (a new folder)')
+        for info, value in settings_of(importer.options):
+            kind.add_argument(
+                '--' + info.name.replace('_', '-'),
+                type=type(value),
+                default=value,
+                choices=info.choices or None,
+                help=f'{info.doc} (default: %(default)s)',
+            )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Import and tell what was written."""
-    counts = _import(arguments)
+    """Import the data set and print the messages per topic."""
+    from explore_slam.recording.importers.registry import importers
+    from explore_slam.settings import values_of, with_values
+
+    importer = importers()[arguments.kind]
+    given = {name: getattr(arguments, name) for name in values_of(importer.options)}
+    options = values_of(with_values(importer.options, given))
+    counts = importer.function(arguments.folder, arguments.out, **options)
     for topic, count in sorted(counts.items()):
         print(f'{count:9d}  {topic}')
     print(f'{sum(counts.values())} messages in {arguments.out}')
     return 0
-
-
-def _import(arguments: argparse.Namespace) -> dict[str, int]:
-    folder, out = arguments.folder, arguments.out
-    if arguments.kind == 'mrclam':
-        from explore_slam.recording.importers.mrclam import import_mrclam
-
-        return import_mrclam(folder, out)
-    if arguments.kind == 'intel':
-        from explore_slam.recording.importers.intel import import_intel
-
-        return import_intel(folder, out)
-    from explore_slam.recording.importers.tum import import_tum
-
-    return import_tum(folder, out, arguments.camera)

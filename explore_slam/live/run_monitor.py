@@ -1,4 +1,4 @@
-"""Follows a live run over its topics and collects what the run folder and the terminal show."""
+"""Monitors a live run over its topics, for the run folder and the terminal."""
 
 import math
 from collections import deque
@@ -11,7 +11,6 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid, Odometry, Path
 from numpy.typing import NDArray
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
@@ -25,17 +24,19 @@ from explore_slam.messages import (
     planar_pose,
     seconds,
 )
-from explore_slam.nodes.vehicle_support import LATCHED
+from explore_slam.messages.topics import GlobalTopic, Qos, TeamTopic, TopicKind, VehicleTopic
+from explore_slam.nodes.endpoints import subscribe
 from explore_slam.results.reachable_area import ReachableArea
 from explore_slam.results.run_data import RunRecorder
 
 Values = dict[str, str]
 TRUTHS = 200  # newest true poses kept, for the error of the newest pose
+COMPLETE = Qos(200)  # the run folder needs every message, also those of a burst
 
 
 @dataclass
 class LandmarkCloud:
-    """Landmarks as the topic carries them: means (N, 3), covariances (N, 3, 3), counts (N,)."""
+    """Landmarks of the topic: means (N, 3) m, covariances (N, 3, 3) m², observations (N,)."""
 
     means: Array
     covariances: Array
@@ -44,7 +45,7 @@ class LandmarkCloud:
 
 @dataclass
 class RunState:
-    """What is known of the run right now."""
+    """The current state of the run."""
 
     stamp: float = 0.0
     status: str = ''
@@ -58,7 +59,7 @@ class RunState:
     messages: dict[str, int] = field(default_factory=dict)
 
     def position_error(self, vehicle: str) -> float:
-        """Return how far (m) the newest pose is from the truth of its time; NaN if unknown."""
+        """Return the error (m) of the newest pose at its stamp; NaN if unknown."""
         if vehicle not in self.poses or not self.truth.get(vehicle):
             return math.nan
         stamp, pose = self.poses[vehicle]
@@ -67,7 +68,7 @@ class RunState:
 
 
 class RunMonitor(Node):
-    """Listens to agent and simulator; `state` is the present, `recorder` the whole run."""
+    """Subscribes to agent and simulator; keeps the current state and records the whole run."""
 
     def __init__(
         self, starts: dict[str, Pose2], recorder: RunRecorder, area: ReachableArea
@@ -76,17 +77,16 @@ class RunMonitor(Node):
         self.state = RunState()
         self.recorder = recorder
         self._area = area
-        self.create_subscription(Clock, '/clock', self._on_clock, qos_profile_sensor_data)
-        self.create_subscription(OccupancyGrid, 'map', self._on_map, LATCHED)
-        self.create_subscription(PointCloud2, 'map_landmarks', self._on_landmarks, LATCHED)
-        self.create_subscription(String, 'explore/status', self._on_status, LATCHED)
-        deep = QoSProfile(depth=200)
-        self.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, deep)
+        subscribe(self, GlobalTopic.CLOCK, self._on_clock)
+        subscribe(self, TeamTopic.MAP, self._on_map)
+        subscribe(self, TeamTopic.MAP_LANDMARKS, self._on_landmarks)
+        subscribe(self, TeamTopic.STATUS, self._on_status)
+        subscribe(self, GlobalTopic.DIAGNOSTICS, self._on_diagnostics, qos=COMPLETE)
         for vehicle in starts:
-            self._follow(vehicle, deep)
+            self._follow(vehicle)
         self._save_map = self.create_client(Trigger, 'save_map')
 
-    def _follow(self, vehicle: str, qos: QoSProfile) -> None:
+    def _follow(self, vehicle: str) -> None:
         def on_pose(message: PoseWithCovarianceStamped) -> None:
             stamp, pose = seconds(message.header.stamp), planar_pose(message.pose.pose)
             self.state.poses[vehicle] = (stamp, pose)
@@ -110,10 +110,10 @@ class RunMonitor(Node):
                 np.array(poses, dtype=np.float64).reshape(-1, 3),
             )
 
-        self.create_subscription(PoseWithCovarianceStamped, f'{vehicle}/pose', on_pose, qos)
-        self.create_subscription(Odometry, f'{vehicle}/ground_truth', on_truth, qos)
-        self.create_subscription(Odometry, f'{vehicle}/odom', on_odometry, qos)
-        self.create_subscription(Path, f'{vehicle}/trajectory', on_trajectory, qos)
+        subscribe(self, VehicleTopic.POSE, on_pose, vehicle, COMPLETE)
+        subscribe(self, TopicKind.GROUND_TRUTH, on_truth, vehicle, COMPLETE)
+        subscribe(self, TopicKind.ODOMETRY, on_odometry, vehicle, COMPLETE)
+        subscribe(self, VehicleTopic.TRAJECTORY, on_trajectory, vehicle, COMPLETE)
 
     def _on_clock(self, message: Clock) -> None:
         self.state.stamp = seconds(message.clock)
@@ -144,12 +144,12 @@ class RunMonitor(Node):
                 self.recorder.add_effective_particles(seconds(message.header.stamp), count)
 
     def values(self, name: str) -> tuple[str, Values]:
-        """Return message and values of a diagnostics part whose name ends so; empty if unheard."""
+        """Return message and values of the diagnostics whose name ends so, or empty ones."""
         for full, found in self.state.diagnostics.items():
             if full.endswith(name):
                 return found
         return '', {}
 
     def ask_for_map(self) -> Any:
-        """Ask the agent to write its map; return the future of the answer."""
+        """Call save_map of the agent; return the future of the answer."""
         return self._save_map.call_async(Trigger.Request())

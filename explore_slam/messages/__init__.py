@@ -1,7 +1,13 @@
-"""Messages to records and back, in one place; duck-typed, so that no ROS is imported here.
+"""Conversion between ROS messages and records, and the tables of topics and measurement kinds.
 
-Reading works on any object with the field names of common_interfaces (rclpy's or rosbags').
-Writing goes through a MessageFactory, which knows the classes and the sequence type to use.
+Nothing here imports ROS: reading works on any object with the field names of common_interfaces
+(messages of rclpy or of rosbags), writing goes through a MessageFactory that knows the classes.
+
+topics                 names, types, quality of service
+frames                 names of coordinate frames
+measurement            the interface of a measurement kind; measurement_kinds is the table
+odometry, scans, frame_pairing, landmarks, inter_robot    one measurement kind each
+base, motion, images, clouds, maps                      conversions
 """
 
 from explore_slam.messages.base import (
@@ -10,41 +16,32 @@ from explore_slam.messages.base import (
     header,
     planar_covariance,
     planar_pose,
+    planar_transform_message,
     pose_message,
     seconds,
     time_message,
+    transform_message,
 )
-from explore_slam.messages.clouds import (
-    cloud_columns,
-    cloud_message,
-    landmarks_message,
-    landmarks_record,
-    sighting_message,
-    sighting_record,
-)
+from explore_slam.messages.clouds import cloud_columns, cloud_message
 from explore_slam.messages.images import (
     camera_info_message,
     color_array,
     depth_array,
-    frame_record,
     image_message,
     intrinsics_record,
 )
-from explore_slam.messages.maps import (
-    grid_arrays,
-    grid_message,
-)
+from explore_slam.messages.inter_robot import inter_robot_message, inter_robot_record
+from explore_slam.messages.landmarks import landmarks_message, landmarks_record
+from explore_slam.messages.maps import grid_arrays, grid_message
 from explore_slam.messages.motion import (
     estimate_message,
-    odometry_message,
-    odometry_record,
     path_message,
     plan_record,
     pose_array_message,
-    scan_message,
-    scan_record,
     twist_message,
 )
+from explore_slam.messages.odometry import odometry_message, odometry_record
+from explore_slam.messages.scans import scan_message, scan_record
 
 __all__ = [
     'MessageFactory',
@@ -55,11 +52,12 @@ __all__ = [
     'covariance_message',
     'depth_array',
     'estimate_message',
-    'frame_record',
     'grid_arrays',
     'grid_message',
     'header',
     'image_message',
+    'inter_robot_message',
+    'inter_robot_record',
     'intrinsics_record',
     'landmarks_message',
     'landmarks_record',
@@ -69,13 +67,13 @@ __all__ = [
     'plan_record',
     'planar_covariance',
     'planar_pose',
+    'planar_transform_message',
     'pose_array_message',
     'pose_message',
     'scan_message',
     'scan_record',
     'seconds',
-    'sighting_message',
-    'sighting_record',
     'time_message',
+    'transform_message',
     'twist_message',
 ]

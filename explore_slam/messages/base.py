@@ -1,4 +1,4 @@
-"""Time, poses and covariances; the factory that all writing goes through."""
+"""Time, poses, transforms and covariances; the factory through which all messages are made."""
 
 import math
 from typing import Any, Protocol
@@ -7,32 +7,44 @@ import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.errors import DataError
-from explore_slam.geometry import Array, Pose2
+from explore_slam.geometry import (
+    Array,
+    Pose2,
+    Quaternion,
+    quaternion_from_yaw,
+    yaw_from_quaternion,
+)
 
+# body frame (x forward, y left, z up) -> optical frame (x right, y down, z forward), REP-103
+OPTICAL: Quaternion = (-0.5, 0.5, -0.5, 0.5)
+IDENTITY_ROTATION: Quaternion = (0.0, 0.0, 0.0, 1.0)
 # rows and columns of x, y and yaw in a 6 x 6 covariance (x, y, z, roll, pitch, yaw)
 PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
+NANOSECONDS = 10**9  # in a second
 
 
 class MessageFactory(Protocol):
     """Makes messages of one middleware (rclpy or rosbags)."""
 
     def make(self, name: str, /, **fields: Any) -> Any:
-        """Return a message of the type, e.g. 'sensor_msgs/LaserScan', with all its fields."""
+        """Return a message of a type, e.g. 'sensor_msgs/LaserScan', with all its fields."""
 
     def sequence(self, values: NDArray[Any]) -> Any:
-        """Return a numeric sequence as this middleware wants it."""
+        """Return a numeric sequence in the type that this middleware stores."""
 
 
 def seconds(stamp: Any) -> float:
-    """Return a builtin_interfaces/Time as seconds."""
+    """Return a builtin_interfaces/Time in seconds."""
     return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
 
 
 def time_message(factory: MessageFactory, stamp: float) -> Any:
-    """Return seconds as a builtin_interfaces/Time, rounded to the nanosecond."""
-    nanoseconds = round(stamp * 1e9)
+    """Return a time (s) as a builtin_interfaces/Time, rounded to the nanosecond."""
+    nanoseconds = round(stamp * NANOSECONDS)
     return factory.make(
-        'builtin_interfaces/Time', sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9
+        'builtin_interfaces/Time',
+        sec=nanoseconds // NANOSECONDS,
+        nanosec=nanoseconds % NANOSECONDS,
     )
 
 
@@ -42,24 +54,60 @@ def header(factory: MessageFactory, stamp: float, frame: str) -> Any:
 
 
 def planar_pose(pose: Any) -> Pose2:
-    """Return a geometry_msgs/Pose seen from above; the quaternion need not be of unit length."""
+    """Return the projection of a geometry_msgs/Pose onto the plane.
+
+    The quaternion need not be of unit length; DataError if it is not a rotation.
+    """
     q = pose.orientation
-    if not all(map(math.isfinite, (q.x, q.y, q.z, q.w))) or q.x**2 + q.y**2 + q.z**2 + q.w**2 == 0:
-        raise DataError(f'pose: orientation ({q.x}, {q.y}, {q.z}, {q.w}) is no rotation')
-    yaw = math.atan2(2 * (q.w * q.z + q.x * q.y), q.w**2 + q.x**2 - q.y**2 - q.z**2)
-    return Pose2(float(pose.position.x), float(pose.position.y), yaw)
+    values = (q.x, q.y, q.z, q.w)
+    if not all(map(math.isfinite, values)) or not any(values):
+        raise DataError(f'pose: orientation {values} is not a rotation')
+    return Pose2(float(pose.position.x), float(pose.position.y), yaw_from_quaternion(*values))
+
+
+def quaternion_message(factory: MessageFactory, quaternion: Quaternion) -> Any:
+    """Return a geometry_msgs/Quaternion."""
+    x, y, z, w = map(float, quaternion)
+    return factory.make('geometry_msgs/Quaternion', x=x, y=y, z=z, w=w)
 
 
 def pose_message(factory: MessageFactory, pose: Pose2, z: float = 0.0) -> Any:
     """Return a geometry_msgs/Pose."""
-    half = 0.5 * float(pose.theta)
     return factory.make(
         'geometry_msgs/Pose',
         position=factory.make('geometry_msgs/Point', x=float(pose.x), y=float(pose.y), z=float(z)),
-        orientation=factory.make(
-            'geometry_msgs/Quaternion', x=0.0, y=0.0, z=math.sin(half), w=math.cos(half)
+        orientation=quaternion_message(factory, quaternion_from_yaw(pose.theta)),
+    )
+
+
+def transform_message(
+    factory: MessageFactory,
+    stamp: float,
+    frame: str,
+    child: str,
+    translation: tuple[float, float, float],
+    rotation: Quaternion,
+) -> Any:
+    """Return a geometry_msgs/TransformStamped: the pose of the child frame in its parent."""
+    x, y, z = map(float, translation)
+    return factory.make(
+        'geometry_msgs/TransformStamped',
+        header=header(factory, stamp, frame),
+        child_frame_id=child,
+        transform=factory.make(
+            'geometry_msgs/Transform',
+            translation=factory.make('geometry_msgs/Vector3', x=x, y=y, z=z),
+            rotation=quaternion_message(factory, rotation),
         ),
     )
+
+
+def planar_transform_message(
+    factory: MessageFactory, stamp: float, frame: str, child: str, pose: Pose2
+) -> Any:
+    """Return a geometry_msgs/TransformStamped of a pose in the plane."""
+    rotation = quaternion_from_yaw(pose.theta)
+    return transform_message(factory, stamp, frame, child, (pose.x, pose.y, 0.0), rotation)
 
 
 def planar_covariance(values: Any) -> Array:

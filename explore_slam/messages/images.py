@@ -1,23 +1,23 @@
-"""Images, depth images and camera descriptions."""
+"""Colour images, depth images (REP-118) and camera intrinsics."""
 
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from explore_slam.data import Intrinsics, RgbdFrame
+from explore_slam.data import Intrinsics
 from explore_slam.errors import DataError
-from explore_slam.messages.base import MessageFactory, header, seconds
+from explore_slam.messages.base import MessageFactory, header
 
 COLOR_CHANNELS = {'rgb8': 3, 'bgr8': 3, 'rgba8': 4, 'bgra8': 4, 'mono8': 1, '8UC1': 1, '8UC3': 3}
 DEPTH_TYPES: dict[str, type] = {'16UC1': np.uint16, 'mono16': np.uint16, '32FC1': np.float32}
 DISTORTION_MODELS = {'plumb_bob', 'rational_polynomial'}
 
 
-def _image_rows(message: Any, item: int, channels: int) -> NDArray[np.uint8]:
-    """Return the bytes of an image as (height, width * channels * item), padding cut off."""
+def _image_rows(message: Any, item_size: int, channels: int) -> NDArray[np.uint8]:
+    """Return the bytes of an image (height, width * channels * item_size) without padding."""
     height, width, step = int(message.height), int(message.width), int(message.step)
-    row = width * channels * item
+    row = width * channels * item_size
     data = np.frombuffer(message.data, np.uint8)
     if step < row or data.size < step * height or height == 0 or width == 0:
         raise DataError(
@@ -28,7 +28,7 @@ def _image_rows(message: Any, item: int, channels: int) -> NDArray[np.uint8]:
 
 
 def color_array(message: Any) -> NDArray[np.uint8]:
-    """Return a sensor_msgs/Image as RGB (H, W, 3) or grey (H, W)."""
+    """Return the pixels of a sensor_msgs/Image: RGB (H, W, 3) or grey (H, W)."""
     channels = COLOR_CHANNELS.get(message.encoding)
     if channels is None:
         raise DataError(
@@ -43,7 +43,7 @@ def color_array(message: Any) -> NDArray[np.uint8]:
 
 
 def depth_array(message: Any) -> NDArray[np.uint16] | NDArray[np.float32]:
-    """Return a depth sensor_msgs/Image (REP-118) as uint16 mm or float32 m."""
+    """Return the depth (H, W) in a sensor_msgs/Image (REP-118): uint16 in mm or float32 in m."""
     kind = DEPTH_TYPES.get(message.encoding)
     if kind is None:
         raise DataError(
@@ -76,7 +76,7 @@ def image_message(
 
 
 def intrinsics_record(message: Any) -> Intrinsics:
-    """Return a sensor_msgs/CameraInfo as intrinsics: its matrix K and distortion D."""
+    """Return the intrinsics in a sensor_msgs/CameraInfo: its matrix K and distortion D."""
     k, distortion = message.k, tuple(map(float, message.d))
     if not any(distortion):
         distortion = ()
@@ -92,7 +92,7 @@ def intrinsics_record(message: Any) -> Intrinsics:
 def camera_info_message(
     factory: MessageFactory, stamp: float, frame: str, camera: Intrinsics
 ) -> Any:
-    """Return a sensor_msgs/CameraInfo; without distortion D is five zeros."""
+    """Return a sensor_msgs/CameraInfo; D is five zeros for a rectified image."""
     k = [camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0]
     p = [*k[:3], 0.0, *k[3:6], 0.0, *k[6:], 0.0]
     return factory.make(
@@ -115,14 +115,4 @@ def camera_info_message(
             width=0,
             do_rectify=False,
         ),
-    )
-
-
-def frame_record(color: Any, depth: Any, camera_info: Any) -> RgbdFrame:
-    """Return an RGB-D frame of two images and the camera's description."""
-    return RgbdFrame(
-        seconds(color.header.stamp),
-        color_array(color),
-        depth_array(depth),
-        intrinsics_record(camera_info),
     )

@@ -23,9 +23,11 @@ def grid_message(
     resolution: float,
     origin: tuple[float, float],
 ) -> Any:
-    """Return a nav_msgs/OccupancyGrid of cells (H, W): -1 unknown, 0 to 100 occupied.
+    """Return a nav_msgs/OccupancyGrid.
 
-    origin is the lower left corner (m) of cell [0, 0], resolution the side of a cell (m).
+    occupancy: cells (H, W): -1 unknown, 0 free to 100 occupied.
+    resolution: side of a cell (m).
+    origin: lower left corner (m) of cell [0, 0].
     """
     height, width = occupancy.shape
     return factory.make(
@@ -44,12 +46,12 @@ def grid_message(
 
 
 def grid_arrays(message: Any) -> tuple[NDArray[np.int8], float, tuple[float, float]]:
-    """Return cells (H, W), resolution (m) and origin (m) of a nav_msgs/OccupancyGrid."""
+    """Return cells (H, W), resolution (m) and origin (x, y) m of a nav_msgs/OccupancyGrid."""
     info = message.info
     cells = np.frombuffer(message.data, np.int8)
     if cells.size != info.width * info.height:
         raise DataError(
-            f'grid: {cells.size} cells, expected {info.width} x {info.height} as its size says'
+            f'grid: {cells.size} cells, expected {info.width} x {info.height} by its info'
         )
     origin = (float(info.origin.position.x), float(info.origin.position.y))
     return cells.reshape(info.height, info.width), float(info.resolution), origin

@@ -1,146 +1,137 @@
-"""Which topics carry what; the names of doc/ros_interface, one set per vehicle."""
+"""Topics: names, message types and quality of service. The single source for nodes and recordings.
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+Names are relative: topics of a vehicle lie below its namespace, those of the team below the
+agent's. Whoever adds a topic adds one line here.
+"""
+
 from enum import Enum
-
-from explore_slam.errors import RecordingError
-
-
-class TopicKind(Enum):
-    """What a topic of a vehicle carries; the value is its name below the vehicle's."""
-
-    SCAN = 'scan'
-    ODOMETRY = 'odom'
-    COLOR = 'camera/rgb/image_raw'
-    COLOR_COMPRESSED = 'camera/rgb/image_raw/compressed'
-    DEPTH = 'camera/depth_registered/image_raw'
-    DEPTH_COMPRESSED = 'camera/depth_registered/image_raw/compressed'
-    DEPTH_COMPRESSED_DEPTH = 'camera/depth_registered/image_raw/compressedDepth'
-    CAMERA_INFO = 'camera/rgb/camera_info'
-    LANDMARKS = 'landmarks'
-    SIGHTINGS = 'sightings'
-    GROUND_TRUTH = 'ground_truth'
-    INITIAL_POSE = 'initialpose'
+from typing import NamedTuple, Self
 
 
-MESSAGE_TYPES: Mapping[TopicKind, str] = {
-    TopicKind.SCAN: 'sensor_msgs/msg/LaserScan',
-    TopicKind.ODOMETRY: 'nav_msgs/msg/Odometry',
-    TopicKind.COLOR: 'sensor_msgs/msg/Image',
-    TopicKind.COLOR_COMPRESSED: 'sensor_msgs/msg/CompressedImage',
-    TopicKind.DEPTH: 'sensor_msgs/msg/Image',
-    TopicKind.DEPTH_COMPRESSED: 'sensor_msgs/msg/CompressedImage',
-    TopicKind.DEPTH_COMPRESSED_DEPTH: 'sensor_msgs/msg/CompressedImage',
-    TopicKind.CAMERA_INFO: 'sensor_msgs/msg/CameraInfo',
-    TopicKind.LANDMARKS: 'sensor_msgs/msg/PointCloud2',
-    TopicKind.SIGHTINGS: 'geometry_msgs/msg/PoseWithCovarianceStamped',
-    TopicKind.GROUND_TRUTH: 'nav_msgs/msg/Odometry',
-    TopicKind.INITIAL_POSE: 'geometry_msgs/msg/PoseWithCovarianceStamped',
-}
+class Qos(NamedTuple):
+    """Quality of service (REP-2003), free of rclpy; latched is durability transient local."""
+
+    depth: int
+    reliable: bool = True
+    latched: bool = False
+
+
+RELIABLE = Qos(10)
+LATCHED = Qos(1, latched=True)
+NEWEST = Qos(1)  # an older command must not be carried out after a newer one was sent
+SENSOR_DATA = Qos(5, reliable=False)  # rclpy's qos_profile_sensor_data
+# odometry comes at up to 100 Hz: a burst must not push out readings that have not been taken yet
+SENSOR_BURST = Qos(50, reliable=False)
+BEST_EFFORT = Qos(1, reliable=False)
+TRANSFORMS = Qos(100)  # tf2_ros's depth for /tf
+
+
+class Topic(Enum):
+    """Base of the topic tables; a member's value is its relative name.
+
+    message_type: e.g. 'sensor_msgs/msg/LaserScan'.
+    offered, requested: quality of service of publishers and of subscriptions of this package.
+    """
+
+    message_type: str
+    offered: Qos
+    requested: Qos
+
+    def __new__(
+        cls, name: str, message_type: str, offered: Qos = RELIABLE, requested: Qos = SENSOR_DATA
+    ) -> Self:
+        """Make a member."""
+        member = object.__new__(cls)
+        member._value_ = name
+        member.message_type = message_type
+        member.offered = offered
+        member.requested = requested
+        return member
+
+
+_IMAGE = 'sensor_msgs/msg/Image'
+_COMPRESSED_IMAGE = 'sensor_msgs/msg/CompressedImage'
+_POSE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
+_ODOMETRY = 'nav_msgs/msg/Odometry'
+
+
+class TopicKind(Topic):
+    """What a vehicle measures, its ground truth and its start pose: what recordings hold."""
+
+    SCAN = 'scan', 'sensor_msgs/msg/LaserScan'
+    ODOMETRY = 'odom', _ODOMETRY, RELIABLE, SENSOR_BURST
+    COLOR = 'camera/rgb/image_raw', _IMAGE
+    COLOR_COMPRESSED = 'camera/rgb/image_raw/compressed', _COMPRESSED_IMAGE
+    DEPTH = 'camera/depth_registered/image_raw', _IMAGE
+    DEPTH_COMPRESSED = 'camera/depth_registered/image_raw/compressed', _COMPRESSED_IMAGE
+    DEPTH_COMPRESSED_DEPTH = (
+        'camera/depth_registered/image_raw/compressedDepth',
+        _COMPRESSED_IMAGE,
+    )
+    CAMERA_INFO = 'camera/rgb/camera_info', 'sensor_msgs/msg/CameraInfo'
+    LANDMARKS = 'landmarks', 'sensor_msgs/msg/PointCloud2', RELIABLE, RELIABLE
+    SIGHTINGS = 'sightings', _POSE, RELIABLE, RELIABLE
+    GROUND_TRUTH = 'ground_truth', _ODOMETRY, RELIABLE, RELIABLE
+    INITIAL_POSE = 'initialpose', _POSE, LATCHED, RELIABLE
+
+
+class VehicleTopic(Topic):
+    """What else lies in a vehicle's namespace: the agent's results for it, commands, status."""
+
+    POSE = 'pose', _POSE, RELIABLE, RELIABLE
+    PLAN = 'plan', 'nav_msgs/msg/Path', LATCHED, LATCHED
+    TRAJECTORY = 'trajectory', 'nav_msgs/msg/Path', RELIABLE, RELIABLE
+    PARTICLES = 'particles', 'geometry_msgs/msg/PoseArray', BEST_EFFORT
+    AGENT_ALIVE = 'agent_alive', 'std_msgs/msg/Empty', BEST_EFFORT, BEST_EFFORT
+    VELOCITY_COMMAND = 'cmd_vel', 'geometry_msgs/msg/Twist', NEWEST, NEWEST
+    FOLLOWER_STATUS = 'follower_status', 'std_msgs/msg/String', RELIABLE, RELIABLE
+    BATTERY = 'battery', 'sensor_msgs/msg/BatteryState'
+    MOTORS_ON = 'motors_on', 'std_msgs/msg/Bool'
+    SONAR = 'sonar', 'sensor_msgs/msg/PointCloud2'
+
+
+class TeamTopic(Topic):
+    """What the agent publishes for the whole team, and what an operator tells it."""
+
+    MAP = 'map', 'nav_msgs/msg/OccupancyGrid', LATCHED, LATCHED
+    MAP_LANDMARKS = 'map_landmarks', 'sensor_msgs/msg/PointCloud2', LATCHED, LATCHED
+    FRONTIERS = 'explore/frontiers', 'visualization_msgs/msg/MarkerArray', RELIABLE, RELIABLE
+    STATUS = 'explore/status', 'std_msgs/msg/String', LATCHED, LATCHED
+    RESUME = 'explore/resume', 'std_msgs/msg/Bool', LATCHED, LATCHED
+
+
+class GlobalTopic(Topic):
+    """Topics with absolute names, which all nodes share."""
+
+    CLOCK = '/clock', 'rosgraph_msgs/msg/Clock'
+    DIAGNOSTICS = '/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', RELIABLE, RELIABLE
+    TF = '/tf', 'tf2_msgs/msg/TFMessage', TRANSFORMS, TRANSFORMS
+    TF_STATIC = '/tf_static', 'tf2_msgs/msg/TFMessage', LATCHED, LATCHED
+
+
+COLOR_TOPICS = (TopicKind.COLOR, TopicKind.COLOR_COMPRESSED)
+DEPTH_TOPICS = (TopicKind.DEPTH, TopicKind.DEPTH_COMPRESSED, TopicKind.DEPTH_COMPRESSED_DEPTH)
 # longest first: 'camera/rgb/image_raw/compressed' must not be taken for anything shorter
 _BY_LENGTH = sorted(TopicKind, key=lambda kind: -len(kind.value))
-_SENSORS = {
-    TopicKind.SCAN,
-    TopicKind.COLOR,
-    TopicKind.COLOR_COMPRESSED,
-    TopicKind.LANDMARKS,
-}
 
 
-_FRAMES = {
-    TopicKind.COLOR,
-    TopicKind.COLOR_COMPRESSED,
-    TopicKind.DEPTH,
-    TopicKind.DEPTH_COMPRESSED,
-    TopicKind.DEPTH_COMPRESSED_DEPTH,
-    TopicKind.CAMERA_INFO,
-}
-
-
-@dataclass(frozen=True)
-class VehicleTopic:
-    """One topic of one vehicle."""
+class RecordedTopic(NamedTuple):
+    """A topic that a recording may hold: full name, vehicle, kind."""
 
     name: str
     vehicle: str
     kind: TopicKind
 
 
-def topic_name(vehicle: str, kind: TopicKind) -> str:
-    """Return '/robot1/scan' for ('robot1', SCAN)."""
-    return f'/{vehicle}/{kind.value}'
+def topic_name(vehicle: str, topic: Topic) -> str:
+    """Return the full name of a vehicle's topic, e.g. '/robot1/scan' for ('robot1', SCAN)."""
+    return f'/{vehicle}/{topic.value}'
 
 
-def vehicle_topic(name: str) -> VehicleTopic | None:
-    """Tell vehicle and kind from a topic's name; None if it is no topic of a vehicle."""
+def vehicle_topic(name: str) -> RecordedTopic | None:
+    """Return vehicle and kind of a topic by its full name; None if it is of no TopicKind."""
     for kind in _BY_LENGTH:
         vehicle = name.removesuffix('/' + kind.value).strip('/')
         if name.endswith('/' + kind.value) and vehicle:
-            return VehicleTopic(name, vehicle, kind)
+            return RecordedTopic(name, vehicle, kind)
     return None
-
-
-def vehicle_topics(
-    topics: Mapping[str, str], vehicles: Iterable[str] = ()
-) -> tuple[list[VehicleTopic], list[str]]:
-    """Return the vehicles' topics among {name: message type}, and warnings on what is left out.
-
-    Only the given vehicles count, or all when none are given. A vehicle that was asked for and
-    has no topic, and a recording without odometry or any sensor, is a RecordingError.
-    """
-    wanted = list(vehicles)
-    found: list[VehicleTopic] = []
-    warnings: list[str] = []
-    others: set[str] = set()
-    for name in sorted(topics):
-        topic = vehicle_topic(name)
-        if topic is None:
-            continue
-        expected = MESSAGE_TYPES[topic.kind]
-        if topics[name] != expected:
-            warnings.append(f'topic {name} is of type {topics[name]}, expected {expected}: unused')
-        elif wanted and topic.vehicle not in wanted:
-            others.add(topic.vehicle)
-        else:
-            found.append(topic)
-    if others:
-        warnings.append(f'unknown vehicles {sorted(others)} in the recording: unused')
-    _check_needed(found, wanted, topics)
-    return found, warnings
-
-
-def _check_needed(found: list[VehicleTopic], wanted: list[str], topics: Mapping[str, str]) -> None:
-    seen = {topic.vehicle for topic in found}
-    missing = [vehicle for vehicle in wanted if vehicle not in seen]
-    if missing:
-        known = sorted({topic.vehicle for name in topics if (topic := vehicle_topic(name))})
-        raise RecordingError(f'no topics of {missing}; the recording holds vehicles {known}')
-    kinds = {topic.kind for topic in found}
-    if not kinds & (_SENSORS | {TopicKind.ODOMETRY}):
-        raise RecordingError(
-            'no topic of a vehicle: expected <vehicle>/odom and <vehicle>/scan, '
-            f'<vehicle>/{TopicKind.COLOR.value} or <vehicle>/landmarks; '
-            f'the recording holds {sorted(topics) or "no topics"}'
-        )
-
-
-def one_kind_of_vision(
-    topics: list[VehicleTopic], vision: str | None, warnings: list[str]
-) -> list[VehicleTopic]:
-    """Leave out a vehicle's frames or its landmarks where both are there: they are the same sight.
-
-    vision: 'agent' takes frames, 'vehicle' landmarks; None takes landmarks and says so.
-    """
-    kinds: dict[str, set[TopicKind]] = {}
-    for topic in topics:
-        kinds.setdefault(topic.vehicle, set()).add(topic.kind)
-    both = {
-        vehicle
-        for vehicle, found in kinds.items()
-        if TopicKind.LANDMARKS in found and found & _FRAMES
-    }
-    if both and vision is None:
-        warnings.append(f'{sorted(both)}: both frames and landmarks recorded: landmarks are used')
-    unused = {TopicKind.LANDMARKS} if vision == 'agent' else _FRAMES
-    return [topic for topic in topics if topic.vehicle not in both or topic.kind not in unused]

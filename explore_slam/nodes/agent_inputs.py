@@ -1,143 +1,127 @@
 """Subscriptions of the agent: messages of one vehicle become records in the inbox."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
-from geometry_msgs.msg import PoseWithCovarianceStamped
-from nav_msgs.msg import Odometry
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, qos_profile_sensor_data
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image, LaserScan, PointCloud2
 from std_msgs.msg import String
 
 from explore_slam.errors import ExploreSlamError
-from explore_slam.messages import (
-    landmarks_record,
-    odometry_record,
-    planar_covariance,
-    planar_pose,
-    scan_record,
-    sighting_record,
-)
-from explore_slam.messages.frame_pairing import FramePairing
+from explore_slam.messages.base import planar_covariance, planar_pose
+from explore_slam.messages.measurement import MeasurementKind, MeasurementSink, VehicleReader
+from explore_slam.messages.measurement_kinds import MEASUREMENT_KINDS
+from explore_slam.messages.topics import Topic, TopicKind, VehicleTopic
+from explore_slam.nodes.endpoints import subscribe
 from explore_slam.nodes.inbox import Inbox
-from explore_slam.nodes.vehicle_support import explain_silence, now_seconds
+from explore_slam.nodes.node_support import SILENCE, explain_silence, now_seconds
 
-COLOR = 'camera/rgb/image_raw'
-DEPTH = 'camera/depth_registered/image_raw'
-SILENCE = 5.0  # s without a message after which somebody is told why that may be
+# records per vehicle that may wait for the worker
+LIMITS: Mapping[str, int] = {
+    **{kind.name: kind.queue_limit for kind in MEASUREMENT_KINDS},
+    'follower': 100,
+}
+
+type Take = Callable[[tuple[str, Any]], None]
 
 
 class VehicleInputs:
-    """All that the agent hears of one vehicle.
+    """All subscriptions to the topics of one vehicle.
 
-    A malformed message is counted, named in a warning and left out.
+    A malformed message is counted, named in a warning and omitted.
+
+    sink: the agent, which takes measurements.
+    set_pose, report_follower: take (vehicle, (pose, covariance)) of the operator and (vehicle,
+    (status, stamp)) of the path follower.
+    vision: 'agent' or 'vehicle', the setting of that name.
     """
 
     def __init__(
         self,
         node: Node,
         vehicle: str,
-        others: list[str],
+        team: list[str],
         inbox: Inbox,
-        takers: dict[str, Callable[[Any], None]],
-        images: bool,
+        sink: MeasurementSink,
+        set_pose: Take,
+        report_follower: Take,
+        vision: str,
     ) -> None:
         self._node = node
         self.vehicle = vehicle
-        self._others = [name for name in others if name != vehicle]
+        self._others = [name for name in team if name != vehicle]
         self._inbox = inbox
-        self._takers = takers
-        self.pairing = FramePairing()
+        self._sink = sink
+        self._set_pose = set_pose
+        self._report_follower = report_follower
+        self._reader = VehicleReader(MEASUREMENT_KINDS)
         self.malformed = 0
-        self.heard: dict[str, int] = {}
-        self._expected: list[str] = []
-        sensor, reliable = qos_profile_sensor_data, QoSProfile(depth=10)
-        # a burst of odometry or scans must not push an older one out before it was read
-        burst = QoSProfile(depth=50, reliability=qos_profile_sensor_data.reliability)
-        self._subscribe('odom', Odometry, self._on_odometry, burst, expected=True)
-        self._subscribe('scan', LaserScan, self._on_scan, sensor, expected=True)
-        self._subscribe('landmarks', PointCloud2, self._on_landmarks, reliable, not images)
-        self._subscribe('sightings', PoseWithCovarianceStamped, self._on_sighting, reliable)
-        self._subscribe('initialpose', PoseWithCovarianceStamped, self._on_pose, reliable)
-        self._subscribe('follower_status', String, self._on_follower, reliable)
-        if images:
-            self._subscribe(COLOR, Image, self._on_color, sensor, expected=True)
-            self._subscribe(DEPTH, Image, self._on_depth, sensor, expected=True)
-            self._subscribe('camera/rgb/camera_info', CameraInfo, self._on_info, sensor, True)
-            compressed = CompressedImage
-            self._subscribe(f'{COLOR}/compressed', compressed, self._on_color, sensor)
-            self._subscribe(f'{DEPTH}/compressed', compressed, self._on_depth, sensor)
-            self._subscribe(f'{DEPTH}/compressedDepth', compressed, self._on_depth, sensor)
+        self.heard: dict[Topic, int] = {}
+        self._expected: list[Topic] = []
+        for kind in MEASUREMENT_KINDS:
+            expected = kind.is_expected(vision)
+            if expected or not kind.bulky:
+                for topic in kind.topics:
+                    self._subscribe(topic, self._measurement_callback(topic))
+            if expected:
+                self._expected += kind.expected
+        self._subscribe(TopicKind.INITIAL_POSE, self._on_pose)
+        self._subscribe(VehicleTopic.FOLLOWER_STATUS, self._on_follower)
 
-    def _subscribe(
-        self,
-        name: str,
-        message_type: Any,
-        take: Callable[[Any], None],
-        qos: QoSProfile,
-        expected: bool = False,
-    ) -> None:
-        self.heard[name] = 0
-        if expected:
-            self._expected.append(name)
+    def _subscribe(self, topic: Topic, take: Callable[[Any], None]) -> None:
+        self.heard[topic] = 0
 
         def on_message(message: Any) -> None:
-            self.heard[name] += 1
+            self.heard[topic] += 1
             try:
-                self._check_frame(name, message)
+                self._check_frame(topic, message)
                 take(message)
             except (ExploreSlamError, ValueError, TypeError) as error:
                 self.malformed += 1
                 self._node.get_logger().warning(
-                    f'{self.vehicle}/{name}: {error}; message left out',
+                    f'{self.vehicle}/{topic.value}: {error}; message omitted',
                     throttle_duration_sec=5.0,
                 )
 
-        self._node.create_subscription(message_type, f'{self.vehicle}/{name}', on_message, qos)
+        subscribe(self._node, topic, on_message, self.vehicle)
 
-    def _check_frame(self, name: str, message: Any) -> None:
+    def _check_frame(self, topic: Topic, message: Any) -> None:
+        """Raise ValueError for a message in the frame of another vehicle: topics are mixed up."""
         frame = message.header.frame_id if hasattr(message, 'header') else ''
         owner = frame.split('/')[0]
-        if owner in self._others and name != 'sightings':
+        if owner in self._others and topic is not TopicKind.SIGHTINGS:
             raise ValueError(f'frame {frame!r} belongs to vehicle {owner!r}')
 
-    def _put(self, kind: str, record: Any) -> None:
-        if record is not None:
-            self._inbox.put(kind, self.vehicle, self._takers[kind], (self.vehicle, record))
+    def _measurement_callback(self, topic: TopicKind) -> Callable[[Any], None]:
+        def on_measurement(message: Any) -> None:
+            found = self._reader.read(topic, message)
+            if found is not None:
+                self._put(*found)
 
-    def _on_odometry(self, message: Any) -> None:
-        self._put('odometry', odometry_record(message))
+        return on_measurement
 
-    def _on_scan(self, message: Any) -> None:
-        self._put('scan', scan_record(message))
+    def _put(self, kind: MeasurementKind, record: Any) -> None:
+        def add(payload: Any) -> None:
+            self._sink.add(self.vehicle, payload)
 
-    def _on_landmarks(self, message: Any) -> None:
-        self._put('landmarks', landmarks_record(message))
-
-    def _on_sighting(self, message: Any) -> None:
-        self._put('sighting', sighting_record(message))
+        self._inbox.put(kind.name, self.vehicle, add, record)
 
     def _on_pose(self, message: Any) -> None:
         covariance = planar_covariance(message.pose.covariance)
-        self._put('pose', (planar_pose(message.pose.pose), covariance))
+        record = (planar_pose(message.pose.pose), covariance)
+        self._inbox.put('pose', self.vehicle, self._set_pose, (self.vehicle, record))
 
-    def _on_follower(self, message: Any) -> None:
-        self._put('follower', (message.data, now_seconds(self._node)))
+    def _on_follower(self, message: String) -> None:
+        record = (message.data, now_seconds(self._node))
+        self._inbox.put('follower', self.vehicle, self._report_follower, (self.vehicle, record))
 
-    def _on_color(self, message: Any) -> None:
-        self._put('frame', self.pairing.add_color(message))
-
-    def _on_depth(self, message: Any) -> None:
-        self._put('frame', self.pairing.add_depth(message))
-
-    def _on_info(self, message: Any) -> None:
-        self.pairing.add_camera_info(message)
+    def losses(self) -> dict[str, int]:
+        """Return the numbers of messages that could not be used so far, by reason."""
+        return {'malformed': self.malformed, **self._reader.losses()}
 
     def silence(self) -> list[str]:
-        """Return, for every expected topic that brought nothing so far, why that may be."""
+        """Return an explanation for every expected topic on which nothing has arrived."""
         return [
-            explain_silence(self._node, f'{self.vehicle}/{name}', SILENCE)
-            for name in self._expected
-            if not self.heard[name]
+            explain_silence(self._node, f'{self.vehicle}/{topic.value}', SILENCE)
+            for topic in self._expected
+            if not self.heard[topic]
         ]

@@ -1,6 +1,6 @@
 """Node `agent`: the adapter between topics, services, parameters and the Agent.
 
-Callbacks convert and enqueue; one worker thread owns the agent and does all that takes long.
+Callbacks convert and enqueue; one worker thread owns the agent and does everything slow.
 """
 
 import logging
@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.srv import GetMap
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
@@ -23,14 +22,17 @@ from std_srvs.srv import SetBool, Trigger
 
 from explore_slam.agent import Agent, TeamPlanner, warm_up
 from explore_slam.errors import ExploreSlamError
-from explore_slam.nodes.agent_inputs import SILENCE, VehicleInputs
+from explore_slam.messages.frame_pairing import FRAME
+from explore_slam.messages.topics import GlobalTopic, TeamTopic
+from explore_slam.nodes.agent_inputs import LIMITS, VehicleInputs
 from explore_slam.nodes.agent_outputs import AgentOutputs
 from explore_slam.nodes.agent_parameters import AgentNodeConfig
 from explore_slam.nodes.agent_statistics import AgentStatistics
+from explore_slam.nodes.endpoints import publisher, subscribe
 from explore_slam.nodes.heartbeat import Heartbeat
 from explore_slam.nodes.inbox import Inbox, Item
-from explore_slam.nodes.vehicle_support import (
-    LATCHED,
+from explore_slam.nodes.node_support import (
+    SILENCE,
     RosLogHandler,
     changed_settings,
     declare_settings,
@@ -39,10 +41,7 @@ from explore_slam.nodes.vehicle_support import (
     run_node,
 )
 
-# how many of each kind may wait for the worker, per vehicle
-LIMITS = {'odometry': 2000, 'scan': 400, 'landmarks': 20, 'sighting': 100, 'follower': 100}
-
-# what other nodes rely on, or what the agent is made of, does not change under way
+# parameters that other nodes rely on, or that the agent is built from: fixed after the start
 FIXED = {
     'vehicles', 'start_poses', 'seed', 'vision', 'frame_queue', 'map_frame', 'odom_frame',
     'robot_base_frame', 'run_directory',
@@ -62,13 +61,13 @@ class AgentNode(Node):
         self.agent = Agent(self.config.agent, self.config.poses(), self.config.seed)
         self.planner = TeamPlanner(self.agent)
         self.planner.pause(not self.config.explore)
-        self.inbox = Inbox({**LIMITS, 'frame': self.config.frame_queue})
+        self.inbox = Inbox({**LIMITS, FRAME.name: self.config.frame_queue})
         self.outputs = AgentOutputs(self, self.config)
         self.statistics = AgentStatistics()
         self.outputs.status('exploration_started' if self.config.explore else 'exploration_paused')
         self._inputs = self._listen()
         self._offer_services()
-        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self._diagnostics = publisher(self, GlobalTopic.DIAGNOSTICS)
         self._heartbeat = Heartbeat(self, self.config.vehicles)
         self._due = dict.fromkeys(('plan', 'map', 'landmarks'), -np.inf)
         self._posed = dict.fromkeys(self.config.vehicles, -np.inf)
@@ -83,18 +82,21 @@ class AgentNode(Node):
     # -- wiring ----------------------------------------------------------------------------------
 
     def _listen(self) -> list[VehicleInputs]:
-        takers = {
-            **dict.fromkeys(
-                ('odometry', 'scan', 'frame', 'landmarks', 'sighting'),
-                lambda item: self.agent.add(*item),
-            ),
-            'pose': lambda item: self.agent.set_pose(item[0], *item[1]),
-            'follower': lambda item: self.planner.report_follower(item[0], *item[1]),
-        }
-        self.create_subscription(Bool, 'explore/resume', self._on_resume, LATCHED)
+        subscribe(self, TeamTopic.RESUME, self._on_resume)
         names = list(self.config.vehicles)
-        images = self.config.vision == 'agent'
-        return [VehicleInputs(self, name, names, self.inbox, takers, images) for name in names]
+        return [
+            VehicleInputs(
+                self,
+                name,
+                names,
+                self.inbox,
+                sink=self.agent,
+                set_pose=lambda item: self.agent.set_pose(item[0], *item[1]),
+                report_follower=lambda item: self.planner.report_follower(item[0], *item[1]),
+                vision=self.config.vision,
+            )
+            for name in names
+        ]
 
     def _offer_services(self) -> None:
         directory = Path(self.config.run_directory)
@@ -113,11 +115,11 @@ class AgentNode(Node):
         def reset() -> str:
             self.agent.reset()
             self.planner.reset()
-            return 'belief, map and targets are forgotten; vehicles are at their start poses'
+            return 'filter, map and targets are cleared; the vehicles are at their start poses'
 
         def return_home() -> str:
             self.planner.return_home()
-            return 'vehicles are called home'
+            return 'the vehicles return to their start poses'
 
         for action in (save_map, save_state, load_state, reset, return_home):
             self.create_service(Trigger, action.__name__, self._answer_with(action))
@@ -148,7 +150,7 @@ class AgentNode(Node):
         return response
 
     def _ask(self, action: Any) -> Future:
-        """Let the worker do something; the future holds (success, message)."""
+        """Have the worker run an action; the future holds (success, message)."""
         future = Future(executor=self.executor)
 
         def run(_: Any) -> None:
@@ -166,7 +168,7 @@ class AgentNode(Node):
         self.inbox.put('request', 'resume', lambda _: self.planner.pause(not resume), None)
 
     def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Check; settings of planning and publishing take effect at once, the rest at reset."""
+        """Check and apply; planning and publishing change at once, filter and grid at a reset."""
         fixed = [item.name for item in parameters if item.name in FIXED]
         if fixed:
             reason = f'{", ".join(fixed)}: set at start only'
@@ -194,7 +196,7 @@ class AgentNode(Node):
                         item.take(item.payload)
                 self._publish_keyframes(item)
                 self._publish_newer_poses(item is None)
-                self._do_what_is_due()
+                self._run_periodic_work()
                 self._publish_diagnostics()
             except ExploreSlamError as error:
                 source = item.source if item is not None else 'agent'
@@ -206,7 +208,7 @@ class AgentNode(Node):
 
     def _publish_keyframes(self, item: Item | None) -> None:
         now = now_seconds(self)
-        received = item.received if item is not None and item.kind == 'frame' else None
+        received = item.received if item is not None and item.kind == FRAME.name else None
         for event in self.agent.take_events():
             self._publish_pose(event.vehicle)
             self.outputs.particles(
@@ -215,14 +217,14 @@ class AgentNode(Node):
             self.statistics.add_keyframe(event, now, received)
 
     def _publish_newer_poses(self, idle: bool) -> None:
-        """Publish poses that moved on by pose_period of odometry, or at all when nothing waits.
+        """Publish each pose that is pose_period of odometry newer, or any newer one when idle.
 
-        By odometry and not by the clock: a simulator that waits for poses holds the clock.
+        Time is measured by odometry stamps: a simulator that waits for poses holds the clock.
         """
         period = 0.0 if idle else self.config.pose_period
         for vehicle, track in self.agent.tracks.items():
-            moved_on = track.odometry.last - self._posed[vehicle]
-            if moved_on > period or moved_on < 0.0:  # below zero: the clock jumped back
+            elapsed = track.odometry.last - self._posed[vehicle]
+            if elapsed > period or elapsed < 0.0:  # negative: the clock jumped back
                 self._publish_pose(vehicle)
 
     def _publish_pose(self, vehicle: str) -> None:
@@ -241,7 +243,7 @@ class AgentNode(Node):
         self._due[what] = now + period
         return True
 
-    def _do_what_is_due(self) -> None:
+    def _run_periodic_work(self) -> None:
         now = now_seconds(self)
         if now == 0.0:  # simulated time has not begun
             return
@@ -290,7 +292,7 @@ class AgentNode(Node):
         self._diagnostics.publish(diagnostics_message(self, parts, 'explore_slam'))
 
     def stop(self) -> None:
-        """End the worker and tell the vehicles to stand."""
+        """End the worker and stop the vehicles."""
         self._heartbeat.stop()
         self.inbox.close()
         self._worker.join(timeout=5.0)

@@ -1,4 +1,4 @@
-"""How the agent node is doing: rates, latency, drops, effective particles, per vehicle states."""
+"""Diagnostics of the agent node: rates, latency, drops, effective particles, vehicle states."""
 
 import time
 from collections import Counter, defaultdict, deque
@@ -11,17 +11,18 @@ import numpy as np
 from explore_slam.agent import KeyframeEvent
 from explore_slam.data import VehicleState, VehicleStatus
 from explore_slam.exploration import PlanningResult
+from explore_slam.messages.frame_pairing import FRAME
 from explore_slam.nodes.agent_inputs import VehicleInputs
 from explore_slam.nodes.inbox import Inbox
-from explore_slam.nodes.vehicle_support import OK, WARN
+from explore_slam.nodes.node_support import OK, WARN
 
-WINDOW = 10.0  # s over which rates are taken
+WINDOW = 10.0  # s over which rates are averaged
 KEPT = 2000  # newest latencies kept
 Part = tuple[bytes, str, Mapping[str, Any]]
 
 
 class AgentStatistics:
-    """Collects on the worker's thread; `parts` gives what /diagnostics says."""
+    """Collects figures on the worker's thread; `parts` returns the diagnostics."""
 
     def __init__(self) -> None:
         self._busy: defaultdict[str, float] = defaultdict(float)
@@ -34,7 +35,7 @@ class AgentStatistics:
 
     @contextmanager
     def timed(self, kind: str) -> Iterator[None]:
-        """Count one piece of work and the time it took."""
+        """Count one piece of work and measure its duration."""
         start = time.perf_counter()
         try:
             yield
@@ -43,9 +44,9 @@ class AgentStatistics:
             self._done[kind] += 1
 
     def add_keyframe(self, event: KeyframeEvent, now: float, received: float | None) -> None:
-        """Take a keyframe whose pose was just published.
+        """Add a keyframe whose pose has just been published.
 
-        now: ROS time (s); received: time.monotonic() when its image came, None if unknown.
+        now: ROS time (s). received: time.monotonic() at which its image arrived, None if unknown.
         """
         self._keyframes.setdefault(event.vehicle, deque()).append(time.monotonic())
         if event.update is None:
@@ -71,11 +72,11 @@ class AgentStatistics:
         planning: PlanningResult,
     ) -> dict[str, Part]:
         """Return name -> (level, message, values) for the agent and for every vehicle."""
-        heard = {one.vehicle: one for one in inputs}
+        by_vehicle = {one.vehicle: one for one in inputs}
         parts = {'agent': self._agent(inbox, planning)}
         for status in statuses:
             name = status.vehicle
-            values = self._vehicle(status, heard[name], inbox)
+            values = self._vehicle(status, by_vehicle[name], inbox)
             values.update(counts.get(name, {}))
             bad = status.state in (VehicleState.LOST, VehicleState.SILENT, VehicleState.BLOCKED)
             reason = planning.waiting.get(name, '')
@@ -115,10 +116,8 @@ class AgentStatistics:
             'heading_deviation_rad': float(deviation[2]),
             'goal': '' if status.goal is None else f'{status.goal.x:.2f} {status.goal.y:.2f}',
             'keyframes_per_second': self._rate(name),
-            'malformed': inputs.malformed,
-            'unpaired_images': inputs.pairing.unpaired,
-            'frames_without_camera_info': inputs.pairing.without_camera_info,
-            'dropped_frames': inbox.dropped[('frame', name)],
+            **inputs.losses(),
+            'dropped_frames': inbox.dropped[(FRAME.name, name)],
         }
         last = self._last.get(name)
         if last is not None and last.update is not None:

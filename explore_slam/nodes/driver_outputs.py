@@ -1,69 +1,53 @@
-"""Publishers of the driver: odometry, scans, images, sonar, battery, tf, diagnostics."""
+"""Publishers of the driver: odometry, scans, images, sonar, battery, transforms, diagnostics."""
 
-import importlib.util
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import TransformStamped
-from nav_msgs.msg import Odometry
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
-from sensor_msgs.msg import BatteryState, CameraInfo, Image, LaserScan, PointCloud2
+from sensor_msgs.msg import BatteryState
 from std_msgs.msg import Bool
 
-from explore_slam.data import LaserScan as Scan
-from explore_slam.data import RgbdFrame
-from explore_slam.geometry import Pose2, rotation_matrix
+from explore_slam.data import LaserScan, RgbdFrame
+from explore_slam.geometry import multiply_quaternions, quaternion_from_rotation, rotation_matrix
 from explore_slam.messages import (
-    camera_info_message,
     cloud_message,
-    image_message,
     odometry_message,
+    planar_transform_message,
     scan_message,
     time_message,
+    transform_message,
 )
-from explore_slam.nodes.messages import MESSAGES
-from explore_slam.nodes.vehicle_support import LATCHED, diagnostics_message, now_seconds
+from explore_slam.messages.base import OPTICAL
+from explore_slam.messages.frame_pairing import frame_messages
+from explore_slam.messages.frames import FrameNames
+from explore_slam.messages.topics import GlobalTopic, Topic, TopicKind, VehicleTopic
+from explore_slam.mounts import CameraMountConfig
+from explore_slam.nodes.endpoints import TransformBroadcaster, publisher
+from explore_slam.nodes.node_support import diagnostics_message, now_seconds
+from explore_slam.nodes.ros_types import MESSAGES
 from explore_slam.vehicle import BaseState, DriverConfig
 from explore_slam.vehicle.safety import sonar_points
 
-RELIABLE = QoSProfile(depth=10)
-_OPTICAL = rotation_matrix(-math.pi / 2, 0.0, -math.pi / 2)  # of body: x right, y down, z ahead
-_BATTERY_LOW, _BATTERY_FULL = 11.0, 12.8  # V
-
-
-@dataclass(frozen=True)
-class Frames:
-    """Names of frames; all stand behind the vehicle's name and a slash."""
-
-    vehicle: str
-    odometry: str
-    base: str
-    laser: str
-    camera: str
-
-    def name(self, frame: str) -> str:
-        """Return the frame's full name."""
-        return f'{self.vehicle}/{frame}'
+# V; approximate voltages of an empty and of a full lead-acid battery of 12 V
+_BATTERY_EMPTY, _BATTERY_FULL = 11.0, 12.8
+_LATENCIES = 200  # newest samples kept
 
 
 class Latency:
-    """The last latencies (s) from a device's last byte to its message."""
+    """The newest latencies (s) from a device's last byte to its message."""
 
     def __init__(self) -> None:
-        self._values: deque[float] = deque(maxlen=200)
+        self._values: deque[float] = deque(maxlen=_LATENCIES)
 
     def add(self, seconds: float) -> None:
-        """Take one."""
+        """Add one sample."""
         self._values.append(seconds)
 
     def summary(self) -> dict[str, float]:
-        """Return median and 99 % (ms)."""
+        """Return median and 99th percentile (ms); empty before the first sample."""
         if not self._values:
             return {}
         median, high = np.percentile(list(self._values), [50, 99]) * 1e3
@@ -71,60 +55,51 @@ class Latency:
 
 
 class DriverOutputs:
-    """All that the driver says; its methods may be called from any thread."""
+    """All publishers of the driver; its methods may be called from any thread."""
 
-    def __init__(self, node: Node, frames: Frames, config: DriverConfig, publish_tf: bool) -> None:
+    def __init__(
+        self, node: Node, frames: FrameNames, config: DriverConfig, publish_tf: bool
+    ) -> None:
         self._node = node
         self._frames = frames
         self.base_values: dict[str, Any] = {}
-        topics: dict[str, Any] = {}
+        topics: list[Topic] = []
         if config.base.use_base:
-            topics |= {'odom': Odometry, 'battery': BatteryState, 'motors_on': Bool}
+            topics += [TopicKind.ODOMETRY, VehicleTopic.BATTERY, VehicleTopic.MOTORS_ON]
             if config.base.use_sonar:
-                topics['sonar'] = PointCloud2
+                topics.append(VehicleTopic.SONAR)
         if config.laser.use_laser:
-            topics['scan'] = LaserScan
+            topics.append(TopicKind.SCAN)
         if config.camera.use_camera:
-            topics |= {
-                'camera/rgb/image_raw': Image,
-                'camera/depth_registered/image_raw': Image,
-                'camera/rgb/camera_info': CameraInfo,
-            }
-        self._out = {
-            name: node.create_publisher(kind, name, RELIABLE) for name, kind in topics.items()
-        }
-        self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', RELIABLE)
-        self._tf: Any = None
-        if publish_tf and importlib.util.find_spec('tf2_msgs') is not None:
-            from tf2_msgs.msg import TFMessage
-
-            self._tf_type = TFMessage
-            self._tf = node.create_publisher(TFMessage, '/tf', QoSProfile(depth=100))
-            self._static = node.create_publisher(TFMessage, '/tf_static', LATCHED)
-            self._publish_mounts(config)
+            topics += [TopicKind.COLOR, TopicKind.DEPTH, TopicKind.CAMERA_INFO]
+        self._out = {topic: publisher(node, topic) for topic in topics}
+        self._diagnostics = publisher(node, GlobalTopic.DIAGNOSTICS)
+        self._transforms = TransformBroadcaster(node) if publish_tf else None
+        if self._transforms is not None:
+            self._publish_mounts(self._transforms, config)
 
     def publish_state(self, state: BaseState, with_sonar: bool) -> None:
-        """Publish odometry, tf, sonar, battery and whether the motors are on."""
-        frames, status = self._frames, state.status
-        odometry, base = frames.name(frames.odometry), frames.name(frames.base)
-        message = odometry_message(
-            MESSAGES, state.odometry, odometry, base, (state.linear, state.angular)
+        """Publish odometry, its transform, sonar, battery and the state of the motors."""
+        frames, status, reading = self._frames, state.status, state.odometry
+        velocity = (state.linear, state.angular)
+        self._out[TopicKind.ODOMETRY].publish(
+            odometry_message(MESSAGES, reading, frames.odom, frames.base, velocity)
         )
-        self._out['odom'].publish(message)
-        if self._tf is not None:
-            pose = state.odometry.pose
-            transform = _transform(
-                state.odometry.stamp, odometry, base, (pose.x, pose.y, 0.0), _planar(pose)
+        if self._transforms is not None:
+            self._transforms.send(
+                planar_transform_message(
+                    MESSAGES, reading.stamp, frames.odom, frames.base, reading.pose
+                )
             )
-            self._tf.publish(self._tf_type(transforms=[transform]))
         if with_sonar and state.sonar:
             points = sonar_points(state.sonar)
             zeros = np.zeros(len(points))
             columns = [('x', points[:, 0]), ('y', points[:, 1]), ('z', zeros)]
-            stamp = state.odometry.stamp
-            self._out['sonar'].publish(cloud_message(MESSAGES, stamp, base, columns))
-        self._publish_battery(state)
-        self._out['motors_on'].publish(Bool(data=status.motors_on))
+            self._out[VehicleTopic.SONAR].publish(
+                cloud_message(MESSAGES, reading.stamp, frames.base, columns)
+            )
+        self._out[VehicleTopic.BATTERY].publish(self._battery_message(state))
+        self._out[VehicleTopic.MOTORS_ON].publish(Bool(data=status.motors_on))
         self.base_values = {
             'battery_V': status.battery,
             'motors_on': status.motors_on,
@@ -135,92 +110,55 @@ class DriverOutputs:
             'faults': status.faults,
         }
 
-    def _publish_battery(self, state: BaseState) -> None:
+    def _battery_message(self, state: BaseState) -> BatteryState:
         voltage = state.status.battery
         message = BatteryState()
         message.header.stamp = time_message(MESSAGES, state.odometry.stamp)
-        message.header.frame_id = self._frames.name(self._frames.base)
+        message.header.frame_id = self._frames.base
         message.voltage = float(voltage)
         unknown = math.nan
         message.current = message.charge = message.capacity = message.temperature = unknown
         message.design_capacity = unknown
-        share = (voltage - _BATTERY_LOW) / (_BATTERY_FULL - _BATTERY_LOW)
-        message.percentage = float(min(max(share, 0.0), 1.0))
+        charge = (voltage - _BATTERY_EMPTY) / (_BATTERY_FULL - _BATTERY_EMPTY)
+        message.percentage = float(min(max(charge, 0.0), 1.0))
         message.present = True
-        charging = bool(state.status.charge_state)
         message.power_supply_status = (
             BatteryState.POWER_SUPPLY_STATUS_CHARGING
-            if charging
+            if state.status.charge_state
             else BatteryState.POWER_SUPPLY_STATUS_DISCHARGING
         )
-        self._out['battery'].publish(message)
+        return message
 
-    def publish_scan(self, scan: Scan) -> None:
+    def publish_scan(self, scan: LaserScan) -> None:
         """Publish one scan."""
-        frame = self._frames.name(self._frames.laser)
-        self._out['scan'].publish(scan_message(MESSAGES, scan, frame))
+        self._out[TopicKind.SCAN].publish(scan_message(MESSAGES, scan, self._frames.laser))
 
     def publish_frame(self, frame: RgbdFrame) -> None:
-        """Publish colour, depth and camera description with one stamp."""
-        name = self._frames.name(self._frames.camera)
-        info = camera_info_message(MESSAGES, frame.stamp, name, frame.intrinsics)
-        self._out['camera/rgb/camera_info'].publish(info)
-        depth = image_message(MESSAGES, frame.stamp, name, '16UC1', frame.depth)
-        self._out['camera/depth_registered/image_raw'].publish(depth)
-        color = image_message(MESSAGES, frame.stamp, name, 'rgb8', frame.rgb)
-        self._out['camera/rgb/image_raw'].publish(color)
+        """Publish colour image, depth image and camera_info with one stamp."""
+        for topic, message in frame_messages(MESSAGES, self._frames.camera, frame):
+            self._out[topic].publish(message)
 
     def publish_diagnostics(self, parts: Mapping[str, tuple[bytes, str, dict[str, Any]]]) -> None:
-        """Publish the state of the parts."""
+        """Publish the diagnostics of the devices: name -> (level, message, values)."""
         message = diagnostics_message(self._node, parts, self._frames.vehicle)
         self._diagnostics.publish(message)
 
-    def _publish_mounts(self, config: DriverConfig) -> None:
+    def _publish_mounts(self, transforms: TransformBroadcaster, config: DriverConfig) -> None:
         frames, stamp = self._frames, now_seconds(self._node)
-        base = frames.name(frames.base)
-        transforms = []
+        mounts = []
         if config.laser.use_laser:
-            pose, laser = config.laser_mount.pose, frames.name(frames.laser)
-            place = (pose.x, pose.y, 0.0)
-            transforms.append(_transform(stamp, base, laser, place, _planar(pose)))
+            mounts.append(
+                planar_transform_message(
+                    MESSAGES, stamp, frames.base, frames.laser, config.laser_mount.pose
+                )
+            )
         if config.camera.use_camera:
-            mount, camera = config.camera.camera_mount, frames.name(frames.camera)
-            turn = rotation_matrix(mount.camera_roll, mount.camera_pitch, mount.camera_yaw)
-            rotation = _quaternion(turn @ _OPTICAL)
-            place = (mount.camera_x, mount.camera_y, mount.camera_z)
-            transforms.append(_transform(stamp, base, camera, place, rotation))
-        self._static.publish(self._tf_type(transforms=transforms))
+            mounts.append(_camera_transform(stamp, frames, config.camera.camera_mount))
+        transforms.send_static(mounts)
 
 
-Quaternion = tuple[float, float, float, float]  # x, y, z, w
-
-
-def _planar(pose: Pose2) -> Quaternion:
-    return (0.0, 0.0, math.sin(0.5 * pose.theta), math.cos(0.5 * pose.theta))
-
-
-def _quaternion(rotation: Any) -> Quaternion:
-    """Return the quaternion of a rotation matrix (3, 3); the largest part is taken first."""
-    m = np.asarray(rotation)
-    squares = np.array([m[0, 0] - m[1, 1] - m[2, 2], m[1, 1] - m[0, 0] - m[2, 2],
-                        m[2, 2] - m[0, 0] - m[1, 1], m[0, 0] + m[1, 1] + m[2, 2]])  # fmt: skip
-    k = np.zeros((4, 4))
-    k[:3, :3] = m + m.T
-    k[range(4), range(4)] = squares
-    k[3, :3] = k[:3, 3] = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
-    vector = np.linalg.eigh(k)[1][:, -1]  # Bar-Itzhack (2000): eigenvector of the largest value
-    x, y, z, w = (vector * np.copysign(1.0, vector[3])).tolist()
-    return (x, y, z, w)
-
-
-def _transform(
-    stamp: float, frame: str, child: str, place: tuple[float, float, float], turn: Quaternion
-) -> TransformStamped:
-    message = TransformStamped()
-    message.header.stamp = time_message(MESSAGES, stamp)
-    message.header.frame_id = frame
-    message.child_frame_id = child
-    move, rotation = message.transform.translation, message.transform.rotation
-    move.x, move.y, move.z = map(float, place)
-    rotation.x, rotation.y, rotation.z, rotation.w = map(float, turn)
-    return message
+def _camera_transform(stamp: float, frames: FrameNames, mount: CameraMountConfig) -> Any:
+    body = rotation_matrix(mount.camera_roll, mount.camera_pitch, mount.camera_yaw)
+    rotation = multiply_quaternions(quaternion_from_rotation(body), OPTICAL)
+    place = (mount.camera_x, mount.camera_y, mount.camera_z)
+    return transform_message(MESSAGES, stamp, frames.base, frames.camera, place, rotation)

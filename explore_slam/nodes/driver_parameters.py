@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from explore_slam.messages.frames import FrameNames
+from explore_slam.nodes import shared_parameters
 from explore_slam.settings import Section, section, setting
 from explore_slam.vehicle import DriverConfig
 
@@ -10,16 +12,28 @@ from explore_slam.vehicle import DriverConfig
 class DriverNodeConfig(Section):
     """All parameters of the driver node."""
 
-    odom_frame: str = setting('odom', "frame of odometry, behind the vehicle's name and a slash")
-    robot_base_frame: str = setting(
-        'base_link', "frame of the vehicle, behind the vehicle's name and a slash"
+    odom_frame: str = shared_parameters.odom_frame()
+    robot_base_frame: str = shared_parameters.robot_base_frame()
+    laser_frame: str = setting(
+        'laser', "Frame of the laser, prefixed with the vehicle's name and a slash"
     )
-    laser_frame: str = setting('laser', "frame of the laser, behind the vehicle's name")
     camera_frame: str = setting(
-        'camera_optical_frame', "frame of the camera, behind the vehicle's name"
+        'camera_optical_frame',
+        "Optical frame of the camera, prefixed with the vehicle's name and a slash",
     )
-    publish_tf: bool = setting(True, 'publish tf, where tf2_msgs is installed')
+    publish_tf: bool = setting(True, 'Publish transforms (if tf2_msgs is installed)')
     watch_scan_topic: bool = setting(
-        False, "stop for another driver's laser: use the topic scan where use_laser is false"
+        False,
+        'Stop for obstacles on the topic scan of another laser driver, if use_laser is false',
     )
     driver: DriverConfig = section(DriverConfig)
+
+    def frames(self, vehicle: str) -> FrameNames:
+        """Return the frames of the vehicle."""
+        return FrameNames(
+            vehicle,
+            odom_suffix=self.odom_frame,
+            base_suffix=self.robot_base_frame,
+            laser_suffix=self.laser_frame,
+            camera_suffix=self.camera_frame,
+        )

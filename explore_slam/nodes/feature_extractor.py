@@ -1,7 +1,7 @@
-"""Node `feature_extractor`: vision on the vehicle; images in, topic `landmarks` out.
+"""Node `feature_extractor`: vision on the vehicle; images in, landmark observations out.
 
-About 30 kB a keyframe go over the air instead of 1.5 MB of images. The agent runs with
-`vision: vehicle` then. Keyframes are chosen by odometry, as the agent does it.
+It sends about 30 kB per keyframe instead of 1.5 MB of images. The agent then runs with
+`vision: vehicle`. Keyframes are selected by odometry, as in the agent.
 """
 
 import logging
@@ -9,22 +9,24 @@ import sys
 import threading
 import time
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, qos_profile_sensor_data
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
+from explore_slam.agent.config import InputConfig
 from explore_slam.agent.odometry import OdometryBuffer
 from explore_slam.data import RgbdFrame
 from explore_slam.errors import ExploreSlamError
 from explore_slam.messages import landmarks_message, odometry_record
-from explore_slam.messages.frame_pairing import FramePairing
+from explore_slam.messages.frame_pairing import FRAME, FramePairing
+from explore_slam.messages.frames import FrameNames
+from explore_slam.messages.topics import GlobalTopic, TopicKind
+from explore_slam.nodes import shared_parameters
+from explore_slam.nodes.endpoints import publisher, subscribe
 from explore_slam.nodes.inbox import Inbox
-from explore_slam.nodes.messages import MESSAGES
-from explore_slam.nodes.vehicle_support import (
+from explore_slam.nodes.node_support import (
     OK,
     WARN,
     declare_settings,
@@ -32,21 +34,21 @@ from explore_slam.nodes.vehicle_support import (
     run_node,
     vehicle_name,
 )
+from explore_slam.nodes.ros_types import MESSAGES
 from explore_slam.settings import Section, section, setting
 from explore_slam.vision import FeatureExtractor, KeyframeSelector, VisionConfig
 
-PATIENCE = 0.5  # s that a frame waits for odometry of its time
+_INPUTS = InputConfig()  # the defaults of the agent
+ODOMETRY_WAIT = 0.5  # s that a frame waits for odometry that reaches its stamp
 
 
 @dataclass(frozen=True)
 class FeatureExtractorConfig(Section):
     """All parameters of the node."""
 
-    robot_base_frame: str = setting(
-        'base_link', "frame of the vehicle, behind the vehicle's name and a slash"
-    )
+    robot_base_frame: str = shared_parameters.robot_base_frame()
     compact_descriptors: bool = setting(
-        True, 'send descriptors as 128 bytes instead of 128 float32 values'
+        True, 'Publish descriptors as 128 bytes instead of 128 float32 values'
     )
     vision: VisionConfig = section(VisionConfig)
 
@@ -61,41 +63,35 @@ class FeatureExtractorNode(Node):
         self._extractor = FeatureExtractor(self.config.vision)
         self._selector = KeyframeSelector(self.config.vision)
         self._pairing = FramePairing()
-        self._odometry = OdometryBuffer(self.vehicle, 30.0, 3.0, 1.0)
+        self._odometry = OdometryBuffer(
+            self.vehicle,
+            _INPUTS.odometry_duration,
+            _INPUTS.odometry_jump_speed,
+            _INPUTS.clock_jump_threshold,
+        )
         self._odometry_came = threading.Condition()
-        self._inbox = Inbox({'frame': 4})
+        self._inbox = Inbox({FRAME.name: FRAME.queue_limit})
         self._malformed = 0
         self._sent = 0
         self._busy = 0.0
         self._reported = time.monotonic()
-        sensor = qos_profile_sensor_data
-        color, depth = 'camera/rgb/image_raw', 'camera/depth_registered/image_raw'
-        burst = QoSProfile(depth=50, reliability=sensor.reliability)
-        listen = self.create_subscription
-        listen(Odometry, 'odom', self._on_odometry, burst)
-        listen(CameraInfo, 'camera/rgb/camera_info', self._pairing.add_camera_info, sensor)
-        listen(Image, color, self._with(self._pairing.add_color), sensor)
-        listen(Image, depth, self._with(self._pairing.add_depth), sensor)
-        compressed = CompressedImage
-        listen(compressed, f'{color}/compressed', self._with(self._pairing.add_color), sensor)
-        listen(compressed, f'{depth}/compressed', self._with(self._pairing.add_depth), sensor)
-        self._landmarks = self.create_publisher(PointCloud2, 'landmarks', 10)
-        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        subscribe(self, TopicKind.ODOMETRY, self._on_odometry)
+        for topic in FRAME.topics:
+            subscribe(self, topic, partial(self._on_camera, topic))
+        self._landmarks = publisher(self, TopicKind.LANDMARKS)
+        self._diagnostics = publisher(self, GlobalTopic.DIAGNOSTICS)
         self._worker = threading.Thread(target=self._work, name='features', daemon=True)
         self._worker.start()
 
-    def _with(self, add: Any) -> Any:
-        def on_image(message: Any) -> None:
-            try:
-                frame = add(message)
-            except ExploreSlamError as error:
-                self._malformed += 1
-                self.get_logger().warning(f'image: {error}', throttle_duration_sec=5.0)
-                return
-            if frame is not None:
-                self._inbox.put('frame', self.vehicle, self._extract, frame)
-
-        return on_image
+    def _on_camera(self, topic: TopicKind, message: Any) -> None:
+        try:
+            frame = self._pairing.read(topic, message)
+        except ExploreSlamError as error:
+            self._malformed += 1
+            self.get_logger().warning(f'{topic.value}: {error}', throttle_duration_sec=5.0)
+            return
+        if frame is not None:
+            self._inbox.put(FRAME.name, self.vehicle, self._extract, frame)
 
     def _on_odometry(self, message: Odometry) -> None:
         try:
@@ -121,7 +117,7 @@ class FeatureExtractorNode(Node):
 
     def _extract(self, frame: RgbdFrame) -> None:
         with self._odometry_came:
-            self._odometry_came.wait_for(lambda: self._odometry.last >= frame.stamp, PATIENCE)
+            self._odometry_came.wait_for(lambda: self._odometry.last >= frame.stamp, ODOMETRY_WAIT)
             if not len(self._odometry):
                 return
             pose = self._odometry.at(frame.stamp)
@@ -131,20 +127,19 @@ class FeatureExtractorNode(Node):
         observations = self._extractor.extract(frame)
         self._busy += time.perf_counter() - start
         self._sent += 1
-        base = f'{self.vehicle}/{self.config.robot_base_frame}'
+        frames = FrameNames(self.vehicle, base_suffix=self.config.robot_base_frame)
         compact = self.config.compact_descriptors
-        self._landmarks.publish(landmarks_message(MESSAGES, observations, base, compact))
+        self._landmarks.publish(landmarks_message(MESSAGES, observations, frames.base, compact))
 
     def _report(self) -> None:
         self._reported = time.monotonic()
-        dropped = self._inbox.dropped[('frame', self.vehicle)]
+        dropped = self._inbox.dropped[(FRAME.name, self.vehicle)]
         values = {
             'keyframes': self._sent,
             'extraction_mean_ms': 1e3 * self._busy / max(self._sent, 1),
             'dropped_frames': dropped,
             'malformed': self._malformed,
-            'unpaired_images': self._pairing.unpaired,
-            'frames_without_camera_info': self._pairing.without_camera_info,
+            **self._pairing.losses(),
         }
         level, text = (OK, 'extracting') if self._sent else (WARN, 'no keyframe yet')
         parts = {'features': (level, text, values)}

@@ -1,19 +1,19 @@
-"""The agent's heartbeat: `<vehicle>/agent_alive`, ten times a second of real time.
+"""The agent's heartbeat on `<vehicle>/agent_alive`, ten times a second of real time.
 
-A path follower that has once heard it stops within heartbeat_timeout when it ends: poses and plans
-come too seldom to tell in time that the agent is gone.
+A path follower that has received it once stops within heartbeat_timeout after it ends: poses and
+plans come too seldom to detect in time that the agent has ended.
 """
 
 from collections.abc import Iterable
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Empty
 
-TOPIC = 'agent_alive'
+from explore_slam.messages.topics import VehicleTopic
+from explore_slam.nodes.endpoints import publisher
+
 PERIOD = 0.1  # s
-QOS = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 
 
 class Heartbeat:
@@ -21,16 +21,16 @@ class Heartbeat:
 
     def __init__(self, node: Node, vehicles: Iterable[str]) -> None:
         self._publishers = [
-            node.create_publisher(Empty, f'{vehicle}/{TOPIC}', QOS) for vehicle in vehicles
+            publisher(node, VehicleTopic.AGENT_ALIVE, vehicle) for vehicle in vehicles
         ]
         self._timer = node.create_timer(
             PERIOD, self._beat, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
 
     def _beat(self) -> None:
-        for publisher in self._publishers:
-            publisher.publish(Empty())
+        for output in self._publishers:
+            output.publish(Empty())
 
     def stop(self) -> None:
-        """Fall silent."""
+        """Stop publishing."""
         self._timer.cancel()

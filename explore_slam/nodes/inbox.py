@@ -1,4 +1,4 @@
-"""What waits for the worker that owns the agent: bounded, and what is dropped is counted."""
+"""The bounded queue of the worker that owns the agent; drops are counted."""
 
 import threading
 import time
@@ -10,7 +10,7 @@ from typing import Any
 
 @dataclass(frozen=True, eq=False)
 class Item:
-    """One thing to do: call `take(payload)`; kind and source bound the queue and name drops."""
+    """One task: call `take(payload)`. Queue limits and drop counts are per kind and source."""
 
     kind: str
     source: str
@@ -20,9 +20,9 @@ class Item:
 
 
 class Inbox:
-    """A queue in order of arrival, with a limit per (kind, source): the oldest one gives way.
+    """A queue in order of arrival with a limit per (kind, source): the oldest item is dropped.
 
-    Requests of people (kind 'request') are never dropped.
+    Kinds without a limit, such as requests of an operator, are never dropped.
     """
 
     def __init__(self, limits: dict[str, int]) -> None:
@@ -37,7 +37,7 @@ class Inbox:
         return len(self._items)
 
     def put(self, kind: str, source: str, take: Callable[[Any], None], payload: Any) -> None:
-        """Append an item; beyond its limit the oldest of the same kind and source is dropped."""
+        """Append an item; at the limit the oldest of the same kind and source is dropped."""
         key = (kind, source)
         with self._ready:
             limit = self._limits.get(kind)
@@ -62,12 +62,12 @@ class Inbox:
             return item
 
     def close(self) -> None:
-        """Wake the worker; nothing more comes out."""
+        """Wake the worker; `get` returns None from now on."""
         with self._ready:
             self._closed = True
             self._ready.notify_all()
 
     @property
     def closed(self) -> bool:
-        """Tell whether the inbox was closed."""
+        """Whether the inbox was closed."""
         return self._closed

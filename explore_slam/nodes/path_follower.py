@@ -1,22 +1,21 @@
-"""Node `path_follower`: plan, pose, odom and scan in, cmd_vel out; relative topics, one vehicle.
+"""Node `path_follower` of one vehicle: plan, pose, odom and scan in, cmd_vel out.
 
-Reports on `follower_status` (std_msgs/String: 'driving', 'arrived', 'waiting: why',
-'blocked: why') at every change and twice a second, and on /diagnostics.
+Publishes `follower_status` (std_msgs/String: 'driving', 'arrived', 'waiting: REASON',
+'blocked: REASON') at every change and twice a second, and /diagnostics.
 """
 
 import sys
 import time
+from collections.abc import Callable
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry, Path
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import Empty, String
 
@@ -29,11 +28,17 @@ from explore_slam.messages import (
     seconds,
     twist_message,
 )
-from explore_slam.nodes import heartbeat
-from explore_slam.nodes.messages import MESSAGES
-from explore_slam.nodes.vehicle_support import (
-    LATCHED,
+from explore_slam.messages.topics import (
+    SENSOR_DATA,
+    GlobalTopic,
+    Topic,
+    TopicKind,
+    VehicleTopic,
+)
+from explore_slam.nodes.endpoints import publisher, subscribe
+from explore_slam.nodes.node_support import (
     OK,
+    SILENCE,
     WARN,
     ask_for_priority,
     changed_settings,
@@ -44,12 +49,13 @@ from explore_slam.nodes.vehicle_support import (
     run_node,
     vehicle_name,
 )
+from explore_slam.nodes.ros_types import MESSAGES
 from explore_slam.vehicle import FollowerState, PathFollower, PathFollowerConfig, VelocityCommand
 
-_SILENCE = 5.0  # s without a first message
 _REPORT_PERIOD = 0.5  # s
-_FAREWELL = 0.2  # s for the last command to arrive
-_QUIET_AFTER = 1.0  # s of zero commands, then silence: another may drive the vehicle
+_ACKNOWLEDGE_TIMEOUT = 0.2  # s for the last command to arrive
+_QUIET_AFTER = 1.0  # s of zero commands, then none: another node may drive the vehicle
+_INPUTS = (VehicleTopic.PLAN, VehicleTopic.POSE, TopicKind.ODOMETRY, TopicKind.SCAN)
 
 
 class PathFollowerNode(Node):
@@ -63,18 +69,19 @@ class PathFollowerNode(Node):
         self._reported = -1.0
         self._driven = -1.0
         self._malformed = 0
-        self._counts = dict.fromkeys(('plan', 'pose', 'odom', 'scan'), 0)
+        self._counts: dict[Topic, int] = dict.fromkeys(_INPUTS, 0)
         self._heartbeat: float | None = None  # monotonic s
-        self.create_subscription(Empty, heartbeat.TOPIC, self._on_heartbeat, heartbeat.QOS)
-        self.create_subscription(Path, 'plan', self._on_plan, LATCHED)
-        self.create_subscription(PoseWithCovarianceStamped, 'pose', self._on_pose, 10)
-        self.create_subscription(Odometry, 'odom', self._on_odometry, qos_profile_sensor_data)
-        self.create_subscription(LaserScan, 'scan', self._on_scan, qos_profile_sensor_data)
-        self._velocity = self.create_publisher(Twist, 'cmd_vel', 1)
-        self._status = self.create_publisher(String, 'follower_status', 10)
-        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        subscribe(self, VehicleTopic.AGENT_ALIVE, self._on_heartbeat)
+        subscribe(self, VehicleTopic.PLAN, self._on_plan)
+        subscribe(self, VehicleTopic.POSE, self._on_pose)
+        # only the newest readings matter here: no burst is kept
+        subscribe(self, TopicKind.ODOMETRY, self._on_odometry, qos=SENSOR_DATA)
+        subscribe(self, TopicKind.SCAN, self._on_scan)
+        self._velocity = publisher(self, VehicleTopic.VELOCITY_COMMAND)
+        self._status = publisher(self, VehicleTopic.FOLLOWER_STATUS)
+        self._diagnostics = publisher(self, GlobalTopic.DIAGNOSTICS)
         self._silence_timer = self.create_timer(
-            _SILENCE, self._explain_silence, clock=Clock(clock_type=ClockType.STEADY_TIME)
+            SILENCE, self._explain_silence, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
         self.add_on_set_parameters_callback(self._on_parameters)
         self._timer = self.create_timer(
@@ -90,39 +97,44 @@ class PathFollowerNode(Node):
 
     def _on_plan(self, message: Path) -> None:
         self._take(
-            'plan', lambda now: self.follower.set_plan(plan_record(message, self.vehicle), now)
+            VehicleTopic.PLAN,
+            lambda now: self.follower.set_plan(plan_record(message, self.vehicle), now),
         )
 
     def _on_pose(self, message: PoseWithCovarianceStamped) -> None:
         stamp = seconds(message.header.stamp)
         self._take(
-            'pose', lambda now: self.follower.set_pose(stamp, planar_pose(message.pose.pose), now)
+            VehicleTopic.POSE,
+            lambda now: self.follower.set_pose(stamp, planar_pose(message.pose.pose), now),
         )
 
     def _on_heartbeat(self, _: Empty) -> None:
         self._heartbeat = time.monotonic()
 
     def _on_odometry(self, message: Odometry) -> None:
-        self._take('odom', lambda now: self.follower.set_odometry(odometry_record(message), now))
+        self._take(
+            TopicKind.ODOMETRY,
+            lambda now: self.follower.set_odometry(odometry_record(message), now),
+        )
 
     def _on_scan(self, message: LaserScan) -> None:
-        self._take('scan', lambda now: self.follower.set_scan(scan_record(message), now))
+        self._take(TopicKind.SCAN, lambda now: self.follower.set_scan(scan_record(message), now))
 
     def _explain_silence(self) -> None:
-        """Say once, after some seconds, what has not come at all and why that may be."""
+        """Log once which inputs are missing, and the possible causes."""
         self._silence_timer.cancel()
-        for name, count in self._counts.items():
-            if count == 0 and name != 'plan':  # an agent need not have a plan yet
-                self.get_logger().warning(explain_silence(self, name, _SILENCE))
+        for topic, count in self._counts.items():
+            if count == 0 and topic is not VehicleTopic.PLAN:  # the agent need not have one yet
+                self.get_logger().warning(explain_silence(self, topic.value, SILENCE))
 
-    def _take(self, name: str, hand_over: Any) -> None:
-        """Hand a message to the follower; a malformed one is logged and counts as not come."""
+    def _take(self, topic: Topic, hand_over: Callable[[float], None]) -> None:
+        """Pass a message to the follower; a malformed one is logged and omitted."""
         try:
             hand_over(now_seconds(self))
-            self._counts[name] += 1
+            self._counts[topic] += 1
         except DataError as error:
             self._malformed += 1
-            self.get_logger().warning(f'{name}: {error}', throttle_duration_sec=5.0)
+            self.get_logger().warning(f'{topic.value}: {error}', throttle_duration_sec=5.0)
 
     def _on_timer(self) -> None:
         now = now_seconds(self)
@@ -155,18 +167,18 @@ class PathFollowerNode(Node):
             'linear_m_s': command.linear,
             'angular_rad_s': command.angular,
             'malformed_messages': self._malformed,
-            **{f'{name}_messages': count for name, count in self._counts.items()},
+            **{f'{topic.value}_messages': count for topic, count in self._counts.items()},
         }
         fine = command.state in (FollowerState.DRIVING, FollowerState.ARRIVED)
         parts = {'path follower': (OK if fine else WARN, text, values)}
         self._diagnostics.publish(diagnostics_message(self, parts, self.vehicle))
 
     def stop(self) -> None:
-        """Command rest, and wait until it has arrived: what is sent last is easily lost."""
+        """Command zero velocity and wait until it has arrived: the last message is easily lost."""
         self._velocity.publish(twist_message(MESSAGES, 0.0, 0.0))
         self._status.publish(String(data='waiting: path follower has ended'))
-        for publisher in (self._velocity, self._status):
-            publisher.wait_for_all_acked(Duration(seconds=_FAREWELL))
+        for output in (self._velocity, self._status):
+            output.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGE_TIMEOUT))
 
 
 def main(arguments: list[str] | None = None) -> int:

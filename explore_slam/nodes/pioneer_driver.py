@@ -1,8 +1,8 @@
-"""Node `pioneer_driver`: base, laser and Kinect of one vehicle on relative topics.
+"""Node `pioneer_driver`: base, laser and camera of one vehicle on relative topics.
 
-Each part runs in a thread of its own and can be switched off (use_base, use_laser, use_camera).
-Velocities go through the safety gate in the base's thread, not in the executor's: whatever the
-executor is busy with, the vehicle stops when commands or the laser fall silent.
+Each device runs in a thread of its own and can be switched off (use_base, use_laser, use_camera).
+Velocities pass the safety gate in the thread of the base, not in the executor's: even while the
+executor is busy, the vehicle stops when commands or laser scans cease.
 """
 
 import logging
@@ -17,7 +17,6 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import LaserScan as ScanMessage
 from std_srvs.srv import SetBool
 
@@ -25,9 +24,11 @@ from explore_slam.data import LaserScan, RgbdFrame
 from explore_slam.errors import DataError
 from explore_slam.geometry import to_world
 from explore_slam.messages import scan_record
-from explore_slam.nodes.driver_outputs import DriverOutputs, Frames, Latency
+from explore_slam.messages.topics import TopicKind, VehicleTopic
+from explore_slam.nodes.driver_outputs import DriverOutputs, Latency
 from explore_slam.nodes.driver_parameters import DriverNodeConfig
-from explore_slam.nodes.vehicle_support import (
+from explore_slam.nodes.endpoints import subscribe
+from explore_slam.nodes.node_support import (
     ERROR,
     OK,
     WARN,
@@ -70,11 +71,7 @@ class PioneerDriverNode(Node):
         logging.getLogger('explore_slam').setLevel(logging.INFO)
         self.config = declare_settings(self, DriverNodeConfig())
         driver = self.config.driver
-        names = self.config
-        frames = Frames(
-            vehicle_name(self), names.odom_frame, names.robot_base_frame,
-            names.laser_frame, names.camera_frame,
-        )  # fmt: skip
+        frames = self.config.frames(vehicle_name(self))
         self.outputs = DriverOutputs(self, frames, driver, self.config.publish_tf)
         self._laser_pose = driver.laser_mount.pose
         base = driver.base
@@ -123,12 +120,10 @@ class PioneerDriverNode(Node):
 
     def _subscribe(self) -> None:
         if self.robot is not None:
-            self.create_subscription(Twist, 'cmd_vel', self._on_velocity, 1)
+            subscribe(self, VehicleTopic.VELOCITY_COMMAND, self._on_velocity)
             self.create_service(SetBool, 'enable_motors', self._on_enable_motors)
         if self.laser is None and self.config.watch_scan_topic:
-            self.create_subscription(
-                ScanMessage, 'scan', self._on_watched_scan, qos_profile_sensor_data
-            )
+            subscribe(self, TopicKind.SCAN, self._on_watched_scan)
         self.add_on_set_parameters_callback(self._on_parameters)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0, self._report, clock=steady)

@@ -1,4 +1,4 @@
-"""Plays a bag live over topics: the recorded CDR as it is, in the order of stamps, with /clock."""
+"""Node `player`: publishes the recorded CDR of a bag in the order of stamps, and /clock."""
 
 import sys
 import time
@@ -8,22 +8,25 @@ from pathlib import Path
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
 from explore_slam.errors import RecordingError
-from explore_slam.messages.topics import TopicKind, vehicle_topic, vehicle_topics
-from explore_slam.nodes.messages import message_class
+from explore_slam.messages.base import NANOSECONDS
+from explore_slam.messages.topics import RELIABLE, GlobalTopic, vehicle_topic
+from explore_slam.nodes.endpoints import publisher, qos_profile
+from explore_slam.nodes.ros_types import message_class
 from explore_slam.recording.bag import BagReader
 from explore_slam.recording.ordering import StampOrder
 from explore_slam.recording.salvage import RawMessage
+from explore_slam.recording.topic_selection import vehicle_topics
 
-CLOCK_PERIOD = 0.01
-MATCH_TIMEOUT = 5.0
+CLOCK_PERIOD = 0.01  # s
+MATCH_TIMEOUT = 5.0  # s to wait for a subscriber
+LATE = 0.5  # s; a longer delay is reported
 
 
 class Player(Node):
-    """Publishes the vehicles' topics of a bag; `step` is called as often as its caller can."""
+    """Publishes the vehicles' topics of a bag; call `step` as often as possible."""
 
     def __init__(
         self,
@@ -43,16 +46,16 @@ class Player(Node):
         self._rate = rate
         self._until = None if until is None else round(until * 1e9)
         chosen = self._choose(topics, vehicles)
-        self._publishers_of = {name: self._publisher(name) for name in chosen}
-        self._clock = self.create_publisher(Clock, '/clock', 10) if clock else None
+        self._outputs = {name: self._publisher(name) for name in chosen}
+        self._clock = publisher(self, GlobalTopic.CLOCK) if clock else None
         self._order = StampOrder()
         self._messages: Iterator[tuple[int, RawMessage]] = self._order.sort(bag.messages(chosen))
         self._next = next(self._messages, None)
         self._first = self._next[0] if self._next else 0
-        self._anchor: tuple[float, int] | None = None  # wall time (s) and stamp (ns) that belong
+        self._anchor: tuple[float, int] | None = None  # wall time (s) of a stamp (ns)
         self._last_clock = -1.0
         self.counts: dict[str, int] = dict.fromkeys(chosen, 0)
-        self.share = 0.0
+        self.fraction_played = 0.0
         self.worst_delay = 0.0
 
     def _choose(self, topics: Collection[str], vehicles: Collection[str]) -> list[str]:
@@ -68,35 +71,28 @@ class Player(Node):
         return [topic.name for topic in found]
 
     def _publisher(self, topic: str) -> Publisher:
-        kind = vehicle_topic(topic)
-        latched = kind is not None and kind.kind is TopicKind.INITIAL_POSE
-        qos = QoSProfile(
-            depth=1 if latched else 10,
-            reliability=ReliabilityPolicy.RELIABLE,
-            durability=(
-                DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
-            ),
-        )
+        found = vehicle_topic(topic)
+        qos = RELIABLE if found is None else found.kind.offered
         return self.create_publisher(
-            message_class(self._bag.topics[topic].replace('/msg/', '/')), topic, qos
+            message_class(self._bag.topics[topic]), topic, qos_profile(qos)
         )
 
     @property
     def done(self) -> bool:
-        """Tell whether everything was published."""
+        """Whether everything has been published."""
         return self._next is None
 
     @property
     def unmatched(self) -> list[str]:
-        """Topics that nobody listens to."""
+        """Topics without subscribers."""
         return [
             topic
-            for topic, publisher in self._publishers_of.items()
-            if publisher.get_subscription_count() == 0
+            for topic, output in self._outputs.items()
+            if output.get_subscription_count() == 0
         ]
 
     def stop(self) -> None:
-        """Nothing is held that must be brought to rest."""
+        """Do nothing: no vehicle depends on a player."""
 
     def step(self) -> float:
         """Publish what is due; return the time (s) until the next message."""
@@ -112,43 +108,43 @@ class Player(Node):
                 self._anchor = (now, stamp)
             due = self._anchor[0] + (stamp - self._anchor[1]) * 1e-9 / self._rate
             if due > now:
-                self._tell_time(now)
+                self._advance_clock(now)
                 return min(due - now, CLOCK_PERIOD)
             self.worst_delay = max(self.worst_delay, now - due)
-            self._tell_stamp(stamp, now)
-            self._publishers_of[message.topic].publish(message.data)
+            self._publish_clock(stamp, now)
+            self._outputs[message.topic].publish(message.data)
             self.counts[message.topic] += 1
-            self.share = (message.log_time - self._bag.start) / max(
+            self.fraction_played = (message.log_time - self._bag.start) / max(
                 self._bag.end - self._bag.start, 1
             )
             self._next = next(self._messages, None)
             now = time.monotonic()
         return 0.0
 
-    def _tell_time(self, now: float) -> None:
+    def _advance_clock(self, now: float) -> None:
         """Publish simulated time between messages."""
         if self._anchor is not None and now - self._last_clock >= CLOCK_PERIOD:
             played = (now - self._anchor[0]) * self._rate
-            self._tell_stamp(self._anchor[1] + round(played * 1e9), now)
+            self._publish_clock(self._anchor[1] + round(played * 1e9), now)
 
-    def _tell_stamp(self, stamp: int, now: float) -> None:
+    def _publish_clock(self, stamp: int, now: float) -> None:
         if self._clock is None or now - self._last_clock < CLOCK_PERIOD:
             return
         self._last_clock = now
         message = Clock()
-        message.clock.sec, message.clock.nanosec = divmod(stamp, 10**9)
+        message.clock.sec, message.clock.nanosec = divmod(stamp, NANOSECONDS)
         self._clock.publish(message)
 
 
 def wait_for_listeners(
     node: Player, stopped: Callable[[], bool], timeout: float = MATCH_TIMEOUT
 ) -> bool:
-    """Wait until somebody listens to a topic; False after the timeout (s)."""
+    """Wait until a topic has a subscriber; return False after the timeout (s)."""
     deadline = time.monotonic() + timeout
     everything = len(node.counts)
     while time.monotonic() < deadline and not stopped():
         if len(node.unmatched) < everything:
-            time.sleep(0.3)  # discovery goes topic by topic: let the others match too
+            time.sleep(0.3)  # discovery matches topic by topic: give the others time too
             return True
         time.sleep(0.02)
     return False
@@ -164,7 +160,7 @@ def play(
     until: float | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, int]:
-    """Play a bag from begin to end, or until SIGINT or SIGTERM; return messages per topic."""
+    """Play a bag to its end, or until SIGINT or SIGTERM; return the messages per topic."""
     import signal
 
     import rclpy
@@ -182,18 +178,18 @@ def play(
             try:
                 if not wait_for_listeners(node, lambda: bool(asked)) and not asked:
                     node.get_logger().warning(
-                        f'nobody listens to {node.unmatched}; playing all the same'
+                        f'{node.unmatched} have no subscribers; playing nevertheless'
                     )
                 while not node.done and not asked:
                     time.sleep(node.step())
                     if progress is not None:
-                        progress(node.share)
-                if node.worst_delay > 0.5:
+                        progress(node.fraction_played)
+                if node.worst_delay > LATE:
                     node.get_logger().warning(
-                        f'the machine was too slow: up to {node.worst_delay:.1f} s late; '
-                        'a lower --rate helps'
+                        f'the machine is too slow: messages were up to {node.worst_delay:.1f} s '
+                        'late; use a lower --rate'
                     )
-                time.sleep(0.2)  # let the last messages leave before the publishers go
+                time.sleep(0.2)  # the last messages must leave before the publishers are destroyed
                 return dict(node.counts)
             finally:
                 node.destroy_node()

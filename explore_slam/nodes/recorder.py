@@ -1,4 +1,4 @@
-"""Records the vehicles' topics into a bag: CDR as it comes, written by a thread of its own."""
+"""Node `recorder`: records the vehicles' topics into a bag, as received, in a writer thread."""
 
 import argparse
 import logging
@@ -11,23 +11,24 @@ from pathlib import Path
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy
 from rclpy.utilities import remove_ros_args
 
 from explore_slam.errors import ExploreSlamError
-from explore_slam.messages.topics import vehicle_topic
-from explore_slam.nodes.messages import message_class
-from explore_slam.nodes.vehicle_support import run_node
+from explore_slam.messages.topics import Qos, vehicle_topic
+from explore_slam.nodes.endpoints import qos_profile
+from explore_slam.nodes.node_support import run_node
+from explore_slam.nodes.ros_types import message_class
 from explore_slam.recording.bag import BagWriter
 from explore_slam.recording.ordering import header_stamp
 
-DISCOVERY_PERIOD = 0.2
-QUEUE_BYTES = 256 * 2**20
-QUEUE_DEPTH = 50
+DISCOVERY_PERIOD = 0.2  # s between searches for new topics
+QUEUE_BYTES = 256 * 2**20  # bytes that may wait for the disk
+QUEUE_DEPTH = 50  # messages per subscription
 
 
 class WriterThread:
-    """Writes what is put into it to a bag; beyond its memory the newest messages are dropped."""
+    """Writes queued messages to a bag; when the queue is full, new messages are dropped."""
 
     def __init__(self, writer: BagWriter, limit: int = QUEUE_BYTES) -> None:
         self._writer = writer
@@ -41,7 +42,7 @@ class WriterThread:
         self._thread.start()
 
     def put(self, topic: str, log_time: int, data: bytes) -> None:
-        """Hand a message over."""
+        """Queue a message."""
         with self._lock:
             if self._held + len(data) > self._limit:
                 self.dropped[topic] = self.dropped.get(topic, 0) + 1
@@ -50,7 +51,7 @@ class WriterThread:
         self._items.put((topic, log_time, data))
 
     def close(self) -> None:
-        """Write what is left, close the bag."""
+        """Write the queued messages and close the bag."""
         self._items.put(None)
         self._thread.join()
         self._writer.close()
@@ -60,7 +61,9 @@ class WriterThread:
             if self.error is None:
                 try:
                     self._writer.write(*item)
-                except Exception as error:  # a full disk must not end the node without a word
+                except (
+                    Exception
+                ) as error:  # reported by the node: a full disk must not end it silently
                     self.error = error
             with self._lock:
                 self._held -= len(item[2])
@@ -98,11 +101,11 @@ class Recorder(Node):
 
     @property
     def dropped(self) -> dict[str, int]:
-        """Messages per topic that were dropped because the disk was too slow."""
+        """Messages per topic that were dropped because the disk is too slow."""
         return self._thread.dropped
 
     def stop(self) -> None:
-        """Write what is held and close the bag."""
+        """Write the queued messages and close the bag."""
         self._thread.close()
 
     def _wanted(self, topic: str) -> bool:
@@ -121,7 +124,9 @@ class Recorder(Node):
         lost = sum(self.dropped.values())
         if lost > self._reported:
             self._reported = lost
-            self.get_logger().warning(f'disk too slow: {lost} messages dropped {self.dropped}')
+            self.get_logger().warning(
+                f'the disk is too slow: {lost} messages dropped {self.dropped}'
+            )
 
     def _subscribe(self, topic: str, types: Sequence[str]) -> None:
         publishers = self.get_publishers_info_by_topic(topic)
@@ -132,9 +137,9 @@ class Recorder(Node):
             self.get_logger().error(f'{topic} has several types {types}: not recorded')
             return
         try:
-            kind = message_class(types[0].replace('/msg/', '/'))
+            kind = message_class(types[0])
             latched = all(
-                item.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+                item.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
                 for item in publishers
             )
             self._writer.add_topic(topic, types[0], latched=latched)
@@ -142,21 +147,15 @@ class Recorder(Node):
             self.get_logger().error(f'{topic} is not recorded: {error}')
             return
         reliable = all(
-            item.qos_profile.reliability == ReliabilityPolicy.RELIABLE for item in publishers
+            item.qos_profile.reliability == QoSReliabilityPolicy.RELIABLE for item in publishers
         )
-        qos = QoSProfile(
-            depth=QUEUE_DEPTH,
-            reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-            durability=(
-                DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
-            ),
-        )
-        self.create_subscription(kind, topic, self._listener(topic), qos, raw=True)
+        qos = qos_profile(Qos(QUEUE_DEPTH, reliable, latched))
+        self.create_subscription(kind, topic, self._writer_of(topic), qos, raw=True)
         self.get_logger().info(f'recording {topic} ({types[0]})')
 
-    def _listener(self, topic: str) -> Callable[[bytes], None]:
+    def _writer_of(self, topic: str) -> Callable[[bytes], None]:
         def take(data: bytes) -> None:
-            # before simulated time begins the clock says 0: the message's own stamp is better
+            # the clock is 0 before simulated time begins: use the stamp of the message then
             log_time = self.get_clock().now().nanoseconds or header_stamp(data) or 0
             self.counts[topic] = self.counts.get(topic, 0) + 1
             self._thread.put(topic, log_time, bytes(data))
@@ -165,7 +164,7 @@ class Recorder(Node):
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Record until asked to end: `recorder OUT [--topics ...] [--vehicles ...] [--sim-time]`."""
+    """Record until SIGINT or SIGTERM: `recorder OUT [--topics T ...] [--vehicles V ...]`."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     parser = argparse.ArgumentParser(prog='recorder', description=__doc__)
     add_options(parser)
@@ -174,11 +173,11 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Declare what can be chosen; the command line shares it."""
+    """Declare the options, which `explore_slam record` shares."""
     parser.add_argument('out', type=Path, help='bag to write (a new folder)')
-    parser.add_argument('--topics', nargs='+', default=(), help='these topics and no others')
-    parser.add_argument('--vehicles', nargs='+', default=(), help="these vehicles' topics")
-    parser.add_argument('--sim-time', action='store_true', help='log times from /clock')
+    parser.add_argument('--topics', nargs='+', default=(), help='record only these topics')
+    parser.add_argument('--vehicles', nargs='+', default=(), help='record only these vehicles')
+    parser.add_argument('--sim-time', action='store_true', help='use /clock for the log times')
 
 
 def record(parsed: argparse.Namespace, ros_arguments: list[str] | None = None) -> int:
@@ -195,7 +194,7 @@ def record(parsed: argparse.Namespace, ros_arguments: list[str] | None = None) -
     for node in made:
         if not node.counts:
             logging.getLogger(__name__).error(
-                '%s is empty: no topic of a vehicle was heard', parsed.out
+                '%s is empty: no message on any topic of a vehicle', parsed.out
             )
             code = code or 1
     return code

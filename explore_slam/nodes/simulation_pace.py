@@ -1,4 +1,4 @@
-"""How fast simulated time runs: at a fixed rate, or as fast as agent and followers keep up.
+"""The pace of simulated time: a fixed rate, or as fast as agent and followers keep up.
 
 Free of ROS. Wall times are seconds of a monotonic clock, sim times are simulated seconds.
 """
@@ -8,24 +8,25 @@ from dataclasses import dataclass
 
 from explore_slam.settings import Section, setting
 
-CREEP = 0.25  # s that time goes on in real time beyond pose_lead: an agent that publishes by
-# simulated time and has caught up would else wait for the clock as the clock waits for it
-MAX_LAG = 0.25  # wall s; what is further behind a fixed rate is not caught up
+# s beyond pose_lead in which time advances at real-time rate: otherwise an agent that publishes by
+# simulated time and has caught up would wait for the clock while the clock waits for it
+CREEP = 0.25
+MAX_LAG = 0.25  # wall s; a larger delay behind a fixed rate is not made up for
 
 
 @dataclass(frozen=True)
 class PaceConfig(Section):
-    """What holds simulated time back."""
+    """Limits of the pace of simulated time."""
 
     real_time_factor: float = setting(
         0.0,
-        'simulated seconds per second; 0: as fast as agent and followers keep up',
+        'Simulated seconds per second; 0: as fast as agent and followers keep up',
         low=0.0,
         high=1000.0,
     )
     pose_lead: float = setting(
         0.6,
-        'simulated time is at most this far ahead of the newest pose of the slowest vehicle '
+        'Largest lead of simulated time over the newest pose of the slowest vehicle '
         '(real_time_factor 0)',
         unit='s',
         low=0.1,
@@ -33,7 +34,7 @@ class PaceConfig(Section):
     )
     pose_patience: float = setting(
         5.0,
-        'time without a newer pose after which a vehicle no longer holds simulated time '
+        'Time without a newer pose after which a vehicle no longer holds simulated time '
         '(real_time_factor 0)',
         unit='wall s',
         low=0.1,
@@ -41,15 +42,15 @@ class PaceConfig(Section):
     )
     command_lead: float = setting(
         0.15,
-        'while a vehicle drives, simulated time is at most this far ahead of its newest velocity '
-        'command (real_time_factor 0)',
+        'Largest lead of simulated time over the newest velocity command of a moving vehicle '
+        '(real_time_factor 0)',
         unit='s',
         low=0.02,
         high=10.0,
     )
     command_patience: float = setting(
         0.25,
-        'time without a velocity command after which it no longer holds simulated time '
+        'Time without a velocity command after which a vehicle no longer holds simulated time '
         '(real_time_factor 0)',
         unit='wall s',
         low=0.01,
@@ -59,7 +60,7 @@ class PaceConfig(Section):
 
 @dataclass
 class _Follower:
-    """The newest velocity command of a vehicle: when it came and whether it drives."""
+    """The newest velocity command of a vehicle: its times, and whether it is a motion."""
 
     sim: float = 0.0
     wall: float = 0.0
@@ -68,14 +69,14 @@ class _Follower:
 
 @dataclass
 class _Estimate:
-    """The newest pose stamp of a vehicle, and when it last went on."""
+    """The newest pose stamp of a vehicle, and the wall time at which it last changed."""
 
     stamp: float
     wall: float
 
 
 class Pace:
-    """Tells how long to wait before the next step; callbacks of any thread may report."""
+    """Determines the wait before the next step; any thread may report poses and commands."""
 
     def __init__(self, config: PaceConfig, vehicles: list[str], wall: float) -> None:
         self.config = config
@@ -83,22 +84,22 @@ class Pace:
         self._followers = {name: _Follower() for name in vehicles}
         self._poses: dict[str, _Estimate] = {}
         self._anchor = (0.0, wall)
-        self.holder = ''  # what holds time back right now
+        self.holder = ''  # what is holding time back
 
     def report_pose(self, vehicle: str, stamp: float, wall: float) -> None:
-        """Take the stamp of a pose that the agent has published for a vehicle."""
+        """Record the stamp of a pose that the agent has published for a vehicle."""
         with self._lock:
             known = self._poses.get(vehicle)
             if known is None or stamp != known.stamp:
                 self._poses[vehicle] = _Estimate(stamp, wall)
 
     def report_command(self, vehicle: str, moving: bool, sim: float, wall: float) -> None:
-        """Take that a velocity command has come for a vehicle."""
+        """Record the arrival of a velocity command for a vehicle."""
         with self._lock:
             self._followers[vehicle] = _Follower(sim, wall, moving)
 
     def delay(self, sim: float, wall: float) -> float:
-        """Return how long to wait (wall s) at most before time goes on; 0: go."""
+        """Return the longest wait (wall s) before the next step; 0: step now."""
         with self._lock:
             if self.config.real_time_factor > 0.0:
                 self.holder = 'clock'
@@ -113,7 +114,9 @@ class Pace:
                 self._anchor = (sim, wall)
                 self.holder = ''
                 return 0.0
-            self.holder = 'no poses'  # nobody works along: real time, so that nobody misses much
+            self.holder = (
+                'no poses'  # no agent is running: real time, so that a late one misses little
+            )
             return self._until(sim, wall, 1.0)
 
     def _until(self, sim: float, wall: float, factor: float) -> float:

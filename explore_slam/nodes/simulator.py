@@ -1,7 +1,7 @@
-"""Node `simulator`: vehicles in a simulated world with the very topics of real ones.
+"""Node `simulator`: vehicles in a simulated world with the topics of real ones.
 
-It publishes simulated time on /clock and the truth on `<vehicle>/ground_truth`; it listens to
-`<vehicle>/cmd_vel`, and to `<vehicle>/pose` for how far the agent has come.
+It publishes simulated time on /clock and true poses on `<vehicle>/ground_truth`. It subscribes to
+`<vehicle>/cmd_vel`, and to `<vehicle>/pose` to pace simulated time by the progress of the agent.
 """
 
 import logging
@@ -15,18 +15,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
-from rosgraph_msgs.msg import Clock
 
 from explore_slam.errors import ConfigError
 from explore_slam.geometry import Pose2
 from explore_slam.messages import seconds
-from explore_slam.nodes.simulation_pace import Pace, PaceConfig
-from explore_slam.nodes.simulator_outputs import Frames, VehicleOutputs, clock_message
-from explore_slam.nodes.vehicle_support import (
+from explore_slam.messages.frames import FrameNames
+from explore_slam.messages.topics import GlobalTopic, VehicleTopic
+from explore_slam.nodes import shared_parameters
+from explore_slam.nodes.endpoints import publisher, subscribe
+from explore_slam.nodes.node_support import (
     OK,
     WARN,
     RosLogHandler,
@@ -35,14 +34,16 @@ from explore_slam.nodes.vehicle_support import (
     diagnostics_message,
     run_node,
 )
+from explore_slam.nodes.simulation_pace import Pace, PaceConfig
+from explore_slam.nodes.simulator_outputs import VehicleOutputs, clock_message
 from explore_slam.settings import Section, section, setting
 from explore_slam.simulation import SimulationConfig, Simulator, World
 from explore_slam.simulation.emulators.hardware_bridge import HardwareBridge
 from explore_slam.simulation.worlds.world import world_path
 
 REPORT_PERIOD = 1.0  # wall s between diagnostics
-CLOCK_REPEAT = 0.02  # wall s after which /clock is said again while time is held
-# what may change under way
+CLOCK_REPEAT = 0.02  # wall s after which /clock is repeated while time is held
+# settings that may change at run time
 CHANGEABLE = {field.name for field in fields(PaceConfig)} | {'command_timeout', 'use_sim_time'}
 
 
@@ -51,38 +52,37 @@ class SimulatorNodeConfig(Section):
     """All parameters of the simulator node."""
 
     world: str = setting(
-        'office', 'world file, YAML file of a map_server map, or name of a world of the package'
+        'office',
+        'World file, YAML file of a map_server map, or name of a world of the package',
+        tier='basic',
     )
-    vehicles: tuple[str, ...] = setting(
-        ('robot1', 'robot2'), 'names of the vehicles, which are their namespaces'
-    )
+    vehicles: tuple[str, ...] = shared_parameters.vehicles()
     start_poses: tuple[float, ...] = setting(
         (math.nan,),
-        'start of each vehicle in the world: x (m), y (m), heading (rad); '
-        'a single NaN takes those of the world file',
+        'Start pose of each vehicle in the world: x (m), y (m), heading (rad); '
+        'a single NaN selects those of the world file',
+        tier='basic',
     )
-    seed: int = setting(0, 'seed of all noise', low=0)
+    seed: int = setting(0, 'Seed of all noise', low=0)
     command_timeout: float = setting(
-        0.6, 'a vehicle without a velocity command for longer stops', unit='s', low=0.05, high=60.0
-    )
+        0.6, 'Time without a velocity command after which a vehicle stops', unit='s',
+        low=0.05, high=60.0,
+    )  # fmt: skip
     hardware: str = setting(
         '',
-        'folder for serial ports <vehicle>_base and <vehicle>_laser of emulated hardware, which '
-        "then takes the place of cmd_vel, odom and scan: '' is off; wants real_time_factor 1",
+        'Folder for serial ports <vehicle>_base and <vehicle>_laser of emulated hardware, which '
+        'then replaces cmd_vel, odom and scan; empty: none; requires real_time_factor 1',
     )
-    map_frame: str = setting('map', 'frame of the ground truth')
-    odom_frame: str = setting('odom', "frame of odometry, behind the vehicle's name and a slash")
-    robot_base_frame: str = setting(
-        'base_link', "frame of a vehicle, behind the vehicle's name and a slash"
-    )
+    map_frame: str = shared_parameters.map_frame()
+    odom_frame: str = shared_parameters.odom_frame()
+    robot_base_frame: str = shared_parameters.robot_base_frame()
     pace: PaceConfig = section(PaceConfig)
     simulation: SimulationConfig = section(SimulationConfig)
 
     def starts(self, world: World) -> dict[str, Pose2]:
         """Return vehicle -> start pose; ConfigError when names and numbers do not fit."""
         names, values = self.vehicles, self.start_poses
-        if not names or len(set(names)) != len(names):
-            raise ConfigError(f'vehicles is {list(names)}, expected one or more different names')
+        shared_parameters.check_names(names)
         if len(values) == 1 and math.isnan(values[0]):
             missing = [name for name in names if name not in world.starts]
             if missing:
@@ -91,13 +91,11 @@ class SimulatorNodeConfig(Section):
                     f'{missing}: set start_poses'
                 )
             return {name: world.starts[name] for name in names}
-        if len(values) != 3 * len(names):
-            raise ConfigError(
-                f'start_poses has {len(values)} numbers, expected {3 * len(names)}: x, y and '
-                f'heading of each of {list(names)}'
-            )
-        rows = [values[3 * i : 3 * i + 3] for i in range(len(names))]
-        return {name: Pose2(*map(float, row)) for name, row in zip(names, rows, strict=True)}
+        return shared_parameters.start_poses(names, values)
+
+    def frames(self, vehicle: str) -> FrameNames:
+        """Return the frames of a vehicle."""
+        return FrameNames(vehicle, self.map_frame, self.odom_frame, self.robot_base_frame)
 
 
 class SimulatorNode(Node):
@@ -121,24 +119,22 @@ class SimulatorNode(Node):
         self._commands: dict[str, tuple[float, float]] = {}
         self._last_command = dict.fromkeys(names, -math.inf)
         self._pace = Pace(self.config.pace, names, time.monotonic())
-        self._time_out = self.create_publisher(Clock, '/clock', QoSProfile(depth=10))
-        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self._clock_output = publisher(self, GlobalTopic.CLOCK)
+        self._diagnostics = publisher(self, GlobalTopic.DIAGNOSTICS)
         self._outputs = self._make_outputs()
         for name in names:
             if self._hardware is None:
-                self.create_subscription(
-                    Twist, f'{name}/cmd_vel', partial(self._on_velocity, name), QoSProfile(depth=1)
+                subscribe(
+                    self, VehicleTopic.VELOCITY_COMMAND, partial(self._on_velocity, name), name
                 )
-            self.create_subscription(
-                PoseWithCovarianceStamped, f'{name}/pose', partial(self._on_pose, name), 10
-            )
+            subscribe(self, VehicleTopic.POSE, partial(self._on_pose, name), name)
         self.add_on_set_parameters_callback(self._on_parameters)
         self._reported = (0.0, time.monotonic())
         self._malformed = 0
         self._run = self._worker.submit(self._work)
         self.create_timer(0.2, self._check_worker)
         self.get_logger().info(
-            f'world {self.simulator.world.name}: ' + ', '.join(names) + ' stand at their starts'
+            f'world {self.simulator.world.name}: ' + ', '.join(names) + ' are at their start poses'
         )
 
     def _make_simulator(self) -> Simulator:
@@ -148,9 +144,8 @@ class SimulatorNode(Node):
 
     def _make_outputs(self) -> dict[str, VehicleOutputs]:
         config = self.config
-        frames = Frames(config.map_frame, config.odom_frame, config.robot_base_frame)
         outputs = {
-            name: VehicleOutputs(self, name, frames, config.simulation)
+            name: VehicleOutputs(self, config.frames(name), config.simulation)
             for name in self.simulator.vehicles
         }
         for output in outputs.values():
@@ -181,7 +176,7 @@ class SimulatorNode(Node):
             self._wake.notify()
 
     def _on_parameters(self, parameters: list[Any]) -> Any:
-        """Take over what paces time; everything else is set at the start."""
+        """Apply the settings of the pace; all others are fixed after the start."""
         config, result = changed_settings(self.config, parameters)
         fixed = [item.name for item in parameters if item.name not in CHANGEABLE]
         if fixed:
@@ -194,7 +189,7 @@ class SimulatorNode(Node):
         return result
 
     def _check_worker(self) -> None:
-        """Pass on what ended the worker, if anything did."""
+        """Raise the exception that ended the worker, if any."""
         if self._run.done():
             self._run.result()
 
@@ -210,11 +205,11 @@ class SimulatorNode(Node):
                     self._outputs[event.vehicle].publish(event, velocity)
             if self._hardware is not None:
                 self._hardware.advance(simulator.time)
-            self._time_out.publish(clock_message(simulator.time))
+            self._clock_output.publish(clock_message(simulator.time))
             self._report()
 
     def _wait_for_turn(self) -> bool:
-        """Wait as the pace wants it; return False when the node ends."""
+        """Wait as long as the pace demands; return False when the node ends."""
         while not self._stopping:
             with self._wake:
                 delay = self._pace.delay(self.simulator.time, time.monotonic())
@@ -222,8 +217,8 @@ class SimulatorNode(Node):
                     return True
                 if self._wake.wait(min(delay, CLOCK_REPEAT)):
                     continue
-            # best-effort listeners may have missed the time that all now wait at
-            self._time_out.publish(clock_message(self.simulator.time))
+            # best-effort subscribers may have missed the time at which all now wait
+            self._clock_output.publish(clock_message(self.simulator.time))
             self._report()
         return False
 
@@ -262,7 +257,7 @@ class SimulatorNode(Node):
         self._diagnostics.publish(diagnostics_message(self, parts))
 
     def stop(self) -> None:
-        """End the worker and free the renderer."""
+        """End the worker and release the renderer."""
         self._stopping = True
         with self._wake:
             self._wake.notify()

@@ -1,147 +1,81 @@
-"""Publishers of the simulator: for each vehicle the topics of a real one, and the truth."""
+"""Publishers of the simulator: the topics of a real vehicle, and the ground truth."""
 
-import importlib.util
-import math
-from dataclasses import dataclass
-from typing import Any
-
-from geometry_msgs.msg import TransformStamped
-from nav_msgs.msg import Odometry
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import CameraInfo, Image, LaserScan
 
-from explore_slam.data import LaserScan as Scan
-from explore_slam.data import OdometryReading, RgbdFrame
-from explore_slam.geometry import Pose2
+from explore_slam.data import LaserScan, OdometryReading, RgbdFrame
 from explore_slam.messages import (
-    camera_info_message,
-    image_message,
     odometry_message,
+    planar_transform_message,
     scan_message,
     time_message,
+    transform_message,
 )
-from explore_slam.nodes.messages import MESSAGES
-from explore_slam.nodes.vehicle_support import LATCHED
+from explore_slam.messages.base import IDENTITY_ROTATION, OPTICAL
+from explore_slam.messages.frame_pairing import frame_messages
+from explore_slam.messages.frames import FrameNames
+from explore_slam.messages.topics import TopicKind
+from explore_slam.nodes.endpoints import TransformBroadcaster, publisher
+from explore_slam.nodes.ros_types import MESSAGES
 from explore_slam.simulation import SimEvent, SimulationConfig, TruePose
 
-RELIABLE = QoSProfile(depth=10)
-OPTICAL = (-0.5, 0.5, -0.5, 0.5)  # quaternion of an optical frame (REP-103): z looks ahead
-Mount = tuple[float, float, float, float, float, float, float]  # x, y, z, quaternion x, y, z, w
-
-
-@dataclass(frozen=True)
-class Frames:
-    """Names of frames; all but the map stand behind the vehicle's name and a slash."""
-
-    world: str
-    odometry: str
-    base: str
-    laser: str = 'laser'
-    camera: str = 'camera_optical_frame'
+_TOPICS = (
+    TopicKind.ODOMETRY, TopicKind.GROUND_TRUTH, TopicKind.SCAN,
+    TopicKind.COLOR, TopicKind.DEPTH, TopicKind.CAMERA_INFO,
+)  # fmt: skip
 
 
 class VehicleOutputs:
-    """All that one simulated vehicle says."""
+    """All publishers of one simulated vehicle."""
 
-    def __init__(self, node: Node, vehicle: str, frames: Frames, config: SimulationConfig) -> None:
-        self._vehicle = vehicle
+    def __init__(self, node: Node, frames: FrameNames, config: SimulationConfig) -> None:
         self._frames = frames
-        self._scan_rate = config.laser.simulated_scan_rate
-        topics: dict[str, Any] = {
-            'odom': Odometry,
-            'ground_truth': Odometry,
-            'scan': LaserScan,
-            'camera/rgb/image_raw': Image,
-            'camera/depth_registered/image_raw': Image,
-            'camera/rgb/camera_info': CameraInfo,
-        }
-        self._out = {
-            name: node.create_publisher(kind, f'{vehicle}/{name}', RELIABLE)
-            for name, kind in topics.items()
-        }
-        self._tf: Any = None
-        if importlib.util.find_spec('tf2_msgs') is not None:
-            from tf2_msgs.msg import TFMessage
-
-            self._tf_type = TFMessage
-            self._tf = node.create_publisher(TFMessage, '/tf', QoSProfile(depth=100))
-            self._static = node.create_publisher(TFMessage, '/tf_static', LATCHED)
-
-    def _name(self, frame: str) -> str:
-        return f'{self._vehicle}/{frame}'
+        self._scan_period = 1.0 / config.laser.simulated_scan_rate
+        self._out = {topic: publisher(node, topic, frames.vehicle) for topic in _TOPICS}
+        self._transforms = TransformBroadcaster(node)
 
     def publish(self, event: SimEvent, velocity: tuple[float, float]) -> None:
-        """Publish one record; velocity is what the wheels report (m/s, rad/s)."""
+        """Publish one record; velocity is what wheel odometry measures (m/s, rad/s)."""
         record, frames = event.record, self._frames
         if isinstance(record, OdometryReading):
-            names = self._name(frames.odometry), self._name(frames.base)
-            message = odometry_message(MESSAGES, record, *names, velocity)
-            self._out['odom'].publish(message)
-            self._transform(record.stamp, *names, _planar(record.pose))
+            message = odometry_message(MESSAGES, record, frames.odom, frames.base, velocity)
+            self._out[TopicKind.ODOMETRY].publish(message)
+            self._transforms.send(
+                planar_transform_message(
+                    MESSAGES, record.stamp, frames.odom, frames.base, record.pose
+                )
+            )
         elif isinstance(record, TruePose):
             truth = OdometryReading(record.stamp, record.pose)
-            names = frames.world, self._name(frames.base)
             speeds = record.linear, record.angular
-            self._out['ground_truth'].publish(odometry_message(MESSAGES, truth, *names, speeds))
-        elif isinstance(record, Scan):
-            period = 1.0 / self._scan_rate
-            self._out['scan'].publish(
-                scan_message(MESSAGES, record, self._name(frames.laser), period)
+            self._out[TopicKind.GROUND_TRUTH].publish(
+                odometry_message(MESSAGES, truth, frames.map, frames.base, speeds)
+            )
+        elif isinstance(record, LaserScan):
+            self._out[TopicKind.SCAN].publish(
+                scan_message(MESSAGES, record, frames.laser, self._scan_period)
             )
         elif isinstance(record, RgbdFrame):
-            self._publish_frame(record)
-
-    def _publish_frame(self, frame: RgbdFrame) -> None:
-        name = self._name(self._frames.camera)
-        info = camera_info_message(MESSAGES, frame.stamp, name, frame.intrinsics)
-        self._out['camera/rgb/camera_info'].publish(info)
-        depth = image_message(MESSAGES, frame.stamp, name, '16UC1', frame.depth)
-        self._out['camera/depth_registered/image_raw'].publish(depth)
-        color = image_message(MESSAGES, frame.stamp, name, 'rgb8', frame.rgb)
-        self._out['camera/rgb/image_raw'].publish(color)
-
-    def _transform(self, stamp: float, frame: str, child: str, mount: Mount) -> None:
-        if self._tf is not None:
-            message = transform_message(stamp, frame, child, mount)
-            self._tf.publish(self._tf_type(transforms=[message]))
+            for topic, message in frame_messages(MESSAGES, frames.camera, record):
+                self._out[topic].publish(message)
 
     def publish_mounts(self, config: SimulationConfig) -> None:
-        """Publish where laser and camera sit, where tf2_msgs is installed."""
-        if self._tf is None:
-            return
-        laser, kinect, base = config.laser, config.kinect, self._name(self._frames.base)
-        mounts = {
-            self._frames.laser: (laser.simulated_laser_x, 0.0, laser.simulated_laser_z)
-            + (0.0, 0.0, 0.0, 1.0),
-            self._frames.camera: (kinect.simulated_camera_x, 0.0, kinect.simulated_camera_z)
-            + OPTICAL,
-        }
-        messages = [
-            transform_message(0.0, base, self._name(child), mount)
-            for child, mount in mounts.items()
-        ]
-        self._static.publish(self._tf_type(transforms=messages))
-
-
-def _planar(pose: Pose2) -> Mount:
-    half = 0.5 * pose.theta
-    return (pose.x, pose.y, 0.0, 0.0, 0.0, math.sin(half), math.cos(half))
-
-
-def transform_message(stamp: float, frame: str, child: str, mount: Mount) -> TransformStamped:
-    """Return where a frame sits in another one."""
-    message = TransformStamped()
-    message.header.stamp = time_message(MESSAGES, stamp)
-    message.header.frame_id = frame
-    message.child_frame_id = child
-    move, turn = message.transform.translation, message.transform.rotation
-    move.x, move.y, move.z = map(float, mount[:3])
-    turn.x, turn.y, turn.z, turn.w = map(float, mount[3:])
-    return message
+        """Publish the static transforms of laser and camera."""
+        laser, kinect, frames = config.laser, config.kinect, self._frames
+        self._transforms.send_static(
+            [
+                transform_message(
+                    MESSAGES, 0.0, frames.base, frames.laser,
+                    (laser.simulated_laser_x, 0.0, laser.simulated_laser_z), IDENTITY_ROTATION,
+                ),
+                transform_message(
+                    MESSAGES, 0.0, frames.base, frames.camera,
+                    (kinect.simulated_camera_x, 0.0, kinect.simulated_camera_z), OPTICAL,
+                ),
+            ]
+        )  # fmt: skip
 
 
 def clock_message(stamp: float) -> Clock:
-    """Return simulated time as a message."""
+    """Return simulated time (s) as a rosgraph_msgs/Clock."""
     return Clock(clock=time_message(MESSAGES, stamp))

@@ -1,4 +1,4 @@
-"""Bags without ROS: write, read, replay through the agent, import of public data sets."""
+"""Bags without ROS: reading, writing, repair, replay through the agent, importers of data sets."""
 
 from explore_slam.messages.topics import TopicKind
 from explore_slam.recording.bag import BagReader, BagWriter

@@ -1,6 +1,6 @@
-"""Bags: rosbag2 folders (mcap; sqlite3 for reading too), read and written without ROS.
+"""Bags: rosbag2 folders, written as mcap, read as mcap or sqlite3, without ROS.
 
-A bag that was cut off is read as far as it goes, with a warning that says so.
+A truncated bag is read up to its damage, with a warning.
 """
 
 import logging
@@ -29,7 +29,7 @@ from rosbags.rosbag2 import (
 )
 
 from explore_slam.errors import RecordingError
-from explore_slam.recording.messages import deserialize, full_name, serialize, typestore
+from explore_slam.recording.rosbags_types import deserialize, full_name, serialize, typestore
 from explore_slam.recording.salvage import McapSalvage, RawMessage
 
 logger = logging.getLogger(__name__)
@@ -52,7 +52,7 @@ class BagReader:
         if not path.exists():
             raise RecordingError(f'{path} does not exist, expected a bag (a rosbag2 folder)')
         if path.is_file() and path.suffix not in SUFFIXES:
-            raise RecordingError(f'{path} is no bag: expected a folder, .mcap or .db3')
+            raise RecordingError(f'{path} is not a bag: expected a folder, .mcap or .db3')
         self._open()
 
     @property
@@ -77,7 +77,7 @@ class BagReader:
                 part.close()
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
-        """Yield the messages of the topics, or of all; damage ends them with a warning."""
+        """Yield the messages of the given topics, or all; damage ends them with a warning."""
         if self._reader is None:
             for part in self._parts:
                 if isinstance(part, BagReader):
@@ -98,19 +98,19 @@ class BagReader:
             for connection, log_time, data in self._reader.messages(wanted):
                 yield RawMessage(connection.topic, connection.msgtype, log_time, bytes(data))
                 count += 1
-        except Exception as error:  # rosbags passes on what its storages and parsers raise
+        except Exception as error:  # rosbags lets the errors of its storages and parsers through
             self._warn(
                 f'{self.path} is damaged after {count} messages ({error}): the rest is lost'
             )
 
     @staticmethod
     def decode(message: RawMessage) -> Any:
-        """Return the message itself; RecordingError if its data do not fit its type."""
+        """Return the deserialized message; RecordingError if its data do not fit its type."""
         try:
             return deserialize(message.type, message.data)
         except Exception as error:
             raise RecordingError(
-                f'message on {message.topic} at {message.log_time * 1e-9:.3f} s is no '
+                f'message on {message.topic} at {message.log_time * 1e-9:.3f} s is not a '
                 f'{message.type} ({len(message.data)} bytes): {error}'
             ) from error
 
@@ -121,7 +121,7 @@ class BagReader:
         try:
             reader = Reader(self.path)
             reader.open()
-        except Exception as error:  # rosbags passes on what its storages and parsers raise
+        except Exception as error:  # rosbags lets the errors of its storages and parsers through
             self._open_damaged(str(error))
             return
         self._reader = reader
@@ -134,11 +134,11 @@ class BagReader:
             self.start, self.end = reader.start_time, reader.end_time
 
     def _open_damaged(self, reason: str) -> None:
-        """Use what the storage files hold where the bag as a whole cannot be opened."""
+        """Read the storage files one by one where the bag as a whole cannot be opened."""
         if self.path.is_dir():
             files = sorted(file for file in self.path.iterdir() if file.suffix in SUFFIXES)
             if not files:
-                raise RecordingError(f'{self.path} is no bag: {reason}')
+                raise RecordingError(f'{self.path} is not a bag: {reason}')
             self._warn(f'{self.path}: {reason}; reading its files one by one')
             for file in files:
                 try:
@@ -165,7 +165,7 @@ class BagReader:
             self.start = min(part.start for part in parts)
             self.end = max(part.end for part in parts)
         if not self.message_count:
-            raise RecordingError(f'{self.path} holds no message that can be read: {reason}')
+            raise RecordingError(f'{self.path} holds no readable message: {reason}')
 
     def _survey(self, salvage: McapSalvage) -> None:
         for message in salvage.messages():
@@ -175,13 +175,13 @@ class BagReader:
             self.counts[message.topic] = self.counts.get(message.topic, 0) + 1
 
     def _warn(self, text: str) -> None:
-        # whoever reads the bag shows the warnings: in the report, on the terminal, in a node's log
+        # the caller shows the warnings: in the report, on the terminal or in a node's log
         logger.info('%s', text)
         self.warnings.append(text)
 
 
 class BagWriter:
-    """Writes a rosbag2 folder in mcap; what was written stays readable however the block ends."""
+    """Writes a rosbag2 folder with mcap storage; it stays readable if the block raises."""
 
     def __init__(self, path: Path, *, compress: bool = False) -> None:
         self.path = path
@@ -210,7 +210,7 @@ class BagWriter:
         if self._writer.storage is None:
             return
         if not any(self._writer.counts.values()):
-            # an empty bag would start at the end of time
+            # rosbags would write the largest integer as start time of an empty bag
             self._writer.min_timestamp = 0
         self._writer.close()
 
@@ -225,7 +225,11 @@ class BagWriter:
         return {topic: counts[item.id] for topic, item in self._connections.items()}
 
     def add_topic(self, topic: str, name: str, *, latched: bool = False) -> None:
-        """Declare a topic and its type; latched ones are kept for late subscribers when played."""
+        """Declare a topic and its type.
+
+        latched: offer durability transient local, so that a player keeps the last message for
+        late subscribers.
+        """
         if topic in self._connections:
             return
         kind = full_name(name)
@@ -243,13 +247,13 @@ class BagWriter:
         self._writer.write(connection, log_time, data)
 
     def write_message(self, topic: str, name: str, stamp: float, message: Any) -> None:
-        """Serialise a message and write it, logged at the stamp (s)."""
+        """Serialize a message and write it, logged at the stamp (s)."""
         self.add_topic(topic, name)
         self.write(topic, round(stamp * 1e9), serialize(name, message))
 
 
 def _qos(latched: bool) -> Qos:
-    never = QosTime(9223372036, 854775807)
+    never = QosTime(9223372036, 854775807)  # 2**63 - 1 ns: rmw's infinite duration
     return Qos(
         QosHistory.KEEP_LAST,
         1 if latched else 10,

@@ -1,65 +1,57 @@
-"""One thing that a recording holds: a record of a vehicle, and the messages that carry it."""
+"""Events of a recording: a record of a vehicle at a time, and how it is written."""
 
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from explore_slam import messages
-from explore_slam.data import (
-    InterRobotObservation,
-    LandmarkObservations,
-    LaserScan,
-    OdometryReading,
-    RgbdFrame,
-)
-from explore_slam.geometry import Array, Pose2
-from explore_slam.messages.topics import MESSAGE_TYPES, TopicKind, topic_name
+from explore_slam.data import OdometryReading
+from explore_slam.errors import RecordingError
+from explore_slam.geometry import Pose2, Quaternion
+from explore_slam.messages.base import quaternion_message
+from explore_slam.messages.frames import FrameNames
+from explore_slam.messages.measurement import Record, TopicMessages
+from explore_slam.messages.measurement_kinds import KIND_OF_TOPIC
+from explore_slam.messages.motion import estimate_message
+from explore_slam.messages.odometry import odometry_message
+from explore_slam.messages.topics import TopicKind, topic_name
 from explore_slam.recording.bag import BagWriter
-from explore_slam.recording.messages import MESSAGES
+from explore_slam.recording.rosbags_types import MESSAGES
 
 
 class TruePose3(NamedTuple):
-    """A true pose in space: position (m) and quaternion (x, y, z, w) of the vehicle in the map."""
+    """A true pose in space: position (m) and orientation of the vehicle in the map frame."""
 
     position: tuple[float, float, float]
-    quaternion: tuple[float, float, float, float]
-
-
-Record = (
-    OdometryReading
-    | LaserScan
-    | RgbdFrame
-    | LandmarkObservations
-    | InterRobotObservation
-    | TruePose3
-)
+    quaternion: Quaternion
 
 
 class Event(NamedTuple):
-    """A record of a vehicle at a stamp (s); the kind tells odometry from truth and start pose.
+    """A record of a vehicle at a stamp (s).
 
-    Odometry, ground truth and initial pose are OdometryReading; a frame has the kind COLOR.
-    TruePose3 is written only; read again it is a ground truth in the plane.
+    kind: the first topic of the measurement's kind (COLOR for an RGB-D frame), GROUND_TRUTH or
+    INITIAL_POSE.
+    record: of ground truth and initial pose an OdometryReading in the map frame. A TruePose3 can
+    only be written; read again it is a ground truth in the plane.
     """
 
     stamp: float
     vehicle: str
     kind: TopicKind
-    record: Record
+    record: Record | TruePose3
 
 
 def odometry_event(vehicle: str, stamp: float, pose: Pose2) -> Event:
-    """Make an odometry event without covariance: the filter's own motion noise applies."""
+    """Return an odometry event without covariance, so that the filter's motion noise applies."""
     return Event(stamp, vehicle, TopicKind.ODOMETRY, OdometryReading(stamp, pose))
 
 
 def truth_event(vehicle: str, stamp: float, pose: Pose2) -> Event:
-    """Make a ground truth event, the pose in the map frame."""
+    """Return a ground-truth event; the pose is in the map frame."""
     return Event(stamp, vehicle, TopicKind.GROUND_TRUTH, OdometryReading(stamp, pose))
 
 
 def start_event(vehicle: str, stamp: float, pose: Pose2) -> Event:
-    """Make the event that tells where in the map a vehicle starts."""
+    """Return the event of a vehicle's start pose in the map frame."""
     return Event(stamp, vehicle, TopicKind.INITIAL_POSE, OdometryReading(stamp, pose))
 
 
@@ -67,64 +59,32 @@ def write_event(writer: BagWriter, event: Event) -> None:
     """Write an event on the topics of its vehicle, logged at its stamp."""
     for kind, message in _messages(event):
         writer.write_message(
-            topic_name(event.vehicle, kind), MESSAGE_TYPES[kind], event.stamp, message
+            topic_name(event.vehicle, kind), kind.message_type, event.stamp, message
         )
 
 
-def _messages(event: Event) -> list[tuple[TopicKind, Any]]:
-    vehicle, record = event.vehicle, event.record
-    base = f'{vehicle}/base_link'
+def _messages(event: Event) -> TopicMessages:
+    frames = FrameNames(event.vehicle)
+    if event.kind is TopicKind.GROUND_TRUTH:
+        return [(event.kind, _truth_message(event, frames))]
+    if event.kind is TopicKind.INITIAL_POSE and isinstance(event.record, OdometryReading):
+        pose, covariance = event.record.pose, event.record.covariance
+        known = np.zeros((3, 3)) if covariance is None else covariance
+        return [(event.kind, estimate_message(MESSAGES, event.stamp, frames.map, pose, known))]
+    if event.kind not in KIND_OF_TOPIC:
+        raise RecordingError(f'{event.kind.name} cannot hold a {type(event.record).__name__}')
+    return KIND_OF_TOPIC[event.kind].write(MESSAGES, frames, event.record)
+
+
+def _truth_message(event: Event, frames: FrameNames) -> Any:
+    record = event.record
     if isinstance(record, OdometryReading):
-        if event.kind is TopicKind.INITIAL_POSE:
-            message = messages.estimate_message(
-                MESSAGES, record.stamp, 'map', record.pose, _known(record.covariance)
-            )
-        else:
-            truth = event.kind is TopicKind.GROUND_TRUTH
-            frame = 'map' if truth else f'{vehicle}/odom'
-            message = messages.odometry_message(MESSAGES, record, frame, base)
-        return [(event.kind, message)]
-    if isinstance(record, LaserScan):
-        return [(event.kind, messages.scan_message(MESSAGES, record, f'{vehicle}/laser'))]
-    if isinstance(record, LandmarkObservations):
-        return [(event.kind, messages.landmarks_message(MESSAGES, record, base))]
-    if isinstance(record, InterRobotObservation):
-        return [(event.kind, messages.sighting_message(MESSAGES, record))]
-    if isinstance(record, TruePose3):
-        return [(event.kind, _true_message(event.stamp, record, base))]
-    return _frame_messages(record, f'{vehicle}/camera_optical_frame')
-
-
-def _true_message(stamp: float, record: TruePose3, base: str) -> Any:
-    message = messages.odometry_message(
-        MESSAGES, OdometryReading(stamp, Pose2(0.0, 0.0, 0.0)), 'map', base
-    )
-    pose, (x, y, z) = message.pose.pose, record.position
-    pose.position = MESSAGES.make('geometry_msgs/Point', x=x, y=y, z=z)
-    x, y, z, w = record.quaternion
-    pose.orientation = MESSAGES.make('geometry_msgs/Quaternion', x=x, y=y, z=z, w=w)
+        return odometry_message(MESSAGES, record, frames.map, frames.base)
+    if not isinstance(record, TruePose3):
+        raise RecordingError(f'GROUND_TRUTH cannot hold a {type(record).__name__}')
+    origin = OdometryReading(event.stamp, Pose2(0.0, 0.0, 0.0))
+    message = odometry_message(MESSAGES, origin, frames.map, frames.base)
+    x, y, z = record.position
+    message.pose.pose.position = MESSAGES.make('geometry_msgs/Point', x=x, y=y, z=z)
+    message.pose.pose.orientation = quaternion_message(MESSAGES, record.quaternion)
     return message
-
-
-def _known(covariance: Array | None) -> Array:
-    return np.zeros((3, 3)) if covariance is None else covariance
-
-
-def _frame_messages(record: RgbdFrame, frame: str) -> list[tuple[TopicKind, Any]]:
-    color = 'mono8' if record.rgb.ndim == 2 else 'rgb8'
-    depth = '16UC1' if record.depth.dtype.kind == 'u' else '32FC1'
-    stamp = record.stamp
-    return [
-        (
-            TopicKind.CAMERA_INFO,
-            messages.camera_info_message(MESSAGES, stamp, frame, record.intrinsics),
-        ),
-        (
-            TopicKind.COLOR,
-            messages.image_message(MESSAGES, stamp, frame, color, record.rgb),
-        ),
-        (
-            TopicKind.DEPTH,
-            messages.image_message(MESSAGES, stamp, frame, depth, record.depth),
-        ),
-    ]

@@ -6,24 +6,27 @@ from collections.abc import Iterable, Iterator
 
 from explore_slam.recording.salvage import RawMessage
 
-WINDOW = 2_000_000_000
-CLOCK_JUMP = 5_000_000_000
-_STAMP = {0: struct.Struct('>iI'), 1: struct.Struct('<iI')}
+WINDOW = 2_000_000_000  # ns; how much later than its stamp a message may be logged
+CLOCK_JUMP = 5_000_000_000  # ns; more than the window, so that no late message looks like a jump
+_LITTLE_ENDIAN, _BIG_ENDIAN = 1, 0  # second byte of the encapsulation header of CDR
+_STAMP = {_BIG_ENDIAN: struct.Struct('>iI'), _LITTLE_ENDIAN: struct.Struct('<iI')}
+_ENCAPSULATION = 4  # bytes before the content
 
 
 def header_stamp(data: bytes) -> int | None:
     """Return the stamp (ns) of CDR data whose type starts with a std_msgs/Header."""
-    if len(data) < 12 or data[1] not in _STAMP:
+    if len(data) < _ENCAPSULATION + 8 or data[1] not in _STAMP:
         return None
-    seconds, nanoseconds = _STAMP[data[1]].unpack_from(data, 4)
+    seconds, nanoseconds = _STAMP[data[1]].unpack_from(data, _ENCAPSULATION)
     return int(seconds) * 10**9 + int(nanoseconds)
 
 
 class StampOrder:
-    """Yields (stamp in ns, message), stamps never falling.
+    """Yields (stamp in ns, message) with stamps that never decrease.
 
-    A message waits until another was logged a window (ns) later; one that comes later still than
-    its turn is left out and counted, except that a clock that jumped back starts a new order.
+    A message is held back until another one was logged a window (ns) later. A message that comes
+    even later is omitted and counted in `late`, except that a clock that jumps back starts a new
+    order.
     """
 
     def __init__(self, window: int = WINDOW) -> None:
@@ -42,7 +45,7 @@ class StampOrder:
                 self.malformed[message.topic] = self.malformed.get(message.topic, 0) + 1
                 continue
             if stamp < highest - CLOCK_JUMP:
-                # what was held belongs to the old time and goes out before the new one starts
+                # the messages held back belong to the old time: they go out before the new ones
                 self.clock_jumps.append((highest * 1e-9, stamp * 1e-9))
                 while heap:
                     at, _, held = heapq.heappop(heap)

@@ -1,4 +1,4 @@
-"""A recording through the agent, offline: the calls that a live node makes, as fast as they go.
+"""Offline replay of a recording through the agent: the calls of the live node, without waiting.
 
 Nothing depends on the wall clock or on threads: the same bag gives the same result, bit for bit.
 """
@@ -8,49 +8,40 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from explore_slam import messages
-from explore_slam.data import (
-    OdometryReading,
-    RgbdFrame,
-)
+from explore_slam.data import OdometryReading
 from explore_slam.errors import ExploreSlamError, RecordingError
 from explore_slam.geometry import Array, Pose2
-from explore_slam.messages.frame_pairing import FramePairing
-from explore_slam.messages.topics import (
-    TopicKind,
-    VehicleTopic,
-    one_kind_of_vision,
-    vehicle_topics,
-)
+from explore_slam.messages.base import planar_pose
+from explore_slam.messages.measurement import MeasurementSink, VehicleReader
+from explore_slam.messages.measurement_kinds import KIND_OF_TOPIC, MEASUREMENT_KINDS
+from explore_slam.messages.odometry import odometry_record
+from explore_slam.messages.topics import RecordedTopic, TopicKind
 from explore_slam.recording.bag import BagReader
 from explore_slam.recording.events import Event
 from explore_slam.recording.ordering import StampOrder
 from explore_slam.recording.salvage import RawMessage
+from explore_slam.recording.topic_selection import frames_or_landmarks, vehicle_topics
 
 logger = logging.getLogger(__name__)
 
-TICK = 0.1
-START_KINDS = (TopicKind.INITIAL_POSE, TopicKind.GROUND_TRUTH)
-_COLOR = (TopicKind.COLOR, TopicKind.COLOR_COMPRESSED)
-_DEPTH = (TopicKind.DEPTH, TopicKind.DEPTH_COMPRESSED, TopicKind.DEPTH_COMPRESSED_DEPTH)
+TICK = 0.1  # s of recorded time between calls of `advance`
+# topics of poses in the map frame; from the first of each the start poses are taken
+POSE_KINDS = (TopicKind.INITIAL_POSE, TopicKind.GROUND_TRUTH)
 
 
-class Listener(Protocol):
-    """What a recording is fed to; the agent is one."""
+class Listener(MeasurementSink, Protocol):
+    """Receiver of a recording; the agent is one."""
 
-    def add(self, vehicle: str, record: Any) -> None:
-        """Add odometry or a measurement of a vehicle."""
+    def set_pose(self, vehicle: str, pose: Pose2, covariance: Array, /) -> None:
+        """Set the pose of a vehicle in the map, with its covariance (3, 3)."""
 
-    def set_pose(self, vehicle: str, pose: Pose2, covariance: Array) -> None:
-        """Put a vehicle where a person says it is."""
-
-    def advance(self, stamp: float) -> None:
-        """Tell the time (s)."""
+    def advance(self, stamp: float, /) -> None:
+        """Advance the clock to a time (s)."""
 
 
 @dataclass
 class Tally:
-    """What became of the messages: fed per topic kind, and what was left out and why."""
+    """Counts of records that were fed, and of messages that were refused, with the reasons."""
 
     fed: dict[str, int] = field(default_factory=dict)
     refused: dict[str, int] = field(default_factory=dict)
@@ -61,15 +52,19 @@ class Tally:
         self.fed[name] = self.fed.get(name, 0) + 1
 
     def refuse(self, name: str, reason: str) -> None:
-        """Count a message that cannot be used; the first of each topic is logged."""
+        """Count a message that cannot be used; log the first of each topic."""
         self.refused[name] = self.refused.get(name, 0) + 1
         if name not in self.first_refusals:
             self.first_refusals[name] = reason
-            logger.info('%s: %s; it is left out, and so are others like it', name, reason)
+            logger.info('%s: %s; this message and similar ones are omitted', name, reason)
 
 
 class Replay:
-    """One bag, the vehicles in it, and where they start."""
+    """One bag, the vehicles in it, and their start poses.
+
+    starts, recorded_starts: start poses in the map by vehicle; the former take precedence.
+    vision: 'agent' or 'vehicle', see topic_selection.frames_or_landmarks.
+    """
 
     def __init__(
         self,
@@ -81,13 +76,13 @@ class Replay:
     ) -> None:
         self.bag = bag
         found, warnings = vehicle_topics(bag.topics, vehicles)
-        self._topics = one_kind_of_vision(found, vision, warnings)
+        self._topics = frames_or_landmarks(found, vision, warnings)
         self.warnings = list(bag.warnings) + warnings
         self._by_name = {topic.name: topic for topic in self._topics}
         self.vehicles = sorted({topic.vehicle for topic in self._topics})
         self.tally = Tally()
         self._order = StampOrder()
-        self._pairers = {vehicle: FramePairing() for vehicle in self.vehicles}
+        self._readers = {vehicle: VehicleReader(MEASUREMENT_KINDS) for vehicle in self.vehicles}
         given = dict(starts or {})
         unknown = sorted(set(given) - set(self.vehicles))
         if unknown:
@@ -98,18 +93,21 @@ class Replay:
         self._given = {name: pose for name, pose in known.items() if name in self.vehicles}
 
     def kinds(self, vehicle: str) -> set[TopicKind]:
-        """Tell what the recording holds of a vehicle."""
+        """Return the kinds of topics that the recording holds of a vehicle."""
         return {topic.kind for topic in self._topics if topic.vehicle == vehicle}
 
     def start_poses(self) -> dict[str, Pose2]:
-        """Return where each vehicle starts: as given or recorded, initialpose, or the truth."""
+        """Return the start pose of each vehicle: as given, from initialpose, or the first truth.
+
+        RecordingError if one of several vehicles has none; a single vehicle starts at the origin.
+        """
         found = dict(self._given)
-        names = [topic.name for topic in self._topics if topic.kind in START_KINDS]
+        names = [topic.name for topic in self._topics if topic.kind in POSE_KINDS]
         truths: dict[str, Pose2] = {}
         waiting = set(self.vehicles) - set(found)
         for message in self.bag.messages(names) if waiting and names else ():
             topic = self._by_name[message.topic]
-            pose = self._start_in(topic, message)
+            pose = self._pose_in(topic, message)
             if pose is None:
                 continue
             if topic.kind is TopicKind.INITIAL_POSE:
@@ -132,24 +130,27 @@ class Replay:
     def _with_defaults(self, found: dict[str, Pose2]) -> dict[str, Pose2]:
         missing = [vehicle for vehicle in self.vehicles if vehicle not in found]
         if missing and len(self.vehicles) > 1:
+            topics = ', '.join(f'<vehicle>/{kind.value}' for kind in POSE_KINDS)
             raise RecordingError(
-                f'no start pose of {missing}: expected <vehicle>/initialpose, '
-                '<vehicle>/ground_truth, or --start VEHICLE=X,Y,THETA'
+                f'no start pose of {missing}: expected {topics}, or --start VEHICLE=X,Y,THETA'
             )
         if missing:
-            self._note(f'start pose of {missing[0]} is not recorded: (0, 0, 0) is taken')
+            self._note(f'start pose of {missing[0]} is not recorded: (0, 0, 0) is used')
             found[missing[0]] = Pose2(0.0, 0.0, 0.0)
         return {vehicle: found[vehicle] for vehicle in self.vehicles}
 
-    def _start_in(self, topic: VehicleTopic, message: RawMessage) -> Pose2 | None:
+    def _pose_in(self, topic: RecordedTopic, message: RawMessage) -> Pose2 | None:
         try:
-            return messages.planar_pose(self.bag.decode(message).pose.pose)
+            return planar_pose(self.bag.decode(message).pose.pose)
         except ExploreSlamError as error:
             self.tally.refuse(topic.name, str(error))
             return None
 
     def events(self, progress: Callable[[float], None] | None = None) -> Iterator[Event]:
-        """Yield what the bag holds in the order of stamps; progress is told the share read."""
+        """Yield the records of the bag in the order of stamps.
+
+        progress: called with the fraction of the bag that has been read.
+        """
         span = max(self.bag.end - self.bag.start, 1)
         for stamp, message in self._order.sort(self.bag.messages(set(self._by_name))):
             if progress is not None:
@@ -173,9 +174,11 @@ class Replay:
         progress: Callable[[float], None] | None = None,
         until: float | None = None,
     ) -> Tally:
-        """Feed the recording to an agent; `also` sees every event, `tick` each 0.1 s of its time.
+        """Feed the recording to an agent.
 
-        until: seconds from the start of the recording after which it is left off.
+        also: called with every event before it is fed.
+        tick: called with the recorded time (s), ten times a second of it.
+        until: seconds after the start of the recording at which the replay ends.
         """
         begin: float | None = None
         next_tick = 0.0
@@ -201,53 +204,37 @@ class Replay:
 
     @staticmethod
     def _feed_one(listener: Listener, event: Event, first: bool) -> None:
-        vehicle, record = event.vehicle, event.record
-        if event.kind not in START_KINDS:
-            listener.add(vehicle, record)
+        if event.kind in KIND_OF_TOPIC:
+            listener.add(event.vehicle, event.record)
         elif (
             event.kind is TopicKind.INITIAL_POSE
-            and isinstance(record, OdometryReading)
-            and record.covariance is not None
+            and isinstance(event.record, OdometryReading)
+            and event.record.covariance is not None
             and not first
         ):
-            # the first one is where the vehicle starts, which the agent knows already
-            listener.set_pose(vehicle, record.pose, record.covariance)
+            # the first one is the start pose, which the agent knows already
+            listener.set_pose(event.vehicle, event.record.pose, event.record.covariance)
 
-    def _event(self, topic: VehicleTopic, stamp: float, message: Any) -> Event | None:
-        kind, vehicle = topic.kind, topic.vehicle
-        if kind in (TopicKind.ODOMETRY, TopicKind.GROUND_TRUTH, TopicKind.INITIAL_POSE):
-            return Event(stamp, vehicle, kind, messages.odometry_record(message))
-        if kind is TopicKind.SCAN:
-            return Event(stamp, vehicle, kind, messages.scan_record(message))
-        if kind is TopicKind.LANDMARKS:
-            return Event(stamp, vehicle, kind, messages.landmarks_record(message))
-        if kind is TopicKind.SIGHTINGS:
-            return Event(stamp, vehicle, kind, messages.sighting_record(message))
-        pairer = self._pairers[vehicle]
-        frame: RgbdFrame | None = None
-        if kind in _COLOR:
-            frame = pairer.add_color(message)
-        elif kind in _DEPTH:
-            frame = pairer.add_depth(message)
-        else:
-            pairer.add_camera_info(message)
-        return None if frame is None else Event(stamp, vehicle, TopicKind.COLOR, frame)
+    def _event(self, topic: RecordedTopic, stamp: float, message: Any) -> Event | None:
+        if topic.kind in POSE_KINDS:
+            return Event(stamp, topic.vehicle, topic.kind, odometry_record(message))
+        found = self._readers[topic.vehicle].read(topic.kind, message)
+        if found is None:
+            return None
+        kind, record = found
+        return Event(stamp, topic.vehicle, kind.topics[0], record)
 
     def _report_losses(self) -> None:
         for topic, count in sorted(self._order.malformed.items()):
-            self._note(f'{count} messages on {topic} are too short for their header: left out')
+            self._note(f'{count} messages on {topic} are too short for their header: omitted')
         for topic, count in sorted(self._order.late.items()):
-            self._note(f'{count} messages on {topic} came more than 2 s out of order: left out')
+            self._note(f'{count} messages on {topic} came more than 2 s out of order: omitted')
         for before, after in self._order.clock_jumps:
             self._note(f'the recorded clock jumps back from {before:.3f} s to {after:.3f} s')
-        for vehicle, pairer in sorted(self._pairers.items()):
-            lost = {
-                'images without their partner (colour or depth)': pairer.unpaired,
-                'frames before any camera_info': pairer.without_camera_info,
-            }
-            for what, count in lost.items():
+        for vehicle, reader in sorted(self._readers.items()):
+            for what, count in reader.losses().items():
                 if count:
-                    self._note(f'{vehicle}: {count} {what}: left out')
+                    self._note(f'{vehicle}: {count} {what.replace("_", " ")}: omitted')
         for topic, count in sorted(self.tally.refused.items()):
             self._note(f'{count} messages on {topic} refused; {self.tally.first_refusals[topic]}')
 

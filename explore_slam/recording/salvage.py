@@ -1,7 +1,7 @@
-"""What can still be read of an mcap file that was cut off (format: mcap.dev/spec).
+"""Reading of truncated mcap files (format: mcap.dev/spec).
 
-The usual reader needs the index at the end of the file; this one walks from the start and stops
-at the first record that is not whole.
+Readers usually need the index at the end of the file; this one reads records from the start and
+stops at the first incomplete one.
 """
 
 import struct
@@ -16,7 +16,7 @@ _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0F
 _RECORD = struct.Struct('<BQ')
 _MESSAGE_HEAD = struct.Struct('<HIQQ')
 _CHUNK_HEAD = struct.Struct('<QQQII')
-MAX_RECORD = 2**32
+MAX_RECORD = 2**32  # bytes; a longer record is damage
 
 
 class RawMessage(NamedTuple):
@@ -29,7 +29,7 @@ class RawMessage(NamedTuple):
 
 
 class McapSalvage:
-    """Reads the whole records of an mcap file from its start."""
+    """Reads the complete records of an mcap file from its start."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -38,7 +38,7 @@ class McapSalvage:
         self.complete = False
 
     def messages(self) -> Iterator[RawMessage]:
-        """Yield messages in the order of the file, up to the first record that is not whole."""
+        """Yield messages in the order of the file, up to the first incomplete record."""
         self.complete = False
         with self._path.open('rb') as file:
             if file.read(len(MAGIC)) != MAGIC:
@@ -90,7 +90,7 @@ def _next_record(file: BinaryIO) -> tuple[int, bytes] | None:
     if length > MAX_RECORD:
         return None
     content = file.read(length)
-    # of an uncompressed chunk that was cut the whole messages can still be used
+    # the complete messages of a truncated uncompressed chunk can still be used
     return (kind, content) if len(content) == length or kind == _CHUNK else None
 
 
@@ -112,6 +112,6 @@ def _decompress(data: bytes, compression: str, size: int) -> bytes:
             import lz4.frame  # type: ignore[import-untyped]
 
             return bytes(lz4.frame.decompress(data))
-    except Exception:  # each library has its own error for data cut short
+    except Exception:  # each library has its own error for truncated data
         return b''
     raise RecordingError(f'mcap chunk of {size} bytes: unknown compression {compression!r}')

@@ -16,7 +16,8 @@ from explore_slam.data import (
 )
 from explore_slam.errors import DataError
 from explore_slam.geometry import Pose2
-from explore_slam.nodes.messages import MESSAGES
+from explore_slam.messages.frame_pairing import FramePairing
+from explore_slam.nodes.ros_types import MESSAGES
 
 CAMERA = Intrinsics(64, 48, 60.0, 61.0, 31.5, 23.5)
 
@@ -73,8 +74,11 @@ def test_frame_of_another_size_is_refused_with_both_sizes():
     rgb = messages.image_message(MESSAGES, 1.0, 'c', 'rgb8', np.zeros((48, 64, 3), np.uint8))
     depth = messages.image_message(MESSAGES, 1.0, 'c', '16UC1', np.zeros((24, 32), np.uint16))
     info = messages.camera_info_message(MESSAGES, 1.0, 'c', CAMERA)
+    pairing = FramePairing()
+    pairing.add_camera_info(info)
+    pairing.add_color(rgb)
     with pytest.raises(DataError, match=r'depth has shape \(24, 32\), expected \(48, 64\)'):
-        messages.frame_record(rgb, depth, info)
+        pairing.add_depth(depth)
 
 
 def test_truncated_and_unknown_images_are_refused():
@@ -127,15 +131,17 @@ def test_path_and_plan():
     assert len(stop.waypoints) == 0
 
 
-def test_sighting_names_the_vehicle_seen():
-    sighting = InterRobotObservation(1.0, 'robot2', np.array([1.0, 0.5]), np.diag([0.01, 0.02]))
-    back = messages.sighting_record(over_the_wire(messages.sighting_message(MESSAGES, sighting)))
+def test_an_inter_robot_observation_names_the_observed_vehicle():
+    observation = InterRobotObservation(1.0, 'robot2', np.array([1.0, 0.5]), np.diag([0.01, 0.02]))
+    back = messages.inter_robot_record(
+        over_the_wire(messages.inter_robot_message(MESSAGES, observation))
+    )
     assert back.vehicle == 'robot2'
-    np.testing.assert_array_equal(back.covariance, sighting.covariance)
+    np.testing.assert_array_equal(back.covariance, observation.covariance)
 
 
 def test_a_pose_without_rotation_is_refused():
     message = messages.pose_message(MESSAGES, Pose2(0.0, 0.0, 0.0))
     message.orientation.w = 0.0
-    with pytest.raises(DataError, match='no rotation'):
+    with pytest.raises(DataError, match='not a rotation'):
         messages.planar_pose(message)

@@ -7,7 +7,7 @@ from explore_slam import messages
 from explore_slam.data import Intrinsics
 from explore_slam.errors import DataError
 from explore_slam.messages.frame_pairing import FramePairing
-from explore_slam.recording.messages import MESSAGES
+from explore_slam.recording.rosbags_types import MESSAGES
 from explore_slam.vision import encode_depth, encode_rgb
 
 CAMERA = Intrinsics(8, 6, 10.0, 10.0, 4.0, 3.0)

@@ -1,15 +1,18 @@
-"""Which topics belong to whom, and what is said about those that do not."""
+"""The topic tables: names that vehicles' topics are recognized by, types and QoS."""
 
 import pytest
 
-from explore_slam.errors import RecordingError
 from explore_slam.messages.topics import (
-    MESSAGE_TYPES,
+    GlobalTopic,
+    TeamTopic,
     TopicKind,
+    VehicleTopic,
     topic_name,
     vehicle_topic,
-    vehicle_topics,
 )
+from explore_slam.nodes.ros_types import message_class
+
+ALL = [topic for table in (TopicKind, VehicleTopic, TeamTopic, GlobalTopic) for topic in table]
 
 
 @pytest.mark.parametrize('kind', list(TopicKind))
@@ -24,29 +27,20 @@ def test_other_topics_belong_to_no_vehicle(name):
     assert vehicle_topic(name) is None
 
 
-def topics(*names: str) -> dict[str, str]:
-    return {name: MESSAGE_TYPES[vehicle_topic(name).kind] for name in names}
+def test_no_two_topics_have_the_same_name():
+    names = [topic.value for topic in ALL]
+    assert len(set(names)) == len(names)
 
 
-def test_vehicles_that_were_not_asked_for_are_named_and_left_out():
-    found, warnings = vehicle_topics(topics('/a/odom', '/a/scan', '/b/odom'), ['a'])
-    assert {topic.vehicle for topic in found} == {'a'}
-    assert warnings == ["unknown vehicles ['b'] in the recording: unused"]
+@pytest.mark.parametrize('topic', [t for t in ALL if not t.message_type.startswith('tf2_msgs/')])
+def test_message_types_exist(topic):
+    package, name = topic.message_type.split('/msg/')
+    made = message_class(topic.message_type)()
+    assert (type(made).__module__.split('.')[0], type(made).__name__) == (package, name)
 
 
-def test_a_wrong_type_is_named_and_left_out():
-    found, warnings = vehicle_topics({**topics('/a/odom'), '/a/scan': 'std_msgs/msg/String'})
-    assert [topic.name for topic in found] == ['/a/odom']
-    assert '/a/scan' in warnings[0]
-    assert 'std_msgs/msg/String' in warnings[0]
-
-
-def test_an_absent_vehicle_and_a_bag_without_any_are_refused():
-    with pytest.raises(RecordingError, match=r"no topics of \['c'\]; the recording holds .*'a'"):
-        vehicle_topics(topics('/a/odom'), ['c'])
-    with pytest.raises(RecordingError, match=r"<vehicle>/odom .* holds \['/map'\]"):
-        vehicle_topics({'/map': 'nav_msgs/msg/OccupancyGrid'})
-    with pytest.raises(RecordingError, match='no topics'):
-        vehicle_topics({})
-    with pytest.raises(RecordingError, match='no topic of a vehicle'):
-        vehicle_topics(topics('/a/ground_truth'))
+def test_offered_quality_of_service_satisfies_the_requested_one():
+    """A best-effort or volatile publisher would never match a stricter subscription (REP-2003)."""
+    for topic in ALL:
+        assert topic.offered.reliable >= topic.requested.reliable, topic
+        assert topic.offered.latched >= topic.requested.latched, topic

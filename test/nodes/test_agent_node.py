@@ -14,7 +14,7 @@ from nav_msgs.srv import GetMap
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.qos import qos_profile_sensor_data
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image, LaserScan, PointCloud2
 from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
@@ -26,10 +26,10 @@ from explore_slam.data import Intrinsics
 from explore_slam.geometry import Pose2
 from explore_slam.live.processes import NodeProcess, NodeProcesses, one_machine_environment
 from explore_slam.mapping import load_map
-from explore_slam.nodes.messages import MESSAGES
-from explore_slam.nodes.vehicle_support import LATCHED
+from explore_slam.nodes.ros_types import MESSAGES
 
 DOMAIN = 93
+LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 STARTS = {'robot1': Pose2(-1.0, -1.5, 0.0), 'robot2': Pose2(1.0, 1.5, math.pi)}
 NEWEST = {
     'map': (OccupancyGrid, LATCHED),

@@ -14,7 +14,7 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import LaserScan
 
 from explore_slam.messages import odometry_record, scan_record, seconds, twist_message
-from explore_slam.nodes.messages import MESSAGES
+from explore_slam.nodes.ros_types import MESSAGES
 
 DOMAIN = '73'
 VEHICLES = ('robot1', 'robot2')

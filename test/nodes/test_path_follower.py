@@ -13,15 +13,16 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Path
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
 from explore_slam import messages
 from explore_slam.data import LaserScan, OdometryReading
 from explore_slam.geometry import Pose2
-from explore_slam.nodes.messages import MESSAGES, message_class
-from explore_slam.nodes.vehicle_support import LATCHED
+from explore_slam.nodes.ros_types import MESSAGES, message_class
 
 DOMAIN = '71'
+LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class Harness:

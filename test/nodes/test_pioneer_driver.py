@@ -16,7 +16,7 @@ from sensor_msgs.msg import BatteryState, LaserScan, PointCloud2
 from std_srvs.srv import SetBool
 
 from explore_slam.messages import odometry_record, scan_record, twist_message
-from explore_slam.nodes.messages import MESSAGES
+from explore_slam.nodes.ros_types import MESSAGES
 from explore_slam.simulation.emulators.kinematic_body import KinematicBody
 from explore_slam.simulation.emulators.vehicle_emulator import VehicleEmulator
 

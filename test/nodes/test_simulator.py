@@ -20,7 +20,9 @@ from sensor_msgs.msg import CameraInfo, Image, LaserScan
 
 from explore_slam import messages
 from explore_slam.geometry import Pose2
-from explore_slam.nodes.messages import MESSAGES
+from explore_slam.messages.base import OPTICAL, transform_message
+from explore_slam.messages.frame_pairing import FramePairing
+from explore_slam.nodes.ros_types import MESSAGES
 
 DOMAIN = 76
 TOPICS = {
@@ -143,7 +145,10 @@ def test_topics_frames_and_stamps_are_those_of_a_real_vehicle(start, listener):
         assert {m.header.frame_id for m in (color, depth, info)} == {
             f'{vehicle}/camera_optical_frame'
         }
-        frame = messages.frame_record(color, depth, info)
+        pairing = FramePairing()
+        pairing.add_camera_info(info)
+        pairing.add_color(color)
+        frame = pairing.add_depth(depth)
         assert frame.rgb.shape == (120, 160, 3)
         assert frame.rgb.std() > 5.0
         assert frame.depth.dtype == np.uint16
@@ -261,9 +266,9 @@ def test_a_mistake_ends_the_node_with_one_message(start, parameters, world, word
 
 
 def test_the_optical_frame_of_tf_looks_ahead():
-    from explore_slam.nodes.simulator_outputs import OPTICAL, transform_message
-
-    message = transform_message(1.5, 'robot1/base_link', 'robot1/camera', (0.1, 0, 0.4, *OPTICAL))
+    message = transform_message(
+        MESSAGES, 1.5, 'robot1/base_link', 'robot1/camera', (0.1, 0, 0.4), OPTICAL
+    )
     assert (message.header.frame_id, message.child_frame_id) == (
         'robot1/base_link', 'robot1/camera',
     )  # fmt: skip

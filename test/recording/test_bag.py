@@ -14,7 +14,7 @@ from explore_slam.geometry import Pose2
 from explore_slam.messages.topics import TopicKind
 from explore_slam.recording.bag import BagReader, BagWriter
 from explore_slam.recording.events import Event, odometry_event, write_event
-from explore_slam.recording.messages import MESSAGES, serialize, typestore
+from explore_slam.recording.rosbags_types import MESSAGES, serialize, typestore
 
 
 def scan_event(stamp: float, beams: int = 200) -> Event:
@@ -45,8 +45,8 @@ def test_round_trip(tmp_path, compress):
         }
         assert bag.message_count == 100
         assert (bag.start, bag.end // 10) == (10_000_000_000, 1_490_000_000)
-        messages = list(bag.messages())
-        assert [m.log_time for m in messages] == sorted(m.log_time for m in messages)
+        log_times = [message.log_time for message in bag.messages()]
+        assert log_times == sorted(log_times)
         scans = list(bag.messages(['/robot1/scan']))
         assert len(scans) == 50
         scan = messages.scan_record(bag.decode(scans[3]))
@@ -118,7 +118,7 @@ def test_what_is_no_bag_is_named(tmp_path):
     with pytest.raises(RecordingError, match=r'absent does not exist'):
         BagReader(tmp_path / 'absent')
     (tmp_path / 'text.txt').write_text('no bag')
-    with pytest.raises(RecordingError, match=r'text\.txt is no bag'):
+    with pytest.raises(RecordingError, match=r'text\.txt is not a bag'):
         BagReader(tmp_path / 'text.txt')
     (tmp_path / 'wrong.mcap').write_text('no bag either')
     with pytest.raises(RecordingError, match=r'wrong\.mcap'):
@@ -127,7 +127,7 @@ def test_what_is_no_bag_is_named(tmp_path):
     with pytest.raises(RecordingError, match=r'wrong\.db3'):
         BagReader(tmp_path / 'wrong.db3')
     (tmp_path / 'empty').mkdir()
-    with pytest.raises(RecordingError, match='empty is no bag'):
+    with pytest.raises(RecordingError, match='empty is not a bag'):
         BagReader(tmp_path / 'empty')
 
 

@@ -17,7 +17,7 @@ from explore_slam.geometry import Pose2
 from explore_slam.recording import BagReader, BagWriter, Event, Replay, TopicKind
 from explore_slam.recording.events import odometry_event, start_event, truth_event, write_event
 from explore_slam.recording.importers.importing import write_settings
-from explore_slam.recording.messages import MESSAGES, serialize
+from explore_slam.recording.rosbags_types import MESSAGES, serialize
 from explore_slam.results.replay_run import configuration, recorded_starts, replay_bag
 
 STARTS = {'robot1': Pose2(0.0, 0.0, 0.0), 'robot2': Pose2(0.0, -2.0, 0.3)}

@@ -1,8 +1,6 @@
-"""What the importers share: reading tables, and writing events in time order as one bag."""
+"""Reading of tables and writing of bags for importers."""
 
 import heapq
-import os
-import shutil
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +9,7 @@ import numpy as np
 import yaml
 
 from explore_slam.errors import RecordingError
+from explore_slam.files import atomic, write_text
 from explore_slam.geometry import Array
 from explore_slam.recording.bag import BagWriter
 from explore_slam.recording.events import Event, write_event
@@ -19,7 +18,11 @@ SETTINGS_FILE = 'settings.yaml'
 
 
 def read_table(path: Path, columns: int) -> Array:
-    """Return the numbers of a text file, (N, columns); '#' starts a comment."""
+    """Return the numbers of a text file (N, columns); '#' starts a comment.
+
+    RecordingError if it cannot be read, has another number of columns, or holds no or non-finite
+    numbers.
+    """
     try:
         table = np.loadtxt(path, ndmin=2, dtype=np.float64)
     except OSError as error:
@@ -48,35 +51,32 @@ def require(folder: Path, names: Iterable[str], what: str) -> None:
 def write_bag(
     path: Path, streams: Iterable[Iterable[Event]], settings: Mapping[str, Any]
 ) -> dict[str, int]:
-    """Merge streams, each in time order, into a new bag; return messages per topic.
+    """Merge streams, each in time order, into a new bag; return the messages per topic.
 
-    The settings that this recording asks for lie beside it in settings.yaml. The bag appears
-    whole or not at all.
+    settings: written into the bag as settings.yaml; a replay uses them by default. The bag
+    appears complete or not at all.
     """
     if path.exists():
         raise RecordingError(f'{path} exists already, expected a new name for the bag')
-    scratch = path.parent / f'.{path.name}.{os.getpid()}.part'
-    partial = scratch / path.name
     try:
-        with BagWriter(partial, compress=True) as writer:
-            for event in heapq.merge(*streams, key=lambda event: event.stamp):
-                write_event(writer, event)
-            counts = writer.topic_counts()
-        if not counts:
-            raise RecordingError(f'nothing to write to {path}: the data set holds no records')
-        if settings:
-            write_settings(partial, settings)
-        partial.rename(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with atomic(path) as partial:
+            with BagWriter(partial, compress=True) as writer:
+                for event in heapq.merge(*streams, key=lambda event: event.stamp):
+                    write_event(writer, event)
+                counts = writer.topic_counts()
+            if not counts:
+                raise RecordingError(f'nothing to write to {path}: the data set holds no records')
+            if settings:
+                write_settings(partial, settings)
     except OSError as error:
         raise RecordingError(f'{path} cannot be written: {error}') from error
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
     return counts
 
 
 def write_settings(bag: Path, settings: Mapping[str, Any]) -> None:
-    """Write the settings that a recording asks for as a ROS parameter file inside its bag."""
+    """Write settings for the replay of a bag into its folder, as a ROS parameter file."""
     content = {'/**': {'ros__parameters': dict(settings)}}
-    text = '# What this recording asks for; replay takes these unless told otherwise.\n'
+    text = '# Settings for this recording; a replay uses them by default.\n'
     text += yaml.safe_dump(content, sort_keys=False)
-    (bag / SETTINGS_FILE).write_text(text, encoding='utf-8')
+    write_text(bag / SETTINGS_FILE, text)

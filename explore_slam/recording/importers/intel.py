@@ -1,12 +1,12 @@
-"""Intel Research Lab: a real SICK laser and raw odometry of one robot (D. Hähnel).
+"""Importer of the Intel Research Lab data set (D. Hähnel): laser and odometry of one robot.
 
-`intel_raw_odom_scans.npz`: ranges (N, 180) m from -90° to +90°, valid (N, 180), odom_inc (N, 3)
-the motion after each scan. The log has no usable times: stamps are made from the motion at a
-nominal speed, so that filters that think in time see a plausible one.
+`intel_raw_odom_scans.npz`: ranges (N, 180) m from -90° to +90°, valid (N, 180), odom_inc (N, 3),
+the motion after each scan. The log has no usable times: stamps follow from the motion at a nominal
+speed, so that timeouts and rates are plausible.
 
 `reference_pose_flirt.csv` (step, x, y, theta of a corrected log, in a frame of its own) becomes
-ground truth of those steps, moved so that it agrees with the odometry at its first step; the error
-after alignment is the one that tells.
+the ground truth of those steps. It is moved to agree with the odometry at its first step, so only
+errors after alignment are meaningful.
 """
 
 import logging
@@ -23,15 +23,18 @@ from explore_slam.geometry import IDENTITY, Array, Pose2, between, compose
 from explore_slam.messages.topics import TopicKind
 from explore_slam.recording.events import Event, odometry_event, start_event, truth_event
 from explore_slam.recording.importers.importing import read_table, require, write_bag
+from explore_slam.recording.importers.registry import importer
 
 logger = logging.getLogger(__name__)
 
 LOG, REFERENCE = 'intel_raw_odom_scans.npz', 'reference_pose_flirt.csv'
 VEHICLE = 'robot1'
-SPEED, TURN_RATE, SCAN_PERIOD = 0.5, 0.8, 0.1
-FIRST_STAMP = 1.0
-RANGE_MIN, RANGE_MAX = 0.05, 80.0
-# the laser stands in the middle of the robot, as far as the log tells; halls are long
+SPEED = 0.5  # m/s; nominal, for the stamps
+TURN_RATE = 0.8  # rad/s
+SCAN_PERIOD = 0.1  # s; the least time between scans
+FIRST_STAMP = 1.0  # s
+RANGE_MIN, RANGE_MAX = 0.05, 80.0  # m; larger readings mean no return
+# the log does not tell where the laser sits; corridors are long
 SETTINGS: dict[str, float | str] = {
     'laser_x': 0.0,
     'laser_y': 0.0,
@@ -41,8 +44,9 @@ SETTINGS: dict[str, float | str] = {
 }
 
 
+@importer('intel', 'Intel Research Lab: laser and odometry of one robot')
 def import_intel(folder: Path, out: Path) -> dict[str, int]:
-    """Write the data set in the folder as a bag; return messages per topic."""
+    """Write the data set in the folder as a bag; return the messages per topic."""
     require(folder, [LOG], 'the Intel data set')
     ranges, valid, increments = _read_log(folder / LOG)
     stamps = synthetic_stamps(increments)
@@ -66,7 +70,7 @@ def _read_log(path: Path) -> tuple[NDArray[np.float32], NDArray[np.bool_], Array
             valid = np.asarray(log['valid'], dtype=bool)
             increments = np.asarray(log['odom_inc'], dtype=np.float64)
     except (OSError, ValueError, KeyError) as error:
-        raise RecordingError(f'{path} is not the log of the data set: {error}') from error
+        raise RecordingError(f'{path} is not the log of the Intel data set: {error}') from error
     count = len(ranges)
     if ranges.ndim != 2 or valid.shape != ranges.shape or increments.shape != (count, 3):
         raise RecordingError(
@@ -77,7 +81,7 @@ def _read_log(path: Path) -> tuple[NDArray[np.float32], NDArray[np.bool_], Array
 
 
 def synthetic_stamps(increments: Array) -> Array:
-    """Return rising stamps (N,) s of scans with increments (N, 3) after each of them."""
+    """Return increasing stamps (N,) s of scans, given the increments (N, 3) after each of them."""
     distance = np.hypot(increments[:, 0], increments[:, 1])
     needed = np.maximum(distance / SPEED, np.abs(increments[:, 2]) / TURN_RATE)
     steps = np.maximum(needed, SCAN_PERIOD)[:-1]
@@ -105,7 +109,7 @@ def _scans(
     beams = ranges.shape[1]
     increment = math.pi / max(beams - 1, 1)
     for stamp, row, good in zip(stamps.tolist(), ranges, valid, strict=True):
-        # REP-117: beyond the laser's reach is +inf, what the log marks as bad otherwise is NaN
+        # REP-117: no return is +inf; other readings that the log marks as invalid are NaN
         far = row > RANGE_MAX
         values = np.where(good & ~far, row, np.where(far, np.inf, np.nan)).astype(np.float32)
         scan = LaserScan(stamp, -0.5 * math.pi, increment, values, RANGE_MIN, RANGE_MAX)
@@ -113,7 +117,10 @@ def _scans(
 
 
 def align_reference(reference: Array, stamps: Array, odometry: Array) -> tuple[Array, Array]:
-    """Return stamps (R,) and poses (R, 3) of the reference rows (step, x, y, theta) in the map."""
+    """Return stamps (R,) and poses (R, 3) in the map of the reference.
+
+    reference: (R, 4) step, x, y, theta. odometry: (N, 3) poses at the stamps (N,).
+    """
     steps = reference[:, 0].astype(int)
     if (steps < 0).any() or (steps >= len(stamps)).any():
         raise RecordingError(

@@ -1,13 +1,14 @@
-"""UTIAS MR.CLAM: five robots, odometry, bar-coded landmarks, motion-capture truth.
+"""Importer of UTIAS MR.CLAM: five robots, odometry, bar-coded landmarks, motion-capture truth.
 
-Leung, Halpern, Barfoot, Liu: The UTIAS Multi-Robot Cooperative Localization and Mapping Dataset,
-IJRR 30(8), 2011. Landmarks become observations with a descriptor per bar code: unit vectors, so
-far apart that any gate tells them (experiment 1's setting). Robots seen become sightings.
+Leung, Halpern, Barfoot and Liu, "The UTIAS multi-robot cooperative localization and mapping
+dataset", International Journal of Robotics Research 30(8), 2011. Each bar code becomes a landmark
+with a descriptor of its own, a unit vector far from all others, so that the data association is
+known (as in experiment 1). Bar codes of robots become inter-robot observations.
 
-Noise of a measurement, the same for all robots: the camera tells the range by the size of the
-code and the bearing by its place in the image, so sigma_range = 0.04 m + 0.035 range (within 30 %
-of the spread between 1 and 7 m) and sigma_bearing = 0.015 rad, which also covers the biases.
-Landmarks and robots lie in the plane: height 0 with sigma_height.
+The camera measures range by the size of the code and bearing by its place in the image. Their
+standard deviations are the same for all robots: 0.04 m + 0.035 range (within 30 % of the spread
+between 1 and 7 m) and 0.015 rad, which also covers the biases. Landmarks and robots
+lie in the plane: height 0.
 """
 
 import logging
@@ -23,15 +24,18 @@ from explore_slam.geometry import Array, Pose2, compose
 from explore_slam.messages.topics import TopicKind
 from explore_slam.recording.events import Event, odometry_event, start_event, truth_event
 from explore_slam.recording.importers.importing import read_table, require, write_bag
+from explore_slam.recording.importers.registry import importer
 
 logger = logging.getLogger(__name__)
 
 ROBOTS = range(1, 6)
-RANGE_SIGMA, RANGE_SIGMA_PER_METRE = 0.04, 0.035
-BEARING_SIGMA = 0.015
-HEIGHT_SIGMA = 0.05
-TRUTH_PERIOD = 0.04
+RANGE_SIGMA = 0.04  # m
+RANGE_SIGMA_PER_METRE = 0.035
+BEARING_SIGMA = 0.015  # rad
+HEIGHT_SIGMA = 0.05  # m
+TRUTH_PERIOD = 0.04  # s; the motion capture runs at 100 Hz, 25 Hz is enough to interpolate
 DESCRIPTOR_SEED = 2011
+SETTINGS: dict[str, float | str] = {}  # the defaults fit
 
 
 @dataclass(frozen=True)
@@ -48,8 +52,9 @@ class _Robot:
         return f'robot{self.number}'
 
 
+@importer('mrclam', 'UTIAS MR.CLAM: five robots, bar-coded landmarks')
 def import_mrclam(folder: Path, out: Path) -> dict[str, int]:
-    """Write the data set in the folder as a bag; return messages per topic."""
+    """Write the data set in the folder as a bag; return the messages per topic."""
     kinds = ('Odometry', 'Measurement', 'Groundtruth')
     names = [f'Robot{number}_{kind}.dat' for number in ROBOTS for kind in kinds]
     require(folder, ['Barcodes.dat', *names], 'an MR.CLAM data set')
@@ -60,13 +65,9 @@ def import_mrclam(folder: Path, out: Path) -> dict[str, int]:
     begin = max(max(robot.odometry[0, 0], robot.truth[0, 0]) for robot in robots)
     end = min(min(robot.odometry[-1, 0], robot.truth[-1, 0]) for robot in robots)
     if begin >= end:
-        raise RecordingError(f'{folder}: the robots have no time in common')
+        raise RecordingError(f'{folder}: the logs of the robots do not overlap in time')
     streams = [stream for robot in robots for stream in _streams(robot, float(begin), float(end))]
     return write_bag(out, streams, SETTINGS)
-
-
-# every landmark has a descriptor of its own and lies in the plane
-SETTINGS: dict[str, float | str] = {}
 
 
 def _read_robot(folder: Path, number: int, subjects: dict[int, int]) -> _Robot:
@@ -75,7 +76,7 @@ def _read_robot(folder: Path, number: int, subjects: dict[int, int]) -> _Robot:
     if not known.all():
         codes = sorted({int(code) for code in measurements[~known, 1]})
         logger.warning(
-            'Robot%d: %d measurements of unknown bar codes %s left out',
+            'Robot%d: %d measurements of unknown bar codes %s omitted',
             number,
             np.count_nonzero(~known),
             codes,
@@ -91,7 +92,7 @@ def _read_robot(folder: Path, number: int, subjects: dict[int, int]) -> _Robot:
 
 
 def _in_order(table: Array) -> Array:
-    """Sort rows by time; of rows with the same time the last one stays."""
+    """Return the rows sorted by time; of rows with the same time the last one is kept."""
     ordered: Array = table[np.argsort(table[:, 0], kind='stable')]
     return np.concatenate([ordered[:-1][np.diff(ordered[:, 0]) > 0.0], ordered[-1:]])
 
@@ -115,8 +116,8 @@ def _pose_at(truth: Array, stamp: float) -> Pose2:
 def integrate_velocities(table: Array, begin: float, end: float) -> tuple[Array, Array]:
     """Return stamps (T,) and poses (T, 3) from the origin at `begin`.
 
-    table (N, 3): time, forward velocity (m/s), angular velocity (rad/s), each held until the next
-    row; between rows the vehicle drives an arc of a circle.
+    table: (N, 3) time (s), forward velocity (m/s), angular velocity (rad/s). Velocities are held
+    until the next row; the motion between rows is an arc of a circle.
     """
     inside = (table[:, 0] > begin) & (table[:, 0] < end)
     stamps = np.concatenate([[begin], table[inside, 0], [end]])
@@ -159,14 +160,14 @@ def _measurements(robot: _Robot, begin: float, end: float) -> Iterator[Event]:
         for subject, distance, bearing in seen[seen[:, 1] <= len(ROBOTS), 1:].tolist():
             if int(subject) != robot.number:
                 position, covariance = planar_measurement(distance, bearing)
-                sighting = InterRobotObservation(
+                observation = InterRobotObservation(
                     float(stamp), f'robot{int(subject)}', position, covariance
                 )
-                yield Event(float(stamp), robot.name, TopicKind.SIGHTINGS, sighting)
+                yield Event(float(stamp), robot.name, TopicKind.SIGHTINGS, observation)
 
 
 def planar_measurement(distance: float, bearing: float) -> tuple[Array, Array]:
-    """Return position (2,) and covariance (2, 2) in the robot frame of a range and bearing."""
+    """Return position (2,) m and covariance (2, 2) m² in the robot frame."""
     c, s = np.cos(bearing), np.sin(bearing)
     rotation = np.array([[c, -s], [s, c]])
     along = RANGE_SIGMA + RANGE_SIGMA_PER_METRE * distance
@@ -175,7 +176,11 @@ def planar_measurement(distance: float, bearing: float) -> tuple[Array, Array]:
 
 
 def observe(stamp: float, subjects: Array, measurements: Array) -> LandmarkObservations:
-    """Return the observations of landmarks: subjects (K,), measurements (K, 2) range, bearing."""
+    """Return observations of landmarks.
+
+    subjects: (K,) numbers of the landmarks.
+    measurements: (K, 2) range (m) and bearing (rad).
+    """
     count = len(subjects)
     positions, covariances = np.zeros((count, 3)), np.zeros((count, 3, 3))
     covariances[:, 2, 2] = HEIGHT_SIGMA**2
@@ -186,6 +191,6 @@ def observe(stamp: float, subjects: Array, measurements: Array) -> LandmarkObser
 
 
 def landmark_descriptor(subject: int) -> np.ndarray[tuple[int], np.dtype[np.float32]]:
-    """Return the descriptor (128,) of a bar-coded landmark: always the same unit vector."""
+    """Return the descriptor (128,) of a bar-coded landmark: a fixed random unit vector."""
     values = np.random.default_rng([DESCRIPTOR_SEED, subject]).normal(size=DESCRIPTOR_LENGTH)
     return np.asarray(values / np.linalg.norm(values), dtype=np.float32)

@@ -7,7 +7,7 @@ import pytest
 RAISES = """
 import sys
 from rclpy.node import Node
-from explore_slam.nodes.vehicle_support import run_node
+from explore_slam.nodes.node_support import run_node
 
 class Faulty(Node):
     def __init__(self):

@@ -1,4 +1,4 @@
-"""The rosbags side of message conversion: Jazzy's message classes, no ROS needed."""
+"""Message types of rosbags: those of ROS 2 Jazzy, without ROS; and their serialization."""
 
 from functools import cache
 from typing import Any
@@ -26,19 +26,19 @@ def _message_class(name: str) -> Any:
     return typestore().types[full_name(name)]
 
 
-class BagMessages:
-    """MessageFactory of rosbags; see nodes/conversions."""
+class RosbagsMessages:
+    """MessageFactory of rosbags."""
 
     def make(self, name: str, /, **fields: Any) -> Any:
         """Return a message with all its fields set."""
         return _message_class(name)(**fields)
 
     def sequence(self, values: NDArray[Any]) -> Any:
-        """Return the values as the contiguous array that rosbags serialises."""
+        """Return the values as the contiguous array that rosbags serializes."""
         return np.ascontiguousarray(values)
 
 
-MESSAGES = BagMessages()
+MESSAGES = RosbagsMessages()
 
 
 def serialize(name: str, message: Any) -> bytes:

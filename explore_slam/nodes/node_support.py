@@ -1,4 +1,4 @@
-"""What the nodes of a vehicle share: parameters from settings, stamps, diagnostics."""
+"""Support for all nodes: parameters from settings, time, diagnostics, logging, the main loop."""
 
 import contextlib
 import logging
@@ -20,29 +20,24 @@ from rclpy.exceptions import InvalidParameterValueException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
 from explore_slam.errors import ConfigError, ExploreSlamError
 from explore_slam.settings import Section, Setting, settings_of, with_values
 
 _NICENESS = -10  # granted to root, and where limits.conf allows it
+SILENCE = 5.0  # s without a message after which its possible causes are logged
 OK, WARN, ERROR, STALE = (
     DiagnosticStatus.OK,
     DiagnosticStatus.WARN,
     DiagnosticStatus.ERROR,
     DiagnosticStatus.STALE,
 )
-LATCHED = QoSProfile(
-    depth=1,
-    reliability=QoSReliabilityPolicy.RELIABLE,
-    durability=QoSDurabilityPolicy.TRANSIENT_LOCAL,
-)
 
 
 def _descriptor(info: Setting) -> ParameterDescriptor:
     text = f'{info.doc} [{info.unit}]' if info.unit else info.doc
-    # dynamic typing: `speed: 1` in a YAML file is meant as 1.0; Setting.check says what is wrong
+    # dynamic typing: `speed: 1` in a YAML file is meant as 1.0; Setting.check names errors
     descriptor = ParameterDescriptor(description=text, dynamic_typing=True)
     descriptor.additional_constraints = ' | '.join(info.choices)
     low = -sys.float_info.max if info.low is None else info.low
@@ -69,7 +64,7 @@ def declare_settings[S: Section](node: Node, tree: S) -> S:
     for info, value in settings_of(tree):
         try:
             node.declare_parameter(info.name, _plain(value), _descriptor(info))
-        except InvalidParameterValueException as error:  # rclpy has checked the range before us
+        except InvalidParameterValueException as error:  # rclpy checks the range first
             raise ConfigError(str(error)) from error
     names = [info.name for info, _ in settings_of(tree)]
     values = {name: _plain(node.get_parameter(name).value) for name in names}
@@ -79,7 +74,7 @@ def declare_settings[S: Section](node: Node, tree: S) -> S:
 def changed_settings[S: Section](
     tree: S, parameters: list[Parameter]
 ) -> tuple[S, SetParametersResult]:
-    """Return the tree with the parameters taken over, and the answer to whoever set them."""
+    """Return the tree with the parameters applied, and the answer to their sender."""
     known = {info.name for info, _ in settings_of(tree)}
     values = {item.name: item.value for item in parameters if item.name in known}
     try:
@@ -89,7 +84,7 @@ def changed_settings[S: Section](
 
 
 def now_seconds(node: Node) -> float:
-    """Return the node's time (s); 0 as long as simulated time has not begun."""
+    """Return the node's time (s); 0 while no simulated time has been received."""
     return float(node.get_clock().now().nanoseconds) * 1e-9
 
 
@@ -118,14 +113,14 @@ def _text(value: Any) -> str:
 
 
 class RosLogHandler(logging.Handler):
-    """Passes what the rooms log on to the node's logger."""
+    """Forwards the log records of the package to the node's logger."""
 
     def __init__(self, node: Node) -> None:
         super().__init__(logging.INFO)
         self._logger = node.get_logger()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Log one record at the level it has."""
+        """Log one record at its level."""
         text = record.getMessage()
         if record.levelno >= logging.ERROR:
             self._logger.error(text)
@@ -136,7 +131,7 @@ class RosLogHandler(logging.Handler):
 
 
 def explain_silence(node: Node, name: str, waited: float) -> str:
-    """Return why nothing may have come on a topic (its name in the node) for so long (s)."""
+    """Return the possible causes of silence on a topic (its name in the node) after a time (s)."""
     topic = node.resolve_topic_name(name)
     publishers = node.get_publishers_info_by_topic(topic)
     text = f'nothing on {topic} after {waited:.0f} s: '
@@ -151,7 +146,7 @@ def explain_silence(node: Node, name: str, waited: float) -> str:
         f'{info.qos_profile.durability.name})'
         for info in publishers
     )
-    return text + f'publishers {found}; it does not send, or type or QoS do not match'
+    return text + f'publishers {found}; they do not send, or type or QoS do not match'
 
 
 def vehicle_name(node: Node) -> str:
@@ -160,20 +155,20 @@ def vehicle_name(node: Node) -> str:
 
 
 class StoppableNode(Protocol):
-    """A node that brings its vehicle to rest before it goes."""
+    """A node that brings its vehicle to rest before it ends."""
 
     def stop(self) -> None:
-        """Leave the vehicle stopped; called once, whatever ended the node."""
+        """Stop the vehicle; called once, whatever ended the node."""
 
     def destroy_node(self) -> Any:
-        """Release what rclpy holds."""
+        """Release the resources of rclpy."""
 
     def get_logger(self) -> Any:
         """Return the node's logger."""
 
 
 def ask_for_priority() -> None:
-    """Run before others where that is allowed: stopping in time comes before all else."""
+    """Raise the priority of this process where permitted: stopping in time comes first."""
     with contextlib.suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, _NICENESS)
 
@@ -181,8 +176,8 @@ def ask_for_priority() -> None:
 def run_node(make: Callable[[], StoppableNode], arguments: list[str] | None = None) -> int:
     """Spin a node until SIGINT or SIGTERM, stop its vehicle, return the exit code.
 
-    Signals are taken here and not by rclpy, whose handler tears the context down before the
-    last commands are out; the second of two SIGINTs (terminal and launcher) is ignored.
+    Signals are handled here and not by rclpy, whose handler shuts the context down before the
+    last commands are sent; the second of two SIGINTs (terminal and launcher) is ignored.
     """
     asked: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -199,7 +194,7 @@ def run_node(make: Callable[[], StoppableNode], arguments: list[str] | None = No
     except ExploreSlamError as error:
         logging.getLogger(__name__).error('%s', error)
         code = 1
-    except Exception as error:  # whatever it is, the vehicle must be stopped first
+    except Exception as error:  # the vehicle must be stopped first, whatever the error
         if node is None:
             raise
         node.get_logger().fatal(f'stopping the vehicle: {type(error).__name__}: {error}')

@@ -1,0 +1,38 @@
+"""Names of coordinate frames (REP-105): one tree per vehicle below the common map frame."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class FrameNames:
+    """Frames of one vehicle: the names given stand behind the vehicle's name and a slash.
+
+    The map frame is common to all vehicles and has no prefix.
+    """
+
+    vehicle: str
+    map: str = 'map'
+    odom_suffix: str = 'odom'
+    base_suffix: str = 'base_link'
+    laser_suffix: str = 'laser'
+    camera_suffix: str = 'camera_optical_frame'
+
+    @property
+    def odom(self) -> str:
+        """Frame of the odometry, e.g. 'robot1/odom'."""
+        return f'{self.vehicle}/{self.odom_suffix}'
+
+    @property
+    def base(self) -> str:
+        """Frame of the vehicle, e.g. 'robot1/base_link'."""
+        return f'{self.vehicle}/{self.base_suffix}'
+
+    @property
+    def laser(self) -> str:
+        """Frame of the laser, e.g. 'robot1/laser'."""
+        return f'{self.vehicle}/{self.laser_suffix}'
+
+    @property
+    def camera(self) -> str:
+        """Optical frame of the camera, e.g. 'robot1/camera_optical_frame'."""
+        return f'{self.vehicle}/{self.camera_suffix}'

@@ -1,0 +1,105 @@
+"""What the package must know of one kind of measurement: topics, conversion, receiver, queue."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from explore_slam.data import (
+    InterRobotObservation,
+    LandmarkObservations,
+    LaserScan,
+    OdometryReading,
+    RgbdFrame,
+)
+from explore_slam.messages.base import MessageFactory
+from explore_slam.messages.frames import FrameNames
+from explore_slam.messages.topics import TopicKind
+
+Record = OdometryReading | LaserScan | RgbdFrame | LandmarkObservations | InterRobotObservation
+TopicMessages = list[tuple[TopicKind, Any]]
+
+
+class MeasurementSink(Protocol):
+    """Receiver of the records of vehicles; the agent is one."""
+
+    def add(self, vehicle: str, record: Any, /) -> None:
+        """Add a record of a vehicle, of any kind."""
+
+
+class Reader(Protocol):
+    """Converts the messages of one vehicle on the topics of one kind of measurement."""
+
+    def read(self, topic: TopicKind, message: Any) -> Any:
+        """Return the record, or None while messages of other topics are missing.
+
+        DataError if the message is malformed.
+        """
+
+    def losses(self) -> Mapping[str, int]:
+        """Return what could not be used so far, by name."""
+
+
+class MessageReader:
+    """Reader of a kind whose single message holds the whole record."""
+
+    def __init__(self, convert: Callable[[Any], Any]) -> None:
+        self._convert = convert
+
+    def read(self, _topic: TopicKind, message: Any) -> Any:
+        """Return the record."""
+        return self._convert(message)
+
+    def losses(self) -> Mapping[str, int]:
+        """Return nothing: no message waits for another."""
+        return {}
+
+
+@dataclass(frozen=True)
+class MeasurementKind:
+    """One kind of measurement.
+
+    name: in queues and diagnostics.
+    topics: all that may carry it; the first one stands for the kind in events.
+    reader: makes the Reader of one vehicle.
+    write: record -> messages by topic.
+    queue_limit: records per vehicle that may wait for the agent's worker; the oldest is dropped.
+    expected: topics whose silence is explained to the operator.
+    vision: the value of the setting `vision` with which it is expected; '' is either.
+    bulky: subscribed to only with that setting, to save bandwidth.
+    """
+
+    name: str
+    topics: tuple[TopicKind, ...]
+    reader: Callable[[], Reader]
+    write: Callable[[MessageFactory, FrameNames, Any], TopicMessages]
+    queue_limit: int
+    expected: tuple[TopicKind, ...] = ()
+    vision: str = ''
+    bulky: bool = False
+
+    def is_expected(self, vision: str) -> bool:
+        """Return whether it is expected with this value of the setting `vision`."""
+        return self.vision in ('', vision)
+
+
+class VehicleReader:
+    """Converts the messages of one vehicle, of all kinds."""
+
+    def __init__(self, kinds: Iterable[MeasurementKind]) -> None:
+        self._readers = [(kind, kind.reader()) for kind in kinds]
+        self._by_topic = {
+            topic: (kind, reader) for kind, reader in self._readers for topic in kind.topics
+        }
+
+    def read(self, topic: TopicKind, message: Any) -> tuple[MeasurementKind, Any] | None:
+        """Return kind and record, or None while messages of other topics are missing."""
+        kind, reader = self._by_topic[topic]
+        record = reader.read(topic, message)
+        return None if record is None else (kind, record)
+
+    def losses(self) -> dict[str, int]:
+        """Return what could not be used so far, by name."""
+        found: dict[str, int] = {}
+        for _, reader in self._readers:
+            found.update(reader.losses())
+        return found

@@ -1,0 +1,54 @@
+"""Laser scans."""
+
+from typing import Any
+
+import numpy as np
+
+from explore_slam.data import LaserScan
+from explore_slam.messages.base import MessageFactory, header, seconds
+from explore_slam.messages.measurement import MeasurementKind, MessageReader
+from explore_slam.messages.topics import TopicKind
+
+
+def scan_record(message: Any) -> LaserScan:
+    """Return a sensor_msgs/LaserScan as a record."""
+    return LaserScan(
+        seconds(message.header.stamp),
+        float(message.angle_min),
+        float(message.angle_increment),
+        np.array(message.ranges, dtype=np.float32),
+        float(message.range_min),
+        float(message.range_max),
+    )
+
+
+def scan_message(
+    factory: MessageFactory, scan: LaserScan, frame: str, scan_time: float = 0.0
+) -> Any:
+    """Return a sensor_msgs/LaserScan (REP-117 values are kept as they are)."""
+    count = scan.ranges.size
+    return factory.make(
+        'sensor_msgs/LaserScan',
+        header=header(factory, scan.stamp, frame),
+        angle_min=float(scan.angle_min),
+        angle_max=float(scan.angle_min + scan.angle_increment * (count - 1)),
+        angle_increment=float(scan.angle_increment),
+        time_increment=0.0,
+        scan_time=float(scan_time),
+        range_min=float(scan.range_min),
+        range_max=float(scan.range_max),
+        ranges=factory.sequence(scan.ranges.astype(np.float32, copy=False)),
+        intensities=factory.sequence(np.empty(0, np.float32)),
+    )
+
+
+SCAN = MeasurementKind(
+    name='scan',
+    topics=(TopicKind.SCAN,),
+    reader=lambda: MessageReader(scan_record),
+    write=lambda factory, frames, scan: [
+        (TopicKind.SCAN, scan_message(factory, scan, frames.laser))
+    ],
+    queue_limit=400,
+    expected=(TopicKind.SCAN,),
+)

@@ -1,0 +1,50 @@
+"""Settings that several nodes declare, and the start poses of a team."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from explore_slam.errors import ConfigError
+from explore_slam.geometry import Pose2
+from explore_slam.settings import setting
+
+
+def vehicles() -> Any:
+    """Declare the names of the vehicles."""
+    return setting(
+        ('robot1', 'robot2'), 'Names of the vehicles, which are their namespaces', tier='basic'
+    )
+
+
+def map_frame() -> Any:
+    """Declare the common fixed frame."""
+    return setting('map', 'Frame of the map, common to all vehicles (REP-105)')
+
+
+def odom_frame() -> Any:
+    """Declare the odometry frame."""
+    return setting('odom', "Odometry frame, prefixed with the vehicle's name and a slash")
+
+
+def robot_base_frame() -> Any:
+    """Declare the base frame."""
+    return setting('base_link', "Base frame, prefixed with the vehicle's name and a slash")
+
+
+def start_poses(names: Sequence[str], values: Sequence[float]) -> dict[str, Pose2]:
+    """Return vehicle -> start pose from x (m), y (m), heading (rad) of each.
+
+    ConfigError unless the names are different and the numbers fit them.
+    """
+    check_names(names)
+    if len(values) != 3 * len(names):
+        raise ConfigError(
+            f'start_poses has {len(values)} numbers, expected {3 * len(names)}: '
+            f'x, y and heading of each of {list(names)}'
+        )
+    return {name: Pose2(*map(float, values[3 * i : 3 * i + 3])) for i, name in enumerate(names)}
+
+
+def check_names(names: Sequence[str]) -> None:
+    """Raise ConfigError unless there is a vehicle and all names differ."""
+    if not names or len(set(names)) != len(names):
+        raise ConfigError(f'vehicles is {list(names)}, expected one name or more, all different')
