@@ -14,7 +14,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     kinds = parser.add_subparsers(dest='kind', required=True, metavar='KIND')
     for name, importer in importers().items():
         kind = kinds.add_parser(name, help=importer.description, description=importer.description)
-        kind.add_argument('folder', type=Path, help='folder of the data set')
+        count = '+' if importer.several else 1
+        kind.add_argument('sources', type=Path, nargs=count, help=importer.source)
         kind.add_argument('out', type=Path, help='bag to write (a new folder)')
         for info, value in settings_of(importer.options):
             kind.add_argument(
@@ -33,8 +34,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     importer = importers()[arguments.kind]
     given = {name: getattr(arguments, name) for name in values_of(importer.options)}
-    options = values_of(with_values(importer.options, given))
-    counts = importer.function(arguments.folder, arguments.out, **options)
+    options = with_values(importer.options, given)
+    counts = importer.run(arguments.sources, arguments.out, options)
     for topic, count in sorted(counts.items()):
         print(f'{count:9d}  {topic}')
     print(f'{sum(counts.values())} messages in {arguments.out}')

@@ -17,6 +17,7 @@ from explore_slam.messages.topics import TopicKind
 from explore_slam.recording.carmen_log import RANGE_MIN, CarmenLog, read_carmen
 from explore_slam.recording.events import Event, odometry_event, start_event, truth_event
 from explore_slam.recording.importers.importing import write_bag
+from explore_slam.recording.importers.registry import importer
 
 logger = logging.getLogger(__name__)
 
@@ -26,6 +27,12 @@ MOUNT_TOLERANCE = 1e-3  # m, rad
 ABSOLUTE_TIME = 1e8  # s; later stamps count from 1970, earlier ones from the start of the log
 
 
+@importer(
+    'carmen',
+    'CARMEN logs, raw or corrected: laser and odometry, one vehicle per log',
+    source='log of one vehicle',
+    several=True,
+)
 def import_carmen(logs: Sequence[Path], out: Path) -> dict[str, int]:
     """Write logs as one bag, a vehicle each; return messages per topic."""
     read = [read_carmen(path) for path in logs]

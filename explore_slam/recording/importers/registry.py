@@ -6,11 +6,12 @@ is found by a scan of the package: adding one touches its own module and test, n
 
 import importlib
 import pkgutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from explore_slam.errors import RecordingError
-from explore_slam.settings import Section
+from explore_slam.settings import Section, values_of
 
 PACKAGE = 'explore_slam.recording.importers'
 
@@ -22,23 +23,41 @@ type ImportFunction = Callable[..., dict[str, int]]
 class Importer:
     """A registered importer.
 
-    function(folder, out, **options) writes the data set in a folder as a bag and returns the
-    number of messages per topic. options declares the keyword arguments and their defaults.
+    function(source, out, **options) writes a data set as a bag and returns the number of messages
+    per topic.
+
+    source: what a source is, for the help of the command line.
+    several: the function takes a list of sources, otherwise one.
+    options: declares the keyword arguments and their defaults.
     """
 
     name: str
     description: str
     function: ImportFunction
+    source: str
+    several: bool
     options: Section
+
+    def run(self, sources: Sequence[Path], out: Path, options: Section) -> dict[str, int]:
+        """Import sources with options; RecordingError if it takes one source and gets more."""
+        if not self.several and len(sources) != 1:
+            raise RecordingError(f'{self.name} takes one {self.source}, {len(sources)} were given')
+        given = list(sources) if self.several else sources[0]
+        return self.function(given, out, **values_of(options))
 
 
 _registered: dict[str, Importer] = {}
 
 
 def importer[F: ImportFunction](
-    name: str, description: str, options: type[Section] = Section
+    name: str,
+    description: str,
+    *,
+    source: str = 'folder of the data set',
+    several: bool = False,
+    options: type[Section] = Section,
 ) -> Callable[[F], F]:
-    """Register a function under the name that the command line uses.
+    """Register a function under the name that the command line uses; see Importer.
 
     options: a section with a setting for each keyword argument; the command-line options derive
     from it.
@@ -51,7 +70,7 @@ def importer[F: ImportFunction](
                 f'importer {name!r} of {function.__module__} is already registered by '
                 f'{known.function.__module__}'
             )
-        _registered[name] = Importer(name, description, function, options())
+        _registered[name] = Importer(name, description, function, source, several, options())
         return function
 
     return register

@@ -60,7 +60,7 @@ class TumOptions(Section):
     )
 
 
-@importer('tum', 'TUM RGB-D: frames of a hand-held Kinect', TumOptions)
+@importer('tum', 'TUM RGB-D: frames of a hand-held Kinect', options=TumOptions)
 def import_tum(folder: Path, out: Path, camera: str = 'freiburg1') -> dict[str, int]:
     """Write the data set in the folder as a bag; return the messages per topic."""
     camera = TumOptions(camera).camera

@@ -19,7 +19,7 @@ from explore_slam.settings import Section, setting
 class Options(Section):
     frame_rate: float = setting(10.0, 'Frames per second', unit='Hz', low=1.0)
 
-@importer('example', 'An example', Options)
+@importer('example', 'An example', options=Options)
 def import_example(folder, out, frame_rate=10.0):
     out.mkdir()
     (out / 'seen').write_text(f'{folder.name} {frame_rate}')
@@ -77,6 +77,17 @@ def test_a_choice_that_is_none_is_refused(tmp_path, capsys):
     with pytest.raises(SystemExit):
         main(['import', 'tum', str(tmp_path), str(tmp_path / 'out'), '--camera', 'webcam'])
     assert 'freiburg2' in capsys.readouterr().err
+
+
+def test_several_sources_only_where_the_importer_takes_them(tmp_path, capsys):
+    logs = [str(tmp_path / name) for name in ('a.log', 'b.log')]
+    assert main(['import', 'carmen', *logs, str(tmp_path / 'out')]) == 1
+    assert 'a.log cannot be read' in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(['import', 'intel', *logs, str(tmp_path / 'out')])
+    found = registry.importers()['intel']
+    with pytest.raises(RecordingError, match='takes one folder of the data set, 2 were given'):
+        found.run([tmp_path, tmp_path], tmp_path / 'out', found.options)
 
 
 def test_two_importers_of_one_name_are_refused():
