@@ -37,13 +37,19 @@ def start_agent(context):
 
 def generate_launch_description():
     defaults = {
-        'vehicles': ('robot1,robot2', 'names, with commas: the namespaces of the vehicles'),
-        'start_poses': ('0,0,0,0,1,0', 'x, y (m), heading (rad) of each vehicle in the map'),
-        'vision': ('agent', 'agent: features from images here; vehicle: topic landmarks'),
-        'run_directory': ('.', 'where save_map and save_state write'),
+        'vehicles': (
+            'robot1,robot2',
+            'names of the vehicles, separated by commas: their namespaces',
+        ),
+        'start_poses': (
+            '0,0,0,0,1,0',
+            'start pose of each vehicle in the map: x, y (m), heading (rad)',
+        ),
+        'vision': ('agent', 'where features are extracted: agent or vehicle'),
+        'run_directory': ('.', 'folder into which save_map and save_state write'),
         'namespace': ('', 'namespace of the agent'),
-        'config': (str(CONFIG), 'file of agent parameters'),
-        'use_sim_time': ('false', 'take time from /clock'),
+        'config': (str(CONFIG), 'parameter file of the agent'),
+        'use_sim_time': ('false', 'use the time of /clock'),
     }
     return LaunchDescription(
         [

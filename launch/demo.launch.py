@@ -1,8 +1,8 @@
-"""Simulator, path followers and agent, for those who watch in RViz.
+"""Simulator, path followers and agent, to be watched in RViz.
 
 ros2 launch explore_slam demo.launch.py world:=office
 
-`explore_slam demo` does the same without ros2 launch, and writes a run folder.
+`explore_slam demo` does the same without ros2 launch and writes a run folder.
 """
 
 from pathlib import Path
@@ -59,8 +59,10 @@ def start(context):
 def generate_launch_description():
     return LaunchDescription(
         [
-            DeclareLaunchArgument('world', default_value='office', description='name or file'),
-            DeclareLaunchArgument('vehicles', default_value='2', description='how many'),
+            DeclareLaunchArgument(
+                'world', default_value='office', description='name or file of a world'
+            ),
+            DeclareLaunchArgument('vehicles', default_value='2', description='number of vehicles'),
             OpaqueFunction(function=start),
         ]
     )

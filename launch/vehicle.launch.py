@@ -1,4 +1,4 @@
-"""One vehicle: driver of base, laser and Kinect, path follower, and features on the vehicle.
+"""One vehicle: driver of base, laser and Kinect, path follower, feature extractor.
 
 ros2 launch explore_slam vehicle.launch.py name:=robot1 base_port:=/dev/pioneer motors:=true
 """
@@ -12,20 +12,20 @@ from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
 ARGUMENTS = {
-    'name': ('robot1', 'name of the vehicle, which is its namespace'),
+    'name': ('robot1', 'name of the vehicle: its namespace'),
     'params_file': (
         PathJoinSubstitution([FindPackageShare('explore_slam'), 'config', 'vehicle.yaml']),
         'parameters of driver and follower',
     ),
     'base_port': ('/dev/pioneer', "serial device of the base, or 'tcp://host:port'"),
     'laser_port': ('/dev/lms200', 'serial device of the laser'),
-    'base': ('true', 'drive the Pioneer base; false: another driver does'),
-    'laser': ('true', 'read the SICK LMS-200; false: another driver publishes scan'),
-    'camera': ('true', 'read the Kinect; false: another driver publishes camera/...'),
-    'motors': ('false', 'switch the motors on at the start; else: service enable_motors'),
+    'base': ('true', 'drive the Pioneer base; false: another node does'),
+    'laser': ('true', 'read the SICK LMS-200; false: another node publishes scan'),
+    'camera': ('true', 'read the Kinect; false: another node publishes camera/...'),
+    'motors': ('false', 'enable the motors at the start; false: service enable_motors does'),
     'follower': ('true', 'run the path follower'),
-    'features': ('false', 'extract features on the vehicle (agent: vision:=vehicle)'),
-    'use_sim_time': ('false', 'take the time from /clock'),
+    'features': ('false', 'extract features on the vehicle (needs vision:=vehicle of the agent)'),
+    'use_sim_time': ('false', 'use the time of /clock'),
 }
 
 

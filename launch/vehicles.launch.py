@@ -1,10 +1,10 @@
-"""Several vehicles whose devices are at this computer (or reached by TCP), one namespace each.
+"""Several vehicles whose devices are connected to this computer, one namespace each.
 
 ros2 launch explore_slam vehicles.launch.py vehicles:=robot1,robot2 ports:=/dev
 
-Vehicle `robot1` has its base at `<ports>/robot1_base`, its laser at `<ports>/robot1_laser`: names
-that udev gives (doc/hardware.md), or those of the simulator's emulated hardware. Vehicles with a
-computer of their own each run vehicle.launch.py there.
+Vehicle `robot1` has its base at `<ports>/robot1_base` and its laser at `<ports>/robot1_laser`:
+udev names (doc/hardware.md), or the ports of the simulator's emulated hardware. A vehicle with a
+computer of its own runs vehicle.launch.py there.
 """
 
 from pathlib import Path
@@ -23,7 +23,7 @@ def include_vehicles(context):
     one = str(Path(__file__).with_name('vehicle.launch.py'))
     return [
         IncludeLaunchDescription(
-            # a source of its own for each: one that is shared launches the first vehicle twice
+            # one source per vehicle: a shared one would launch the first vehicle twice
             PythonLaunchDescriptionSource(one),
             launch_arguments={
                 'name': name,
@@ -41,9 +41,11 @@ def generate_launch_description():
     return LaunchDescription(
         [
             DeclareLaunchArgument(
-                'vehicles', default_value='robot1,robot2', description='names, with commas'
+                'vehicles', default_value='robot1,robot2', description='names, separated by commas'
             ),
-            DeclareLaunchArgument('ports', default_value='/dev', description='folder of ports'),
+            DeclareLaunchArgument(
+                'ports', default_value='/dev', description='folder of the ports'
+            ),
             *(
                 DeclareLaunchArgument(name, default_value=default)
                 for name, default in PASSED_ON.items()

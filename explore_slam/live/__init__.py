@@ -1,1 +1,1 @@
-"""Orchestration of a live run: processes, monitor, run folder."""
+"""Orchestration of a live run: the processes of its nodes, the monitor, the run folder."""

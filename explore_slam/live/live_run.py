@@ -1,6 +1,6 @@
-"""A live exploration: simulator, drivers and agent as processes, followed to its end.
+"""A live exploration: simulator, drivers and agent as processes, monitored until it is complete.
 
-The run folder is made from what the topics carry, as it would be beside real vehicles.
+The run folder is written from the topics alone, as it would be with real vehicles.
 """
 
 import os
@@ -18,6 +18,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from explore_slam.errors import ConfigError, ExploreSlamError
+from explore_slam.files import write_text
 from explore_slam.geometry import Pose2
 from explore_slam.live.processes import (
     NodeProcess,
@@ -37,21 +38,21 @@ from explore_slam.simulation import World
 from explore_slam.simulation.worlds.world import world_path
 
 ENDS = ('exploration_complete', 'returned_to_origin')
-SETTLE = 3.0  # wall s for the last results to come in
-# what the agent says of itself that goes into the metrics
-NUMBERS = (
+SETTLE = 3.0  # wall s to wait for the last results
+# diagnostics of the agent that become metrics
+AGENT_METRICS = (
     'ros_latency_median_s', 'ros_latency_p95_s', 'wall_latency_median_s', 'wall_latency_p95_s',
     'frame_mean_ms', 'plan_mean_ms', 'frame_count',
 )  # fmt: skip
-# emulated devices send the newest record at their own pace: it must be fresh
+# Hz; emulated devices send the newest record at rates of their own, so it must be renewed often
 HARDWARE_RATES = {'simulated_scan_rate': 25.0, 'simulated_odometry_rate': 50.0}
 SIM_TIME = {'use_sim_time': True}
-START_LIMIT = 240.0  # wall s in which all nodes must have begun to talk
+START_LIMIT = 240.0  # wall s within which the agent must publish its first pose
 
 
 @dataclass(frozen=True)
 class LiveRunOptions:
-    """What a live run is made of; settings are agent parameters by name."""
+    """Options of a live run; settings are agent parameters by name."""
 
     world: str = 'office'
     vehicles: int = 2
@@ -65,7 +66,7 @@ class LiveRunOptions:
 
 
 class LiveRun:
-    """Starts the processes, lets a caller follow, and writes the run folder."""
+    """Starts the processes, yields the state to the caller, and writes the run folder."""
 
     def __init__(self, options: LiveRunOptions, runs: Path) -> None:
         self.options = options
@@ -80,7 +81,7 @@ class LiveRun:
         self.folder = RunFolder.create(runs)
         self.monitor: RunMonitor | None = None
         self.complete = False
-        self._last_status = ''  # of the end: an agent that is left running may find more
+        self._last_status = ''  # at the end of the run: the agent goes on until it is stopped
 
     def _starts(self) -> dict[str, Pose2]:
         known = dict(self.world.starts)
@@ -139,7 +140,7 @@ class LiveRun:
 
     def _write(self, name: str, values: dict[str, Any]) -> Path:
         path = self.folder.path / f'{name}.yaml'
-        path.write_text(yaml.safe_dump({'/**': {'ros__parameters': values}}), encoding='utf-8')
+        write_text(path, yaml.safe_dump({'/**': {'ros__parameters': values}}))
         return path
 
     def _driver(self, name: str) -> list[NodeProcess]:
@@ -166,7 +167,7 @@ class LiveRun:
     # -- the run ---------------------------------------------------------------------------------
 
     def run(self) -> Iterator[RunState]:
-        """Run to the end; yield the state about ten times a second. Ends all in any case."""
+        """Run to the end; yield the state ten times a second. Always end all processes."""
         environment = one_machine_environment()
         os.environ.update(environment)
         processes = NodeProcesses(self.nodes(), self.folder.path / 'logs', environment)
@@ -215,12 +216,12 @@ class LiveRun:
                 )
             if elapsed > self.options.time_limit:
                 self.recorder.add_note(
-                    f'The run was ended after its limit of {self.options.time_limit:.0f} s.'
+                    f'The run was ended at its time limit of {self.options.time_limit:.0f} s.'
                 )
                 return
 
     def _settle(self, executor: SingleThreadedExecutor, monitor: RunMonitor) -> None:
-        """Wait for the last map, landmarks and trajectories, and have the map written."""
+        """Have the map saved, and wait for the last map, landmarks and trajectories."""
         answer = monitor.ask_for_map()
         end = time.monotonic() + SETTLE
         while time.monotonic() < end and not (
@@ -232,7 +233,7 @@ class LiveRun:
     # -- results ---------------------------------------------------------------------------------
 
     def finish(self) -> RunData:
-        """Return what the run was, and write its folder."""
+        """Write the run folder and return its data."""
         state = RunState() if self.monitor is None else self.monitor.state
         grid = None
         if state.grid is not None:
@@ -259,12 +260,12 @@ class LiveRun:
         }
         health = {name: self._values(f'agent: vehicle {name}')[1] for name in self.starts}
         return {
-            'status': self._last_status or state.status or 'never started',
+            'status': self._last_status or state.status or 'not started',
             'complete': self.complete,
             'duration': state.stamp,
             'real_time_factor': float(clock.get('real_time_factor', 'nan')),
             'collisions': collisions,
-            'agent': {name: float(agent[name]) for name in NUMBERS if name in agent},
+            'agent': {name: float(agent[name]) for name in AGENT_METRICS if name in agent},
             'dropped_frames': {
                 name: int(found.get('dropped_frames', 0)) for name, found in health.items()
             },

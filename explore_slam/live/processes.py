@@ -1,4 +1,4 @@
-"""Nodes as processes of their own: started together, ended together, nothing left behind."""
+"""Nodes as processes: started together and ended together, without orphans."""
 
 import ctypes
 import os
@@ -15,12 +15,13 @@ from types import TracebackType
 
 from explore_slam.errors import ExploreSlamError
 
-PATIENCE = {signal.SIGINT: 6.0, signal.SIGTERM: 3.0, signal.SIGKILL: 2.0}  # s for each to work
-PR_SET_PDEATHSIG = 1
+# signals to end a process, in this order, and the time (s) after which the next one follows
+END_SIGNALS = {signal.SIGINT: 6.0, signal.SIGTERM: 3.0, signal.SIGKILL: 2.0}
+PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 
 
 def config_folder() -> Path:
-    """Return the folder of configuration files: that of the sources, or the installed one."""
+    """Return the folder of configuration files, in the sources or installed."""
     sources = Path(__file__).resolve().parents[2] / 'config'
     if sources.is_dir():
         return sources
@@ -40,7 +41,7 @@ def config_folder() -> Path:
 
 @contextmanager
 def interrupts_held() -> Iterator[None]:
-    """Let a Ctrl-C take effect after what is within: inside of rclpy it comes out as any error."""
+    """Delay a KeyboardInterrupt until after the block: within rclpy it may turn into any error."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -55,9 +56,10 @@ def interrupts_held() -> Iterator[None]:
 
 
 def one_machine_environment() -> dict[str, str]:
-    """Return the environment for nodes that talk on this machine alone.
+    """Return the environment for nodes that communicate on this machine only.
 
-    A ROS_DOMAIN_ID that is set stays; otherwise one is drawn, so that two demos do not mix.
+    A ROS_DOMAIN_ID that is set is kept; otherwise the process id determines one, so that two demos
+    do not mix.
     """
     environment = dict(os.environ)
     environment.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
@@ -69,13 +71,13 @@ def one_machine_environment() -> dict[str, str]:
 
 
 def _die_with_parent() -> None:
-    """Ask the kernel to end this process when the one that started it is gone."""
+    """Have the kernel end this process when its parent ends."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 @dataclass
 class NodeProcess:
-    """One node to start: module below explore_slam.nodes, ROS arguments, name for its log."""
+    """One node to start: name of its log, module below explore_slam.nodes, ROS arguments."""
 
     name: str
     module: str
@@ -108,8 +110,8 @@ class NodeProcesses:
                         stdout=log,
                         stderr=subprocess.STDOUT,
                         env=self._environment,
-                        start_new_session=True,  # the terminal's Ctrl-C comes through us, once
-                        preexec_fn=_die_with_parent,  # noqa: PLW1509 -- one call into the kernel
+                        start_new_session=True,  # we pass on a terminal's Ctrl-C once
+                        preexec_fn=_die_with_parent,  # noqa: PLW1509 -- a single system call
                     )
         except OSError as error:
             self._end_all()
@@ -125,11 +127,11 @@ class NodeProcesses:
         self._end_all()
 
     def log_of(self, node: NodeProcess) -> Path:
-        """Return the file that takes what a node prints."""
+        """Return the file of a node's output."""
         return self._logs / f'{node.name}.log'
 
     def check(self) -> None:
-        """Raise an error that names the node which has ended, with the end of its log."""
+        """Raise ExploreSlamError if a node has ended, with the last lines of its log."""
         for node in self.nodes:
             if node.process is not None and (code := node.process.poll()) is not None:
                 log = self.log_of(node)
@@ -145,9 +147,9 @@ class NodeProcesses:
         return [process for process in started if process.poll() is None]
 
     def _end_all(self) -> None:
-        for number, patience in PATIENCE.items():
+        for number, timeout in END_SIGNALS.items():
             for process in self._running():
                 process.send_signal(number)
-            deadline = time.monotonic() + patience
+            deadline = time.monotonic() + timeout
             while self._running() and time.monotonic() < deadline:
                 time.sleep(0.05)
