@@ -7,6 +7,7 @@ summarized, and the motions to and from it become one.
 
 import numpy as np
 
+from explore_slam.geometry import Array
 from explore_slam.slam.graph import checks, motion
 from explore_slam.slam.graph.config import GraphConfig
 from explore_slam.slam.graph.factors import Integers
@@ -47,19 +48,26 @@ def retire_oldest(storage: Storage, vehicle: int, config: GraphConfig) -> None:
 
 
 def _is_needed(storage: Storage, row: int, config: GraphConfig) -> bool:
-    """Tell whether a keyframe observes a landmark of which few observations are kept."""
+    """Tell whether a keyframe observes a landmark of which too little is kept.
+
+    That is: too few observations of the present visit are kept, and too few visits before it
+    have any that are.
+    """
     table, vehicle = storage.observations, storage.keyframes['vehicle']
-    owners, frames, visit = table['landmark'], table['keyframe'], table['visit']
-    alive = owners >= 0
-    own = np.flatnonzero(alive & (frames == row) & (visit <= config.graph_visits))
-    counts = np.bincount(owners[alive], minlength=len(storage.landmarks))
-    own = own[counts[owners[own]] >= config.graph_minimum_sightings]
-    visit_of = np.full(len(storage.landmarks), -1)
-    visit_of[owners[own]] = visit[own]
-    before = alive & (frames < row) & (vehicle[frames] == vehicle[row])
-    before &= visit_of[owners] == visit
-    kept = np.bincount(owners[before], minlength=len(storage.landmarks))
-    return bool((kept[owners[own]] < config.graph_visit_sightings).any())
+    owners, frames = table['landmark'], table['keyframe']
+    own = np.flatnonzero((owners >= 0) & (frames == row))
+    often = storage.landmarks['sightings'][owners[own]] >= config.graph_minimum_sightings
+    own = own[often]
+    visit_of = np.full(len(storage.landmarks) + 1, -1)  # the last entry is that of row −1
+    visit_of[owners[own]] = table['visit'][own]
+    kept = (visit_of[owners] >= 0) & (frames < row) & (vehicle[frames] == vehicle[row])
+    landmarks, visits = owners[kept], table['visit'][kept]
+    now = visits == visit_of[landmarks]
+    this_visit = np.bincount(landmarks[now], minlength=len(visit_of))
+    earlier = np.unique(np.stack([landmarks, visits], axis=1)[~now], axis=0)
+    earlier_visits = np.bincount(earlier[:, 0], minlength=len(visit_of))
+    few = (this_visit < config.graph_visit_sightings) & (earlier_visits < config.graph_visits)
+    return bool(few[owners[own]].any())
 
 
 def drop_if_free(storage: Storage, row: int) -> None:
@@ -86,3 +94,27 @@ def drop_if_free(storage: Storage, row: int) -> None:
     keyframes['previous'][after] = keyframes['previous'][row]
     keyframes['live'][row] = False
     storage.touch([row])
+
+
+def hang_dropped(storage: Storage, rows: Integers, chains: Array, poses: Array) -> None:
+    """Fill in the poses (K, 3, M) of dropped keyframes between given ones.
+
+    rows: of the live keyframes that are given. chains (K, 3, M): where their motions end.
+    """
+    keyframes = storage.keyframes
+    before, previous = keyframes['before'], keyframes['previous']
+    for end in rows[before[rows] != previous[rows]].tolist():
+        between = [end]
+        while before[between[-1]] != previous[end]:
+            between.append(int(before[between[-1]]))
+        between.reverse()
+        hung = np.empty((len(between) - 1, *poses.shape[1:]))
+        motion.hang_between(
+            chains[previous[end]],
+            chains[end],
+            keyframes['increment'][between],
+            keyframes['covariance'][between],
+            checks.EXACT_DEVIATION**2,
+            hung,
+        )
+        poses[between[:-1]] = hung

@@ -178,11 +178,13 @@ class JointGraph:
                 f'weights lie in {weight.min():.3g} … {weight.max():.3g}, '
                 'expected above 0 and at most 1'
             )
+        owners = np.array([store.landmark_row_of(number) for number in ids.tolist()])
+        np.add.at(store.landmarks['sightings'], owners, 1)
         store.observations.append(
             count,
             number=store.next_observation + np.arange(count),
             keyframe=row,
-            landmark=[store.landmark_row_of(number) for number in ids.tolist()],
+            landmark=owners,
             visit=bounding.count_visits(store, row, ids, self.config.graph_visit_gap),
             z=places,
             W=W * weight[:, None],
@@ -334,9 +336,11 @@ class JointGraph:
         They are drawn around the present estimate: call `optimize` first. See `Solution.draw`.
         """
         drawn = [self.posterior(v[0]).draw(samples, random) for v in self._components(vehicle)]
-        keyframes = np.concatenate([part.keyframes for part in drawn])
-        order = np.argsort(keyframes)
-        return Draws(keyframes[order], np.concatenate([part.poses for part in drawn])[order])
+        if len(drawn) == 1:
+            return drawn[0]
+        columns = [np.concatenate(column) for column in zip(*drawn, strict=True)]
+        order = np.argsort(columns[0])
+        return Draws._make(column[order] for column in columns)
 
     def estimate(self, keyframe: int) -> Array:
         """Return the estimated pose (3,) of a keyframe."""
@@ -353,24 +357,26 @@ class JointGraph:
         Those that were dropped hang between their neighbours by the motion that was measured.
         """
         keyframes = self._storage.keyframes
-        poses: Array = keyframes['pose'].copy()
-        live, before = keyframes['live'], keyframes['before']
-        for end in np.flatnonzero(live & (before != keyframes['previous'])).tolist():
-            begin, chain = int(keyframes['previous'][end]), [end]
-            while before[chain[-1]] != begin:
-                chain.append(int(before[chain[-1]]))
-            rows = np.array(chain[::-1])
-            hung = np.empty((len(rows) - 1, 3))
-            motion.hang_between(
-                keyframes['chain'][begin],
-                keyframes['chain'][end],
-                keyframes['increment'][rows],
-                keyframes['covariance'][rows],
-                checks.EXACT_DEVIATION**2,
-                hung,
-            )
-            poses[rows[:-1]] = hung
-        return poses
+        poses: Array = keyframes['pose'][:, :, None].copy()
+        live = np.flatnonzero(keyframes['live'])
+        bounding.hang_dropped(self._storage, live, keyframes['chain'][:, :, None], poses)
+        return poses[:, :, 0]
+
+    def complete(self, draws: Draws) -> Draws:
+        """Return samples of all keyframes ever added of the vehicles drawn, dropped ones included.
+
+        Those hang between their neighbours by the motion that was measured, in every sample.
+        """
+        store = self._storage
+        rows = np.searchsorted(store.keyframes['number'], draws.keyframes)
+        chains = np.empty((len(store.keyframes), *draws.poses.shape[1:]))
+        poses = np.empty_like(chains)
+        chains[rows], poses[rows] = draws.chains, draws.poses
+        bounding.hang_dropped(store, rows, chains, poses)
+        vehicle = store.keyframes['vehicle']
+        drawn = np.flatnonzero(np.isin(vehicle, vehicle[rows]))
+        chains[drawn], chains[rows] = poses[drawn], draws.chains
+        return Draws(store.keyframes['number'][drawn], poses[drawn], chains[drawn])
 
     def covariance(self, keyframe: int) -> Array:
         """Return the covariance (3, 3) of a keyframe's pose in the axes of the map."""

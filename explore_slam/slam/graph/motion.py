@@ -65,7 +65,7 @@ def _carry(u: Array, v: Array, P: Array, out: Array) -> None:
 def hang_between(
     begin: Array, end: Array, increments: Array, covariances: Array, least: float, out: Array
 ) -> None:
-    """Write the poses (n, 3) between two poses that n + 1 increments connect.
+    """Write the poses (n, 3, M) between M pairs of poses (3, M) that n + 1 increments connect.
 
     The increments (n + 1, 3) do not lead exactly from `begin` to `end`; the error is spread as
     their covariances (n + 1, 3, 3) have it, which is the conditional mean of a chain whose ends
@@ -78,18 +78,27 @@ def hang_between(
         means[k + 1], spreads[k + 1] = compound(
             means[k], spreads[k], increments[k + 1], covariances[k + 1]
         )
-    found, error = np.empty(3), np.empty(3)
-    relative(begin, end, found)
-    error[0], error[1] = found[0] - means[n, 0], found[1] - means[n, 1]
-    error[2] = wrapped(found[2] - means[n, 2])
-    scaled = np.linalg.solve(spreads[n] + least * np.eye(3), error)
-    together, moved = np.empty((3, 3)), np.empty(3)
+    inverse = np.linalg.inv(spreads[n] + least * np.eye(3))
+    gains, together = np.zeros((n, 3, 3)), np.empty((3, 3))
     for k in range(n):
         _carry(means[k], means[n], spreads[k], together)
         for i in range(3):
-            moved[i] = means[k, i] + (
-                together[i, 0] * scaled[0]
-                + together[i, 1] * scaled[1]
-                + together[i, 2] * scaled[2]
-            )
-        compose(begin, moved, out[k])
+            for j in range(3):
+                for m in range(3):
+                    gains[k, i, j] += together[i, m] * inverse[m, j]
+    p, q, u, error = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for m in range(begin.shape[1]):
+        for i in range(3):
+            p[i], q[i] = begin[i, m], end[i, m]
+        relative(p, q, error)
+        error[0] -= means[n, 0]
+        error[1] -= means[n, 1]
+        error[2] = wrapped(error[2] - means[n, 2])
+        for k in range(n):
+            G = gains[k]
+            for i in range(3):
+                moved = G[i, 0] * error[0] + G[i, 1] * error[1] + G[i, 2] * error[2]
+                u[i] = means[k, i] + moved
+            compose(p, u, q)
+            for i in range(3):
+                out[k, i, m] = q[i]

@@ -62,6 +62,7 @@ class Draws(NamedTuple):
 
     keyframes: Integers  # (N,) numbers, ascending
     poses: Array  # (N, 3, M)
+    chains: Array  # (N, 3, M) with their white errors: where the next increment starts
 
 
 class Factorization:
@@ -148,10 +149,15 @@ class Solution:
         if samples < 1:
             raise SlamError(f'samples are {samples}, expected 1 or more')
         keyframes = self.problem.keyframes
-        steps = self.factorization.sample(len(keyframes), samples // 2, random)
-        poses = np.empty((len(keyframes), 3, samples))
-        antithetic_poses(self.nodes[: len(keyframes)], steps, poses)
-        return Draws(keyframes, poses)
+        count = self.problem.poses
+        steps = self.factorization.sample(count, samples // 2, random)
+        drawn = np.empty((count, 3, samples))
+        antithetic_poses(self.nodes[:count], steps, drawn)
+        poses = chains = drawn[: len(keyframes)]
+        if len(self.problem.chains):
+            chains = poses.copy()
+            chains[np.searchsorted(keyframes, self.problem.chains)] = drawn[len(keyframes) :]
+        return Draws(keyframes, poses, chains)
 
     def node_of(self, keyframe: int) -> int:
         """Return the node of a keyframe's pose."""

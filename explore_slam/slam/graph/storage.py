@@ -61,6 +61,7 @@ class Storage:
         )
         self.landmarks = Table(
             number=(np.int64, ()),  # id; −1: removed
+            sightings=(np.int64, ()),  # observations ever added
             placed=(np.bool_, ()),  # the position is that of the last optimum
             position=(np.float64, (3,)),
         )
@@ -132,7 +133,9 @@ class Storage:
         """Give the observations of a landmark to another; returns the row that is left empty."""
         row = self.landmark_rows[source]
         owners = self.observations['landmark']
-        owners[owners == row] = self.landmark_row_of(target)
+        into = self.landmark_row_of(target)
+        owners[owners == row] = into
+        self.landmarks['sightings'][into] += self.landmarks['sightings'][row]
         for vehicle in self.newest:
             last, count = self.visits.get((source, vehicle), (-1, 0))
             if count:

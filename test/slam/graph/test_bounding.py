@@ -156,3 +156,43 @@ def test_observations_kept_per_visit(bounded_world):
     kept = graph.observations_of([7]).keyframes
     assert kept.tolist() == [1, 2, 3, 30, 31, 32, *range(92, 100)]
     assert graph.live_keyframes().tolist() == [0, *kept]
+
+
+def test_samples_of_dropped_keyframes_hang_between_their_neighbours(bounded_world):
+    graph = bounded_world().graph
+    white = np.diag([0.02, 0.02, 0.01]) ** 2
+    graph.add_start(0, 0, [0.0, 0.0, 0.0])
+    graph.add_start(1, 1, [5.0, 0.0, 0.0])
+    for k in range(2, 42):
+        graph.add_keyframe(k % 2, k, STEP, NOISE, white if k % 2 else None)
+        if k in {20, 21}:
+            graph.pin(k)
+    graph.optimize()
+    draws = graph.draw(7, np.random.default_rng(0))
+    whole = graph.complete(draws)
+    assert whole.keyframes.tolist() == list(range(42))
+    given = np.isin(whole.keyframes, draws.keyframes)
+    np.testing.assert_array_equal(whole.poses[given], draws.poses)
+    np.testing.assert_array_equal(whole.chains[given], draws.chains)
+    # the last of seven samples is the optimum
+    np.testing.assert_allclose(whole.poses[:, :, 6], graph.path(), atol=1e-12)
+    # the first vehicle has no white error: between kept keyframes, increments are nearly STEP
+    for m in range(7):
+        steps = between(whole.poses[0:40:2, :, m], whole.poses[2:42:2, :, m])
+        assert np.abs(steps[:9] - STEP).max() < 0.05
+    only = graph.complete(graph.draw(3, np.random.default_rng(0), 1))
+    assert only.keyframes.tolist() == list(range(1, 42, 2))
+
+
+def test_last_chain_is_where_the_next_motion_starts(bounded_world):
+    graph = bounded_world().graph
+    white = np.diag([0.02, 0.02, 0.01]) ** 2
+    graph.add_start(0, 0, [0.0, 0.0, 0.0])
+    for k in range(1, 5):
+        graph.add_keyframe(0, k, STEP, NOISE, white)
+    graph.add_prior(4, compose(graph.estimate(4), [0.1, 0.0, 0.0]), white)
+    graph.optimize()
+    chain = graph.draw(1, np.random.default_rng(0)).chains[-1, :, 0]
+    graph.add_keyframe(0, 5, STEP, NOISE, white)
+    np.testing.assert_allclose(graph.estimate(5), compose(chain, STEP), atol=1e-12)
+    assert np.abs(chain - graph.estimate(4))[0] > 0.005
