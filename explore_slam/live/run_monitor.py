@@ -21,6 +21,7 @@ from explore_slam.messages import (
     cloud_columns,
     grid_arrays,
     odometry_record,
+    planar_covariance,
     planar_pose,
     seconds,
 )
@@ -91,6 +92,8 @@ class RunMonitor(Node):
             stamp, pose = seconds(message.header.stamp), planar_pose(message.pose.pose)
             self.state.poses[vehicle] = (stamp, pose)
             self.recorder.add_pose(vehicle, stamp, pose)
+            covariance = planar_covariance(message.pose.covariance)
+            self.recorder.add_estimate(vehicle, stamp, pose, covariance)
 
         def on_truth(message: Odometry) -> None:
             reading = odometry_record(message)

@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from explore_slam.errors import EvaluationError
 from explore_slam.files import write_bytes
 from explore_slam.geometry import Array
+from explore_slam.results.consistency import EstimationErrors, estimation_errors
 from explore_slam.results.run_data import Panel, RunData, Series, VehicleRun, error_series
 from explore_slam.results.trajectory import Trajectory
 
@@ -214,6 +215,50 @@ def error_figure(data: RunData) -> str | None:
         return _svg(figure, 'errors')
 
 
+def consistency_figure(data: RunData) -> str | None:
+    """Draw errors of x, y and heading within ±2 σ as published; None without ground truth."""
+    found = [
+        (run.name, color_of(index), errors)
+        for index, run in enumerate(data.vehicles)
+        if len(errors := estimation_errors(run.estimates, run.truth)) > 1
+    ]
+    if not found:
+        return None
+    begin = _begin(data)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(10.0, 1.0 + 1.5 * len(found) + 2.5), layout='constrained')
+        grid = figure.subplots(len(found), 3, sharex=True, squeeze=False)
+        for row, (name, color, errors) in zip(grid, found, strict=True):
+            for axes, component in zip(row, range(3), strict=True):
+                _draw_band(axes, errors, component, begin, color)
+            row[0].set_ylabel(name)
+        for axes, title in zip(
+            grid[0], ('error of x (m)', 'of y (m)', 'heading (°)'), strict=True
+        ):
+            axes.set_title(title, fontsize=10)
+        for axes in grid[-1]:
+            axes.set_xlabel('time (s)')
+        return _svg(figure, 'consistency')
+
+
+def _draw_band(
+    axes: Axes, errors: EstimationErrors, component: int, begin: float, color: str
+) -> None:
+    scale = 180.0 / math.pi if component == 2 else 1.0
+    sigmas = Series(errors.stamps, scale * errors.sigmas[:, component])
+    times, bands = _binned(sigmas, np.mean)
+    _, low = _binned(Series(errors.stamps, scale * errors.errors[:, component]), np.min)
+    _, high = _binned(Series(errors.stamps, scale * errors.errors[:, component]), np.max)
+    times = times - begin
+    axes.fill_between(times, -2.0 * bands, 2.0 * bands, color=color, alpha=0.18, linewidth=0)
+    axes.fill_between(times, low, high, color=color, alpha=0.6, linewidth=0)
+    axes.plot(times, 0.5 * (low + high), color=color, lw=0.9)
+    limit = 1.2 * max(
+        2.0 * float(np.quantile(bands, 0.98)), float(np.quantile(np.maximum(-low, high), 0.995))
+    )
+    axes.set_ylim(-limit - 1e-4, limit + 1e-4)
+
+
 def coverage_figure(data: RunData) -> str | None:
     """Draw the explored area over time; None where it was not measured."""
     if len(data.coverage) < 2:
@@ -363,6 +408,12 @@ def figures(data: RunData) -> list[ReportFigure]:
             'largest error of each short interval. Dotted: odometry alone, which may leave the '
             'plot.',
             error_figure(data),
+        ),
+        (
+            'Consistency',
+            'Errors of the published pose (line) and twice its published standard deviation '
+            '(band), which should contain 95 % of the errors.',
+            consistency_figure(data),
         ),
         ('Coverage over time', 'Area that the team has explored.', coverage_figure(data)),
         (

@@ -56,6 +56,8 @@ class SettingRow(NamedTuple):
 ERROR_COLUMNS = (
     ErrorColumn('position RMS', 'online (m)', 'online', 'position_rms', 1.0, 3),
     ErrorColumn('heading RMS', 'online (°)', 'online', 'heading_rms', DEGREES, 2),
+    ErrorColumn('pose NEES', 'mean (ideal 3)', 'online', 'pose_nees_mean', 1.0, 1),
+    ErrorColumn('inside 95 %', 'ellipse (%)', 'online', 'position_in_95', 100.0, 0),
     ErrorColumn('position RMS', 'final path (m)', 'estimated', 'position_rms', 1.0, 3),
     ErrorColumn('position RMS', 'aligned (m)', 'estimated', 'position_rms_aligned', 1.0, 3),
     ErrorColumn('drift per meter', '(m)', 'estimated', 'relative_translation_rms', 1.0, 3),

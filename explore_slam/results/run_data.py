@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from explore_slam.data import OdometryReading
 from explore_slam.errors import EvaluationError
 from explore_slam.geometry import Array, Pose2
+from explore_slam.results.consistency import PoseEstimates, consistency_metrics
 from explore_slam.results.keyframe_interpolation import extrapolate, interpolate
 from explore_slam.results.trajectory import (
     Trajectory,
@@ -40,6 +41,10 @@ class KeyframeLike(Protocol):
         """Estimated pose right after the update."""
 
     @property
+    def covariance(self) -> Array:
+        """Covariance (3, 3) of the pose, in the map frame."""
+
+    @property
     def update(self) -> Any:
         """Summary of the update, with effective_particles; None where only odometry was used."""
 
@@ -66,7 +71,7 @@ class VehicleRun:
 
     estimated: path of the best particle at the end, interpolated by odometry between keyframes;
     online: pose as estimated at each time; odometry: dead reckoning from the start pose; truth:
-    as measured from outside the vehicle.
+    as measured from outside the vehicle. estimates: mean and covariance as published.
     """
 
     name: str
@@ -74,6 +79,7 @@ class VehicleRun:
     online: Trajectory = field(default_factory=_empty)
     truth: Trajectory = field(default_factory=_empty)
     odometry: Trajectory = field(default_factory=_empty)
+    estimates: PoseEstimates = field(default_factory=PoseEstimates.empty)
 
     def trajectories(self) -> dict[str, Trajectory]:
         """Return the trajectories that are not empty, by kind."""
@@ -86,7 +92,10 @@ class VehicleRun:
         return {kind: trajectory for kind, trajectory in kinds.items() if len(trajectory)}
 
     def metrics(self) -> dict[str, Any]:
-        """Return distance, duration and, with ground truth, the errors of every trajectory."""
+        """Return distance, duration and, with ground truth, the errors of every trajectory.
+
+        Errors of the online trajectory include its consistency (`consistency_metrics`).
+        """
         whole = self.truth.duration > 0.9 * max(self.online.duration, self.odometry.duration)
         reference = next(
             (
@@ -106,6 +115,8 @@ class VehicleRun:
                 found[kind] = trajectory_metrics(trajectory, self.truth)
             except EvaluationError:
                 found[kind] = None
+        if found.get('online'):
+            found['online'] |= consistency_metrics(self.estimates, self.truth)
         return found
 
 
@@ -172,6 +183,7 @@ class RunRecorder:
         self._keyframes: dict[str, list[tuple[float, Pose2]]] = {}
         self._truth: dict[str, list[tuple[float, Pose2]]] = {}
         self._odometry: dict[str, list[tuple[float, Pose2]]] = {}
+        self._estimates: dict[str, list[tuple[float, Pose2, Array]]] = {}
         self._coverage: list[tuple[float, float]] = []
         self._effective: list[tuple[float, float]] = []
         self._notes: list[str] = []
@@ -188,6 +200,10 @@ class RunRecorder:
         """Record the pose as estimated at this time."""
         self._online.setdefault(vehicle, []).append((stamp, pose))
 
+    def add_estimate(self, vehicle: str, stamp: float, pose: Pose2, covariance: Array) -> None:
+        """Record mean and covariance (3, 3) of a pose as published at a keyframe."""
+        self._estimates.setdefault(vehicle, []).append((stamp, pose, covariance))
+
     def add_coverage(self, stamp: float, explored: float) -> None:
         """Record the explored fraction (0 to 1) of the reachable area; with unit 'm²' the area."""
         self._coverage.append((stamp, explored))
@@ -197,12 +213,13 @@ class RunRecorder:
         self._effective.append((stamp, count))
 
     def add_keyframe(self, event: KeyframeLike) -> None:
-        """Record the pose and the effective sample size of a keyframe.
+        """Record pose, covariance and effective sample size of a keyframe.
 
         Where add_pose is not called, keyframe poses extrapolated by odometry are the online
         trajectory.
         """
         self._keyframes.setdefault(event.vehicle, []).append((event.stamp, event.pose))
+        self.add_estimate(event.vehicle, event.stamp, event.pose, event.covariance)
         if event.update is not None:
             self.add_effective_particles(event.stamp, event.update.effective_particles)
 
@@ -262,13 +279,25 @@ class RunRecorder:
         if name in self._starts:
             odometry = odometry.from_start(self._starts[name])
         path = Trajectory.of(*estimated) if estimated is not None else _empty()
-        return VehicleRun(name, interpolate(path, odometry), online, truth, odometry)
+        estimates = _pose_estimates(self._estimates.get(name))
+        return VehicleRun(name, interpolate(path, odometry), online, truth, odometry, estimates)
 
 
 def _trajectory(samples: list[tuple[float, Pose2]] | None) -> Trajectory:
     if not samples:
         return _empty()
     return Trajectory.of([stamp for stamp, _ in samples], [pose for _, pose in samples])
+
+
+def _pose_estimates(samples: list[tuple[float, Pose2, Array]] | None) -> PoseEstimates:
+    if not samples:
+        return PoseEstimates.empty()
+    ordered = sorted(samples, key=lambda sample: sample[0])
+    return PoseEstimates(
+        np.array([stamp for stamp, _, _ in ordered]),
+        np.array([pose for _, pose, _ in ordered]),
+        np.array([covariance for _, _, covariance in ordered]),
+    )
 
 
 def run_metrics(runs: tuple[VehicleRun, ...]) -> dict[str, Any]:

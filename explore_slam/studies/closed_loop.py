@@ -125,10 +125,7 @@ class ClosedLoop:
                 follower.set_scan(record)
         for event in self.agent.take_events():
             self.recorder.add_pose(event.vehicle, event.stamp, event.pose)
-            if event.update is not None:
-                self.recorder.add_effective_particles(
-                    event.stamp, event.update.effective_particles
-                )
+            self.recorder.add_keyframe(event)
 
     def _plan(self, now: float) -> PlanningResult:
         result = self.planner.plan(now)

@@ -49,7 +49,9 @@ def make_run(**extra) -> RunData:
             recorder.add_truth(name, stamp, true)
             drift = Pose2(1.1 * moved.x, 0.0, 0.0)
             recorder.add_odometry(name, OdometryReading(stamp, Pose2(7, 7, 1).compose(drift)))
-            recorder.add_pose(name, stamp, Pose2(true.x + 0.03, true.y - 0.04, true.theta + 0.02))
+            estimate = Pose2(true.x + 0.03, true.y - 0.04, true.theta + 0.02)
+            recorder.add_pose(name, stamp, estimate)
+            recorder.add_estimate(name, stamp, estimate, np.diag([9e-4, 16e-4, 4e-4]))
         recorder.add_effective_particles(15.0, 60.0)
     for index in range(11):
         recorder.add_coverage(10.0 + index, 0.098 * index)

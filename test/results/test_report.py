@@ -42,12 +42,20 @@ class Page(HTMLParser):
 
 def test_the_page_is_complete_and_needs_no_other_file(some_run):
     page = Page(render_report(some_run()))
-    assert page.tags.count('svg') == 4
+    assert page.tags.count('svg') == 5
     assert 'script' not in page.tags
     assert all(link.startswith(('#', 'data:')) for link in page.links)
     assert len(page.ids) == len(set(page.ids))
     text = ' '.join(page.texts)
-    for expected in ('a run', 'Map and trajectories', '0.050', '98.0 %', 'a <warning>', 'robot2'):
+    for expected in (
+        'a run',
+        'Map and trajectories',
+        '0.050',
+        '98.0 %',
+        'Consistency',
+        'a <warning>',
+        'robot2',
+    ):
         assert expected in text
 
 

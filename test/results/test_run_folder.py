@@ -22,6 +22,10 @@ def test_metrics_of_a_run_with_known_errors(some_run):
     assert metrics['mean_online_heading_rms'] == pytest.approx(0.02)
     assert metrics['mean_estimated_position_rms'] == pytest.approx(0.0, abs=1e-9)
     robot = metrics['vehicles']['robot2']
+    # errors of one standard deviation in each coordinate
+    assert robot['online']['pose_nees_mean'] == pytest.approx(3.0)
+    assert robot['online']['position_nees_mean'] == pytest.approx(2.0)
+    assert robot['online']['position_in_95'] == 1.0
     assert robot['distance'] == pytest.approx(5.0)
     assert robot['duration'] == pytest.approx(10.0)
     # odometry is 10 % too long: its error grows evenly to 0.5 m, RMS 0.5 / sqrt(3)
