@@ -1,51 +1,71 @@
-"""`explore_slam benchmark exploration`: how fast the planner explores a map with teams."""
+"""`explore_slam benchmark KIND`: studies of exploration, consistency and endurance."""
 
 import argparse
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
-from explore_slam.cli.arguments import whole_numbers
+from explore_slam.cli.arguments import named_settings, whole_numbers
 
-HELP = 'measure the planner on a map, over team sizes, strategies and seeds'
+HELP = 'measure exploration, consistency of the estimates, or endurance'
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     kinds = parser.add_subparsers(dest='kind', required=True, metavar='KIND')
-    exploration = kinds.add_parser(
-        'exploration',
-        help='explore a map in the light 2-D simulator',
-        description='Explore a map in the light 2-D simulator; a table, runs.csv and plots.',
-    )
-    exploration.add_argument(
+    for name, (summary, declare, _) in KINDS.items():
+        kind = kinds.add_parser(name, help=summary, description=summary.capitalize() + '.')
+        declare(kind)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the study of this kind."""
+    _, _, study = KINDS[arguments.kind]
+    return study(arguments)
+
+
+def _configure_exploration(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
         '--map', type=Path, required=True, help='map_server map (YAML or PGM) or a world file'
     )
-    exploration.add_argument(
+    parser.add_argument(
         '--vehicles', type=whole_numbers, default=[1, 2, 4], help='team sizes: 1..8 or 1,2,4'
     )
-    exploration.add_argument(
+    parser.add_argument(
         '--strategy',
         action='append',
         metavar='NAME',
         help='exploration strategy; may be repeated (default: default and nearest)',
     )
-    exploration.add_argument(
-        '--seeds', type=whole_numbers, default=list(range(10)), help='0..9 or 3,5; one run each'
+    _add_seeds(parser, range(10))
+    parser.add_argument('--output', type=Path, help='folder for table, runs and plots')
+    _add_set(parser)
+
+
+def _add_seeds(parser: argparse.ArgumentParser, default: range) -> None:
+    text = f'{default.start}..{default.stop - 1}'
+    parser.add_argument(
+        '--seeds',
+        type=whole_numbers,
+        default=list(default),
+        help=f'such as 0..9 or 3,5; one run each (default {text})',
     )
-    exploration.add_argument('--output', type=Path, help='folder for table, runs and plots')
-    exploration.add_argument(
-        '--workers', type=int, default=2, help='processes that make runs at the same time'
+    parser.add_argument(
+        '--workers', type=int, default=2, help='number of parallel processes (default 2)'
     )
-    exploration.add_argument(
+
+
+def _add_set(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
         '--set',
         action='append',
         default=[],
         metavar='NAME=VALUE',
-        help='another value for a setting of the planner or of the study',
+        help='value of a setting; may be repeated',
     )
 
 
-def run(arguments: argparse.Namespace) -> int:
+def _run_exploration(arguments: argparse.Namespace) -> int:
     """Make the runs, print their table, save it with --output."""
     from explore_slam.studies.exploration_study import make_study, run_study
     from explore_slam.studies.exploration_tables import markdown_table, save_study
@@ -73,3 +93,83 @@ def run(arguments: argparse.Namespace) -> int:
         for path in save_study(runs, arguments.output):
             print(f'written: {path}', file=sys.stderr)
     return 0
+
+
+def _add_world(parser: argparse.ArgumentParser, duration: float) -> None:
+    parser.add_argument(
+        '--world', default='office', help='world file, map_server YAML, or name (default office)'
+    )
+    parser.add_argument('--vehicles', type=int, default=2, help='number of vehicles (default 2)')
+    parser.add_argument(
+        '--duration',
+        type=float,
+        default=duration,
+        help=f'simulated time (s) after which a run ends (default {duration:g})',
+    )
+
+
+def _configure_consistency(parser: argparse.ArgumentParser) -> None:
+    _add_world(parser, 300.0)
+    parser.add_argument(
+        '--vision',
+        choices=('agent', 'none'),
+        default='agent',
+        help='features from the cameras, or laser and odometry alone (default agent)',
+    )
+    _add_seeds(parser, range(5))
+    parser.add_argument(
+        '--output', type=Path, required=True, help='folder for consistency.json, plots and runs'
+    )
+    _add_set(parser)
+
+
+def _run_consistency(arguments: argparse.Namespace) -> int:
+    """Make the runs, report each as it ends, print the table."""
+    from explore_slam.simulation.worlds.world import world_path
+    from explore_slam.studies.consistency_study import (
+        ConsistencyStudy,
+        markdown_table,
+        run_study,
+    )
+
+    study = ConsistencyStudy(
+        world_path(arguments.world),
+        arguments.vehicles,
+        arguments.vision,
+        arguments.duration,
+        tuple(arguments.seeds),
+        named_settings(arguments, ()),
+    )
+    results = []
+    for result in run_study(study, arguments.output, arguments.workers):
+        results.append(result)
+        found = ', '.join(
+            f'{item.vehicle} NEES {item.pose_nees_mean:.1f}, inside {item.position_in_95:.2f}, '
+            f'RMS {item.position_rms:.4f} m'
+            for item in result.runs
+        )
+        print(
+            f'[{len(results)}/{len(study.seeds)}] seed {result.seed}: {found}',
+            file=sys.stderr,
+            flush=True,
+        )
+    results.sort(key=lambda result: result.seed)
+    print(markdown_table([item for result in results for item in result.runs]))
+    print(f'written: {arguments.output / "consistency.json"}', file=sys.stderr)
+    return 0
+
+
+Declare = Callable[[argparse.ArgumentParser], None]
+Run = Callable[[argparse.Namespace], int]
+KINDS: dict[str, tuple[str, Declare, Run]] = {
+    'exploration': (
+        'explore a map with teams of simulated vehicles in the grid simulator',
+        _configure_exploration,
+        _run_exploration,
+    ),
+    'consistency': (
+        'compare the errors of a closed loop with their published covariance (NEES)',
+        _configure_consistency,
+        _run_consistency,
+    ),
+}

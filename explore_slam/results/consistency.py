@@ -19,6 +19,9 @@ from explore_slam.results.trajectory import MAX_GAP, Trajectory
 CHI_SQUARE_95_2D = 5.991
 # Smallest ratio of eigenvalues of a regular correlation matrix: below, rounding errors dominate.
 SINGULAR_RATIO = 1e-12
+# Variance (m², rad²) that counts as zero: the mean over particles of an exact pose has rounding
+# errors of 1e-16 m, any sensor an error above a micrometer.
+ZERO_VARIANCE = 1e-18
 
 
 @dataclass(frozen=True)
@@ -84,12 +87,13 @@ def estimation_errors(
     """Compare published estimates with ground truth interpolated to their stamps.
 
     Left out are estimates outside the ground truth or in a gap of more than max_gap (s), and
-    those before the first with a covariance other than zero: until then, the vehicle stands at
-    its given start pose and nothing is estimated.
+    those before the first with a variance above zero: until then, the vehicle stands at its given
+    start pose and nothing is estimated.
     """
     poses, valid = truth.at(estimates.stamps, max_gap)
-    uncertain = np.any(estimates.covariances != 0.0, axis=(1, 2))
-    valid = valid & (np.cumsum(uncertain) > 0)
+    variances = np.diagonal(estimates.covariances, axis1=1, axis2=2)
+    moved = np.any(variances > ZERO_VARIANCE, axis=1)
+    valid = valid & (np.cumsum(moved) > 0)
     errors = estimates.poses[valid] - poses[valid]
     errors[:, 2] = wrap_angles(errors[:, 2])
     return EstimationErrors(estimates.stamps[valid], errors, estimates.covariances[valid])
@@ -112,7 +116,7 @@ def _regular(covariances: Array) -> tuple[NDArray[np.bool_], Array]:
     Tested is the correlation matrix, which does not depend on the units of position and heading.
     """
     variances = np.diagonal(covariances, axis1=1, axis2=2)
-    regular = np.isfinite(covariances).all(axis=(1, 2)) & (variances > 0.0).all(axis=1)
+    regular = np.isfinite(covariances).all(axis=(1, 2)) & (variances > ZERO_VARIANCE).all(axis=1)
     deviations = np.sqrt(np.where(regular[:, None], variances, 1.0))
     values = np.linalg.eigvalsh(_correlation(covariances[regular], deviations[regular]))
     regular[regular] = values[:, 0] > SINGULAR_RATIO * values[:, -1]

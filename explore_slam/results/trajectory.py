@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from explore_slam.errors import EvaluationError
 from explore_slam.geometry import (
@@ -73,7 +73,7 @@ class Trajectory:
         """Time from the first to the last pose (s)."""
         return float(self.stamps[-1] - self.stamps[0]) if len(self) else 0.0
 
-    def at(self, stamps: ArrayLike, max_gap: float = MAX_GAP) -> tuple[Array, Array]:
+    def at(self, stamps: ArrayLike, max_gap: float = MAX_GAP) -> tuple[Array, NDArray[np.bool_]]:
         """Interpolate linearly, headings along the shorter arc; return poses (N, 3), valid (N,).
 
         Stamps outside the trajectory, or in a gap of more than max_gap (s), are not valid.

@@ -10,6 +10,7 @@ import numpy as np
 
 from explore_slam.agent import Agent, AgentConfig, TeamPlanner
 from explore_slam.data import LaserScan, OdometryReading, Plan, RgbdFrame
+from explore_slam.errors import EvaluationError
 from explore_slam.exploration import ExplorationStatus, PlanningResult
 from explore_slam.geometry import Pose2
 from explore_slam.results.reachable_area import ReachableArea
@@ -55,6 +56,11 @@ class ClosedLoop:
 
     def __post_init__(self) -> None:
         world = World.load(self.world_path)
+        if not 1 <= self.vehicles <= len(world.starts):
+            raise EvaluationError(
+                f'{self.world_path}: {self.vehicles} vehicles, expected 1 to {len(world.starts)} '
+                '(start poses of the world)'
+            )
         starts: dict[str, Pose2] = dict(list(world.starts.items())[: self.vehicles])
         self.simulator = Simulator(world, starts, self.config.simulation, self.seed)
         self.agent = Agent(self.config.agent, starts, self.seed)
