@@ -13,7 +13,7 @@ import numpy as np
 from explore_slam.data import Plan
 from explore_slam.geometry import Pose2
 from explore_slam.simulation.grid.grid_simulator import GridSimulator, warm_up
-from explore_slam.simulation.grid.grid_world import GridWorld
+from explore_slam.simulation.worlds.loading import load_grid_world
 
 SCAN_EVERY = 5  # ticks of 0.1 s
 
@@ -36,7 +36,7 @@ def main() -> None:
     parser.add_argument('--vehicles', type=int, nargs='+', default=[1, 2, 4, 8])
     parser.add_argument('--seconds', type=float, default=300.0)
     arguments = parser.parse_args()
-    world = GridWorld.load(arguments.map)
+    world = load_grid_world(arguments.map)
     warm_up()
     for count in arguments.vehicles:
         poses = world.start_poses(count, 0, 0.3)

@@ -16,12 +16,11 @@ import numpy as np
 from explore_slam.data import RgbdFrame
 from explore_slam.geometry import Pose2
 from explore_slam.settings import with_values
-from explore_slam.simulation import SimulationConfig, Simulator, World
+from explore_slam.simulation import SimulationConfig, Simulator, World, load_world, world_path
+from explore_slam.simulation.rendered.model import FLOOR, RenderedWorld, build_model
 from explore_slam.simulation.rendered.mujoco_import import mujoco
 from explore_slam.simulation.rendered.renderer import Renderer
-from explore_slam.simulation.rendered.scene import FLOOR, Scene, build_scene
 from explore_slam.simulation.worlds.obstacles import Obstacles
-from explore_slam.simulation.worlds.world import world_path
 from explore_slam.vision import FeatureExtractor, VisionConfig
 
 
@@ -37,24 +36,24 @@ def timed(work: Callable[[], Any], times: int) -> tuple[float, float]:
     )
 
 
-def place(scene: Scene, data: Any, pose: Pose2) -> None:
+def place(rendered: RenderedWorld, data: Any, pose: Pose2) -> None:
     """Move the first vehicle to a pose."""
     data.mocap_pos[0] = (pose.x, pose.y, 0.0)
     data.mocap_quat[0] = (math.cos(pose.theta / 2), 0.0, 0.0, math.sin(pose.theta / 2))
-    mujoco.mj_kinematics(scene.model, data)
-    mujoco.mj_camlight(scene.model, data)
+    mujoco.mj_kinematics(rendered.model, data)
+    mujoco.mj_camlight(rendered.model, data)
 
 
 def compare_passes(world: World) -> None:
     """Print the time of one pass beside that of two passes of mujoco.Renderer."""
     config = SimulationConfig()
-    scene = build_scene(world, ['a'], config)
-    data = mujoco.MjData(scene.model)
-    place(scene, data, next(iter(world.starts.values())))
-    ours = Renderer(scene)
+    rendered = build_model(world, ['a'], config)
+    data = mujoco.MjData(rendered.model)
+    place(rendered, data, next(iter(world.starts.values())))
+    ours = Renderer(rendered)
     one = timed(lambda: ours.render(data, 0), 40)
     ours.close()
-    theirs = mujoco.Renderer(scene.model, 480, 640)
+    theirs = mujoco.Renderer(rendered.model, 480, 640)
     options = mujoco.MjvOption()
     options.geomgroup[FLOOR] = 1
 
@@ -130,7 +129,7 @@ def main() -> None:
     parser.add_argument('--views', type=int, default=100)
     arguments = parser.parse_args()
     begun = time.perf_counter()
-    world = World.load(world_path(arguments.world))
+    world = load_world(world_path(arguments.world))
     Simulator(world).close()
     print(f'{world.name}: loaded and built in {time.perf_counter() - begun:.1f} s')
     compare_passes(world)

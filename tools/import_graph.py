@@ -31,7 +31,7 @@ LAYERS = (
     ('slam', 'mapping', 'exploration', 'vehicle'),
     ('registration', 'vision'),
     ('settings', 'data', 'mounts'),
-    ('geometry', 'errors', 'compiled', 'files'),
+    ('geometry', 'polyline', 'errors', 'compiled', 'files'),
 )
 
 

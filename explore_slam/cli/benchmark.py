@@ -125,7 +125,7 @@ def _configure_consistency(parser: argparse.ArgumentParser) -> None:
 
 def _run_consistency(arguments: argparse.Namespace) -> int:
     """Make the runs, report each as it ends, print the table."""
-    from explore_slam.simulation.worlds.world import world_path
+    from explore_slam.simulation import world_path
     from explore_slam.studies.consistency_study import (
         ConsistencyStudy,
         markdown_table,

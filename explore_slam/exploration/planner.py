@@ -28,11 +28,10 @@ from explore_slam.exploration.traffic import (
     Right,
     Traffic,
     Traveler,
-    along,
-    arc_lengths,
     remaining_path,
 )
 from explore_slam.geometry import Array, Pose2
+from explore_slam.polyline import arc_lengths, points_at
 
 LOGGER = logging.getLogger(__name__)
 FOLLOWS = 2.0  # m: a frontier whose target moved by no more is the same frontier, receding
@@ -85,7 +84,7 @@ class Planner:
             self._blockings[vehicle] = 0
         if task is not None and pose is not None:
             ahead = remaining_path(np.array(pose[:2]), task.path)
-            x, y = along(ahead, arc_lengths(ahead), np.array([BAR_AHEAD]))[0].tolist()
+            x, y = points_at(ahead, arc_lengths(ahead), np.array([BAR_AHEAD]))[0].tolist()
             self._bar(vehicle, (x, y), now)
 
     def _bar(self, vehicle: str, place: Point, now: float) -> None:

@@ -12,9 +12,10 @@ from explore_slam.exploration.config import ExplorationConfig
 from explore_slam.exploration.paths import search_path, shortcut
 from explore_slam.exploration.records import Cell, Frontier, Grid, Point, VehicleSnapshot
 from explore_slam.exploration.routes import Field, RouteGrid, block_size
-from explore_slam.exploration.traffic import Traveler, along, arc_lengths, stamp_disc
+from explore_slam.exploration.traffic import Traveler, stamp_disc
 from explore_slam.exploration.value_iteration import Costs, padded_costs, spread
 from explore_slam.geometry import Array, Pose2
+from explore_slam.polyline import arc_lengths, points_at
 
 BAR_RADIUS = 0.25  # m of what is barred around a place that could not be passed
 TRAIL_WIDTH = 0.15  # m beside a trail that are open too, so that a path can keep to the middle
@@ -86,7 +87,7 @@ class Scene:
         points, scale = np.array(trail), self.grid.resolution
         lengths = arc_lengths(points)
         at = np.append(np.arange(0.0, lengths[-1], 0.5 * scale), lengths[-1])
-        cells = self.grid.to_cell(along(points, lengths, at))
+        cells = self.grid.to_cell(points_at(points, lengths, at))
         radius = self.config.paths.vehicle_radius / scale
         distances = np.sqrt(np.arange(math.ceil(radius * radius) + 1))
         prices = tight_factor(np.minimum(distances, radius), radius)
@@ -223,7 +224,7 @@ class Scene:
         """Tell whether a path (W, 2) m is still free; its start may lie in a blocked cell."""
         lengths = arc_lengths(points)
         at = np.append(np.arange(0.0, lengths[-1], self.grid.resolution), lengths[-1])
-        cells = self.grid.to_cell(along(points, lengths, at))
+        cells = self.grid.to_cell(points_at(points, lengths, at))
         if not ((cells >= 0).all() and (cells < self.grid.shape).all()):
             return False
         free = np.isfinite(self.cost_of(name)[cells[:, 0], cells[:, 1]])
@@ -250,7 +251,7 @@ class Scene:
         reach = (separation + STOPPED_SHORT) / self.grid.resolution + 1.0
         for winner in winners:
             at = np.append(np.arange(0.0, winner.lengths[-1], 0.2), winner.lengths[-1])
-            cells = self.grid.to_cell(along(winner.points, winner.lengths, at))
+            cells = self.grid.to_cell(points_at(winner.points, winner.lengths, at))
             for row, col in cells.tolist():
                 stamp_disc(barred, row, col, reach)
         values[barred] = np.inf

@@ -8,8 +8,9 @@ import numpy as np
 from explore_slam.data import Plan
 from explore_slam.exploration.records import Point
 from explore_slam.exploration.scene import Scene
-from explore_slam.exploration.traffic import Grant, Right, Traveler, cut
+from explore_slam.exploration.traffic import Grant, Right, Traveler
 from explore_slam.geometry import Array, Pose2
+from explore_slam.polyline import truncated
 
 SAME_PLACE = 0.5  # m: targets this near to each other are the same
 WORTH = 0.3  # m: shorter paths up to a stop are not worth driving
@@ -52,7 +53,7 @@ def plan_by(
             task.right = Right.GO
             task.sent = make_plan(scene, name, traveler.points, task.look_at)
         return task.sent
-    part = cut(traveler.points, grant.limit)
+    part = truncated(traveler.points, grant.limit)
     length = float(np.hypot(*np.diff(part, axis=0).T).sum()) if len(part) > 1 else 0.0
     if length < WORTH:
         task.right, task.sent = Right.STOP, None

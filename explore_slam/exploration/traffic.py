@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from explore_slam.compiled import kernel
 from explore_slam.exploration.config import TrafficConfig
 from explore_slam.geometry import Array
+from explore_slam.polyline import arc_lengths, points_at, project
 
 STEP = 0.5  # s between the samples of a path in time
 LINGER = 3.0  # s for which a vehicle at its goal is still in the way; then it has another goal
@@ -55,38 +56,12 @@ class Traveler:
         self.lengths = arc_lengths(points)
 
 
-def arc_lengths(points: Array) -> Array:
-    """Return the length (W,) along a polyline (W, 2) at each of its points."""
-    steps = np.hypot(*np.diff(points, axis=0).T) if len(points) > 1 else np.empty(0)
-    return np.concatenate([[0.0], np.cumsum(steps)])
-
-
-def along(points: Array, lengths: Array, at: Array) -> Array:
-    """Return the points (N, 2) of a polyline at arc lengths (N,), its end beyond the last."""
-    return np.stack(
-        [np.interp(at, lengths, points[:, 0]), np.interp(at, lengths, points[:, 1])], axis=1
-    )
-
-
 def remaining_path(place: Array, waypoints: Array) -> Array:
     """Return the part of a path (W, 2) that is ahead of a place (2,), which becomes its start."""
     if len(waypoints) < 2:
         return np.vstack([place, waypoints])
-    first, step = waypoints[:-1], np.diff(waypoints, axis=0)
-    squared = np.maximum((step**2).sum(axis=1), 1e-12)
-    share = np.clip(((place - first) * step).sum(axis=1) / squared, 0.0, 1.0)
-    gaps = np.linalg.norm(first + share[:, None] * step - place, axis=1)
-    nearest = int(np.argmin(gaps))
+    nearest, _, _ = project(waypoints, place)
     return np.vstack([place, waypoints[nearest + 1 :]])
-
-
-def cut(points: Array, limit: float) -> Array:
-    """Return the polyline up to an arc length."""
-    lengths = arc_lengths(points)
-    if limit >= lengths[-1]:
-        return points
-    keep = points[lengths < limit]
-    return np.vstack([keep, along(points, lengths, np.array([limit]))])
 
 
 class Terrain(Protocol):
@@ -161,7 +136,7 @@ class Traffic:
         near = self.threshold(one, other)
         swept = self._dense(other, self._limit(granted))
         at = np.arange(0.0, min(one.lengths[-1], self._reach()) + 1e-9, 0.1)
-        own = along(one.points, one.lengths, at)
+        own = points_at(one.points, one.lengths, at)
         gaps = _gaps(own, swept)
         blocked = np.flatnonzero(gaps < near)
         if blocked.size == 0:
@@ -179,14 +154,16 @@ class Traffic:
     def _dense(self, traveler: Traveler, limit: float = math.inf) -> Array:
         """Return the path ahead within the horizon as points (N, 2) 0.1 m apart."""
         end = min(traveler.lengths[-1], self._reach(), limit)
-        return along(traveler.points, traveler.lengths, np.append(np.arange(0.0, end, 0.1), end))
+        return points_at(
+            traveler.points, traveler.lengths, np.append(np.arange(0.0, end, 0.1), end)
+        )
 
     def _rolled_out(self, traveler: Traveler, limit: float) -> Array:
         """Return places (T, 2) at time steps, NaN once LINGER has passed at the goal."""
         times = np.arange(0.0, self.config.traffic_horizon + 1e-9, STEP)
         end = min(traveler.lengths[-1], limit)
         at = np.minimum(times * self.config.nominal_speed, end)
-        places = along(traveler.points, traveler.lengths, at)
+        places = points_at(traveler.points, traveler.lengths, at)
         if traveler.path is not None and limit >= traveler.lengths[-1]:
             places[times > end / self.config.nominal_speed + LINGER] = np.nan
         return places
@@ -218,7 +195,7 @@ class Traffic:
             if grants[name].right is Right.RETREAT or one.path is None:
                 continue
             at = np.arange(0.0, min(one.lengths[-1], self._reach()) + 1e-9, 0.1)
-            own = along(one.points, one.lengths, at)
+            own = points_at(one.points, one.lengths, at)
             for other_name in order[index + 1 :]:
                 other, right = now[other_name], grants[other_name]
                 if right.right is Right.GO and other.path is not None:

@@ -34,8 +34,7 @@ from explore_slam.results.reachable_area import ReachableArea
 from explore_slam.results.run_data import RunData, RunRecorder
 from explore_slam.results.run_folder import RunFolder
 from explore_slam.settings import load_settings, save_settings, with_values
-from explore_slam.simulation import World
-from explore_slam.simulation.worlds.world import world_path
+from explore_slam.simulation import load_world, world_path
 
 ENDS = ('exploration_complete', 'returned_to_origin')
 SETTLE = 3.0  # wall s to wait for the last results
@@ -70,7 +69,7 @@ class LiveRun:
 
     def __init__(self, options: LiveRunOptions, runs: Path) -> None:
         self.options = options
-        self.world = World.load(world_path(options.world))
+        self.world = load_world(world_path(options.world))
         self.starts = self._starts()
         self.config = self._config()
         radius = self.config.agent.exploration.paths.vehicle_radius

@@ -12,6 +12,7 @@ base, motion, images, clouds, maps                      conversions
 
 from explore_slam.messages.base import (
     MessageFactory,
+    camera_transform_message,
     covariance_message,
     header,
     planar_covariance,
@@ -46,6 +47,7 @@ from explore_slam.messages.scans import scan_message, scan_record
 __all__ = [
     'MessageFactory',
     'camera_info_message',
+    'camera_transform_message',
     'cloud_columns',
     'cloud_message',
     'color_array',

@@ -11,13 +11,16 @@ from explore_slam.geometry import (
     Array,
     Pose2,
     Quaternion,
+    multiply_quaternions,
+    quaternion_from_rotation,
     quaternion_from_yaw,
+    rotation_matrix,
     yaw_from_quaternion,
 )
+from explore_slam.mounts import CameraMountConfig
 
 # body frame (x forward, y left, z up) -> optical frame (x right, y down, z forward), REP-103
 OPTICAL: Quaternion = (-0.5, 0.5, -0.5, 0.5)
-IDENTITY_ROTATION: Quaternion = (0.0, 0.0, 0.0, 1.0)
 # rows and columns of x, y and yaw in a 6 x 6 covariance (x, y, z, roll, pitch, yaw)
 PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
 NANOSECONDS = 10**9  # in a second
@@ -108,6 +111,16 @@ def planar_transform_message(
     """Return a geometry_msgs/TransformStamped of a pose in the plane."""
     rotation = quaternion_from_yaw(pose.theta)
     return transform_message(factory, stamp, frame, child, (pose.x, pose.y, 0.0), rotation)
+
+
+def camera_transform_message(
+    factory: MessageFactory, stamp: float, frame: str, child: str, mount: CameraMountConfig
+) -> Any:
+    """Return a geometry_msgs/TransformStamped of a camera's optical frame on a vehicle."""
+    body = rotation_matrix(mount.camera_roll, mount.camera_pitch, mount.camera_yaw)
+    rotation = multiply_quaternions(quaternion_from_rotation(body), OPTICAL)
+    place = (mount.camera_x, mount.camera_y, mount.camera_z)
+    return transform_message(factory, stamp, frame, child, place, rotation)
 
 
 def planar_covariance(values: Any) -> Array:

@@ -11,25 +11,21 @@ from sensor_msgs.msg import BatteryState
 from std_msgs.msg import Bool
 
 from explore_slam.data import LaserScan, RgbdFrame
-from explore_slam.geometry import multiply_quaternions, quaternion_from_rotation, rotation_matrix
 from explore_slam.messages import (
+    camera_transform_message,
     cloud_message,
     odometry_message,
     planar_transform_message,
     scan_message,
     time_message,
-    transform_message,
 )
-from explore_slam.messages.base import OPTICAL
 from explore_slam.messages.frame_pairing import frame_messages
 from explore_slam.messages.frames import FrameNames
 from explore_slam.messages.topics import GlobalTopic, Topic, TopicKind, VehicleTopic
-from explore_slam.mounts import CameraMountConfig
 from explore_slam.nodes.endpoints import TransformBroadcaster, publisher
 from explore_slam.nodes.node_support import diagnostics_message, now_seconds
 from explore_slam.nodes.ros_types import MESSAGES
 from explore_slam.vehicle import BaseState, DriverConfig
-from explore_slam.vehicle.safety import sonar_points
 
 # V; approximate voltages of an empty and of a full lead-acid battery of 12 V
 _BATTERY_EMPTY, _BATTERY_FULL = 11.0, 12.8
@@ -80,7 +76,7 @@ class DriverOutputs:
 
     def publish_state(self, state: BaseState, with_sonar: bool) -> None:
         """Publish odometry, its transform, sonar, battery and the state of the motors."""
-        frames, status, reading = self._frames, state.status, state.odometry
+        frames, reading = self._frames, state.odometry
         velocity = (state.linear, state.angular)
         self._out[TopicKind.ODOMETRY].publish(
             odometry_message(MESSAGES, reading, frames.odom, frames.base, velocity)
@@ -91,27 +87,27 @@ class DriverOutputs:
                     MESSAGES, reading.stamp, frames.odom, frames.base, reading.pose
                 )
             )
-        if with_sonar and state.sonar:
-            points = sonar_points(state.sonar)
+        if with_sonar and state.sonar_points is not None:
+            points = state.sonar_points
             zeros = np.zeros(len(points))
             columns = [('x', points[:, 0]), ('y', points[:, 1]), ('z', zeros)]
             self._out[VehicleTopic.SONAR].publish(
                 cloud_message(MESSAGES, reading.stamp, frames.base, columns)
             )
         self._out[VehicleTopic.BATTERY].publish(self._battery_message(state))
-        self._out[VehicleTopic.MOTORS_ON].publish(Bool(data=status.motors_on))
+        self._out[VehicleTopic.MOTORS_ON].publish(Bool(data=state.motors_on))
         self.base_values = {
-            'battery_V': status.battery,
-            'motors_on': status.motors_on,
-            'emergency_stop': status.emergency_stop,
+            'battery_V': state.battery,
+            'motors_on': state.motors_on,
+            'emergency_stop': state.emergency_stop,
             'stalled': state.stalled,
-            'front_bumpers': f'{status.front_bumpers:b}',
-            'rear_bumpers': f'{status.rear_bumpers:b}',
-            'faults': status.faults,
+            'front_bumpers': f'{state.front_bumpers:b}',
+            'rear_bumpers': f'{state.rear_bumpers:b}',
+            'faults': state.faults,
         }
 
     def _battery_message(self, state: BaseState) -> BatteryState:
-        voltage = state.status.battery
+        voltage = state.battery
         message = BatteryState()
         message.header.stamp = time_message(MESSAGES, state.odometry.stamp)
         message.header.frame_id = self._frames.base
@@ -124,7 +120,7 @@ class DriverOutputs:
         message.present = True
         message.power_supply_status = (
             BatteryState.POWER_SUPPLY_STATUS_CHARGING
-            if state.status.charge_state
+            if state.charging
             else BatteryState.POWER_SUPPLY_STATUS_DISCHARGING
         )
         return message
@@ -153,12 +149,9 @@ class DriverOutputs:
                 )
             )
         if config.camera.use_camera:
-            mounts.append(_camera_transform(stamp, frames, config.camera.camera_mount))
+            mounts.append(
+                camera_transform_message(
+                    MESSAGES, stamp, frames.base, frames.camera, config.camera_mount
+                )
+            )
         transforms.send_static(mounts)
-
-
-def _camera_transform(stamp: float, frames: FrameNames, mount: CameraMountConfig) -> Any:
-    body = rotation_matrix(mount.camera_roll, mount.camera_pitch, mount.camera_yaw)
-    rotation = multiply_quaternions(quaternion_from_rotation(body), OPTICAL)
-    place = (mount.camera_x, mount.camera_y, mount.camera_z)
-    return transform_message(MESSAGES, stamp, frames.base, frames.camera, place, rotation)

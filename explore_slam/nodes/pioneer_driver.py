@@ -1,6 +1,7 @@
 """Node `pioneer_driver`: base, laser and camera of one vehicle on relative topics.
 
-Each device runs in a thread of its own and can be switched off (use_base, use_laser, use_camera).
+Each device runs in a thread of its own. base_type, laser_type and camera_type select the devices,
+use_base, use_laser and use_camera switch them off.
 Velocities pass the safety gate in the thread of the base, not in the executor's: even while the
 executor is busy, the vehicle stops when commands or laser scans cease.
 """
@@ -40,25 +41,28 @@ from explore_slam.nodes.node_support import (
     run_node,
     vehicle_name,
 )
+from explore_slam.settings import values_of
 from explore_slam.vehicle import (
     BaseState,
-    Kinect,
-    Lms200,
-    PioneerRobot,
+    Device,
+    SafetyConfig,
     SafetyGate,
     SafetyInputs,
+    SafeVelocity,
     Supervisor,
+    make_base,
+    make_camera,
+    make_laser,
+    scan_points,
 )
 from explore_slam.vehicle.dead_reckoning import DeadReckoning
-from explore_slam.vehicle.safety import SafeVelocity, sonar_points
 
-CONTROL_PERIOD = 0.02  # s
-_MOTOR_GRACE = 1.0  # s for the status to show that motors were switched on
-_SAFETY_SETTINGS = {
-    'command_timeout', 'laser_timeout', 'driver_obstacle_stop', 'sonar_stop', 'guard_distance',
-    'guard_half_width', 'guard_length', 'guard_acceleration', 'guard_deceleration',
-    'guard_turn_acceleration', 'use_sim_time',
-}  # fmt: skip
+CONTROL_PERIOD = 0.02  # s between velocities sent to the base
+_REPORT_PERIOD = 1.0  # s between diagnostics
+_MOTOR_GRACE = 1.0  # s until a base reports that its motors were switched on
+_BASE_STOP_TIMEOUT, _STOP_TIMEOUT = 3.0, 1.0  # s for a device to close; a base brakes first
+_NO_POINTS = np.empty((0, 2))
+_CHANGEABLE = {*values_of(SafetyConfig()), 'use_sim_time'}  # while the node runs
 
 
 class PioneerDriverNode(Node):
@@ -74,62 +78,56 @@ class PioneerDriverNode(Node):
         frames = self.config.frames(vehicle_name(self))
         self.outputs = DriverOutputs(self, frames, driver, self.config.publish_tf)
         self._laser_pose = driver.laser_mount.pose
-        base = driver.base
-        self._gate = SafetyGate(driver.safety, base.maximum_speed, base.maximum_turn_rate)
+        limits = driver.base.maximum_speed, driver.base.maximum_turn_rate
+        self._gate = SafetyGate(driver.safety, *limits)
         self._inputs = SafetyInputs()
         self._reckoning = DeadReckoning()
-        self._seen: tuple[float, Any] = (0.0, np.empty((0, 2)))  # stamp of a scan, its points
+        self._seen: tuple[float, Any] = (0.0, _NO_POINTS)  # stamp and points of the newest scan
         self._safe = SafeVelocity(0.0, 0.0, 'base not connected')
         self._lock = threading.Lock()
-        self._motors_wanted: bool | None = None  # None: nobody has said yet
+        self._motors_wanted: bool | None = None  # None before the first connection
         self._motors_asked = 0.0
         self._watched_scan = -np.inf
         self._latency = {'base': Latency(), 'laser': Latency(), 'camera': Latency()}
-        self.robot, self.laser, self.camera = self._make_devices()
-        self.parts = self._make_parts()
+        self.base = make_base(driver, self._clock_seconds)
+        self.laser = make_laser(driver, self._clock_seconds)
+        self.camera = make_camera(driver, self._clock_seconds)
+        self.supervisors = self._make_supervisors()
         self._subscribe()
-        for part in self.parts.values():
-            part.start()
+        for supervisor in self.supervisors.values():
+            supervisor.start()
 
-    # -- wiring ----------------------------------------------------------------------------------
+    # -- setup -----------------------------------------------------------------------------------
 
     def _clock_seconds(self) -> float:
         return now_seconds(self)
 
-    def _make_devices(self) -> tuple[PioneerRobot | None, Lms200 | None, Kinect | None]:
-        driver, clock = self.config.driver, self._clock_seconds
-        return (
-            PioneerRobot(driver.base, clock) if driver.base.use_base else None,
-            Lms200(driver.laser, clock) if driver.laser.use_laser else None,
-            Kinect(driver.camera, clock) if driver.camera.use_camera else None,
-        )
-
-    def _make_parts(self) -> dict[str, Supervisor]:
+    def _make_supervisors(self) -> dict[str, Supervisor]:
         retry = self.config.driver.retry_after
-        parts = {}
-        if self.robot is not None:
-            parts['base'] = Supervisor(
-                'base', self.robot, self._on_state, on_connected=self._on_base_connected,
-                on_turn=self._control, retry_after=retry, poll_timeout=CONTROL_PERIOD,
+        made = {}
+        if self.base is not None:
+            made['base'] = Supervisor(
+                'base', self.base, self._on_state, on_connected=self._on_base_connected,
+                on_poll=self._control, retry_after=retry, poll_timeout=CONTROL_PERIOD,
             )  # fmt: skip
         if self.laser is not None:
-            parts['laser'] = Supervisor('laser', self.laser, self._on_scan, retry_after=retry)
+            made['laser'] = Supervisor('laser', self.laser, self._on_scan, retry_after=retry)
         if self.camera is not None:
-            parts['camera'] = Supervisor('camera', self.camera, self._on_frame, retry_after=retry)
-        return parts
+            made['camera'] = Supervisor('camera', self.camera, self._on_frame, retry_after=retry)
+        return made
 
     def _subscribe(self) -> None:
-        if self.robot is not None:
+        if self.base is not None:
             subscribe(self, VehicleTopic.VELOCITY_COMMAND, self._on_velocity)
             self.create_service(SetBool, 'enable_motors', self._on_enable_motors)
         if self.laser is None and self.config.watch_scan_topic:
             subscribe(self, TopicKind.SCAN, self._on_watched_scan)
         self.add_on_set_parameters_callback(self._on_parameters)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(1.0, self._report, clock=steady)
+        self.create_timer(_REPORT_PERIOD, self._report, clock=steady)
 
     def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        fixed = [item.name for item in parameters if item.name not in _SAFETY_SETTINGS]
+        fixed = [item.name for item in parameters if item.name not in _CHANGEABLE]
         if fixed:
             reason = f'{", ".join(fixed)}: set at start only'
             return SetParametersResult(successful=False, reason=reason)
@@ -138,7 +136,7 @@ class PioneerDriverNode(Node):
             self._gate.config = self.config.driver.safety
         return result
 
-    # -- from ROS --------------------------------------------------------------------------------
+    # -- callbacks -------------------------------------------------------------------------------
 
     def _on_velocity(self, message: Twist) -> None:
         with self._lock:
@@ -147,13 +145,11 @@ class PioneerDriverNode(Node):
     def _on_enable_motors(self, request: Any, response: Any) -> Any:
         with self._lock:
             self._motors_wanted = bool(request.data)
-            self._motors_asked = 0.0  # the base's thread will ask
-        connected = self.parts['base'].health.connected
-        response.success = connected
+            self._motors_asked = 0.0  # the thread of the base passes it on
+        health = self.supervisors['base'].health
+        response.success = health.connected
         word = 'on' if request.data else 'off'
-        response.message = (
-            f'motors are switched {word}' if connected else self.parts['base'].health.message
-        )
+        response.message = f'motors are switched {word}' if health.connected else health.message
         return response
 
     def _on_watched_scan(self, message: ScanMessage) -> None:
@@ -163,7 +159,7 @@ class PioneerDriverNode(Node):
         except DataError as error:
             self.get_logger().warning(f'scan: {error}', throttle_duration_sec=5.0)
 
-    # -- in the base's thread --------------------------------------------------------------------
+    # -- thread of the base ----------------------------------------------------------------------
 
     def _on_base_connected(self) -> None:
         first = self._motors_wanted is None
@@ -181,52 +177,53 @@ class PioneerDriverNode(Node):
     def _on_state(self, state: BaseState) -> None:
         with self._lock:
             inputs = self._inputs
-            inputs.bumpers_front = bool(state.status.front_bumpers)
-            inputs.bumpers_rear = bool(state.status.rear_bumpers)
+            inputs.bumpers_front = bool(state.front_bumpers)
+            inputs.bumpers_rear = bool(state.rear_bumpers)
             inputs.stalled = state.stalled
-            inputs.emergency_stop = state.status.emergency_stop
-            inputs.sonar_points = sonar_points(state.sonar)
+            inputs.emergency_stop = state.emergency_stop
+            inputs.sonar_points = _NO_POINTS if state.sonar_points is None else state.sonar_points
             self._reckoning.add_odometry(state.odometry)
         self.outputs.publish_state(state, self.config.driver.base.use_sonar)
         self._latency['base'].add(now_seconds(self) - state.received)
-        self._watch_motors(state.status.motors_on)
+        self._watch_motors(state.motors_on)
 
     def _watch_motors(self, on: bool) -> None:
-        """Ask for the motors that are wanted; give in where the robot says otherwise later."""
-        assert self.robot is not None
+        """Switch the motors as requested; accept that they are switched off at the robot later."""
+        assert self.base is not None
         now = time.monotonic()
         if self._motors_asked == 0.0:
             self._motors_asked = now
-            self.robot.enable_motors(bool(self._motors_wanted))
+            self.base.enable_motors(bool(self._motors_wanted))
         elif self._motors_wanted and not on and now - self._motors_asked > _MOTOR_GRACE:
             self._motors_wanted = False
             self.get_logger().warning(
-                'base: motors were switched off at the robot; call enable_motors to go on'
+                'base: motors were switched off at the robot; call enable_motors to continue'
             )
 
     def _control(self) -> None:
-        assert self.robot is not None
+        """Send the velocity that the safety gate allows."""
+        assert self.base is not None
         now = time.monotonic()
         with self._lock:
             inputs = self._inputs
-            inputs.connected = self.parts['base'].health.connected
+            inputs.connected = self.supervisors['base'].health.connected
             if self.laser is not None:
                 inputs.laser_heard = self.laser.heard
             elif self.config.watch_scan_topic:
                 inputs.laser_heard = self._watched_scan
             inputs.laser_points = self._points_now()
             self._safe = self._gate.update(inputs, now)
-        self.robot.set_velocity(self._safe.linear, self._safe.angular)
+        self.base.set_velocity(self._safe.linear, self._safe.angular)
 
     def _points_now(self) -> Any:
-        """Return what the last scan hit in the vehicle's present frame: scans come 0.2 s late."""
+        """Return the newest scan's points in the present vehicle frame: it is 0.2 s old."""
         stamp, points = self._seen
         moved = self._reckoning.odometry_at(now_seconds(self)).between(
             self._reckoning.odometry_at(stamp)
         )
         return to_world(moved, points)
 
-    # -- in the other parts' threads -------------------------------------------------------------
+    # -- threads of laser and camera -------------------------------------------------------------
 
     def _on_scan(self, scan: LaserScan) -> None:
         self.outputs.publish_scan(scan)
@@ -235,7 +232,7 @@ class PioneerDriverNode(Node):
         self._keep_points(scan)
 
     def _keep_points(self, scan: LaserScan) -> None:
-        points = SafetyGate.points_of(scan, self._laser_pose)
+        points = scan_points(scan, self._laser_pose)
         with self._lock:
             self._seen = (scan.stamp, points)
 
@@ -247,8 +244,8 @@ class PioneerDriverNode(Node):
 
     def _report(self) -> None:
         parts: dict[str, Any] = {}
-        for name, part in self.parts.items():
-            health = part.health
+        for name, supervisor in self.supervisors.items():
+            health = supervisor.health
             values = {
                 'connected': health.connected,
                 'records': health.records,
@@ -257,41 +254,28 @@ class PioneerDriverNode(Node):
                 **self._latency[name].summary(),
             }
             level = OK if health.connected else ERROR
-            parts[name] = (level, health.message, {**values, **self._details(name)})
-        if self.robot is not None:
+            parts[name] = (level, health.message, {**values, **self._statistics(name)})
+        if self.base is not None:
             reason = self._safe.reason
             values = {'linear_m_s': self._safe.linear, 'angular_rad_s': self._safe.angular}
             values['motors_wanted'] = bool(self._motors_wanted)
             parts['safety'] = (WARN if reason else OK, reason or 'as commanded', values)
         self.outputs.publish_diagnostics(parts)
 
-    def _details(self, name: str) -> dict[str, Any]:
-        if name == 'base' and self.robot is not None:
-            return {
-                'packets': self.robot.packets,
-                'rejected': self.robot.rejected,
-                'baud': self.robot.last_baud,
-                **self.outputs.base_values,
-            }
-        if name == 'laser' and self.laser is not None:
-            status = self.laser.status
-            return {
-                'scans': self.laser.scans,
-                'rejected': self.laser.rejected,
-                'unusable': self.laser.unusable,
-                'severity': status.severity,
-                'polluted': status.polluted,
-            }
-        if name == 'camera' and self.camera is not None:
-            return {'frames': self.camera.frames, 'unpaired': self.camera.pairing.unpaired}
-        return {}
+    def _statistics(self, name: str) -> dict[str, Any]:
+        devices: dict[str, Device[Any] | None] = {
+            'base': self.base, 'laser': self.laser, 'camera': self.camera,
+        }  # fmt: skip
+        device = devices[name]
+        own = device.statistics() if device is not None else {}
+        return {**own, **self.outputs.base_values} if name == 'base' else own
 
     def stop(self) -> None:
         """Bring the vehicle to rest, switch its motors off, release all devices."""
         with self._lock:
             self._gate.command(0.0, 0.0, time.monotonic())
-        for part in self.parts.values():
-            part.stop(timeout=3.0 if part.name == 'base' else 1.0)
+        for name, supervisor in self.supervisors.items():
+            supervisor.stop(timeout=_BASE_STOP_TIMEOUT if name == 'base' else _STOP_TIMEOUT)
         logging.getLogger('explore_slam').removeHandler(self._log_handler)
 
 

@@ -37,9 +37,14 @@ from explore_slam.nodes.node_support import (
 from explore_slam.nodes.simulation_pace import Pace, PaceConfig
 from explore_slam.nodes.simulator_outputs import VehicleOutputs, clock_message
 from explore_slam.settings import Section, section, setting
-from explore_slam.simulation import SimulationConfig, Simulator, World
+from explore_slam.simulation import (
+    SimulationConfig,
+    Simulator,
+    World,
+    load_world,
+    world_path,
+)
 from explore_slam.simulation.emulators.hardware_bridge import HardwareBridge
-from explore_slam.simulation.worlds.world import world_path
 
 REPORT_PERIOD = 1.0  # wall s between diagnostics
 CLOCK_REPEAT = 0.02  # wall s after which /clock is repeated while time is held
@@ -138,7 +143,7 @@ class SimulatorNode(Node):
         )
 
     def _make_simulator(self) -> Simulator:
-        world = World.load(world_path(self.config.world))
+        world = load_world(world_path(self.config.world))
         starts = self.config.starts(world)
         return Simulator(world, starts, self.config.simulation, self.config.seed)
 
@@ -201,7 +206,7 @@ class SimulatorNode(Node):
             self._apply_commands()
             for event in simulator.step():
                 velocity = simulator.velocity(event.vehicle)
-                if self._hardware is None or not self._hardware.take(event, velocity):
+                if self._hardware is None or not self._hardware.forward(event, velocity):
                     self._outputs[event.vehicle].publish(event, velocity)
             if self._hardware is not None:
                 self._hardware.advance(simulator.time)

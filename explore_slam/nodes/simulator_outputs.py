@@ -4,14 +4,15 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
 from explore_slam.data import LaserScan, OdometryReading, RgbdFrame
+from explore_slam.geometry import quaternion_from_yaw
 from explore_slam.messages import (
+    camera_transform_message,
     odometry_message,
     planar_transform_message,
     scan_message,
     time_message,
     transform_message,
 )
-from explore_slam.messages.base import IDENTITY_ROTATION, OPTICAL
 from explore_slam.messages.frame_pairing import frame_messages
 from explore_slam.messages.frames import FrameNames
 from explore_slam.messages.topics import TopicKind
@@ -61,16 +62,16 @@ class VehicleOutputs:
 
     def publish_mounts(self, config: SimulationConfig) -> None:
         """Publish the static transforms of laser and camera."""
-        laser, kinect, frames = config.laser, config.kinect, self._frames
+        laser, frames = config.laser_mount.pose, self._frames
         self._transforms.send_static(
             [
                 transform_message(
                     MESSAGES, 0.0, frames.base, frames.laser,
-                    (laser.simulated_laser_x, 0.0, laser.simulated_laser_z), IDENTITY_ROTATION,
+                    (laser.x, laser.y, config.laser.simulated_laser_z),
+                    quaternion_from_yaw(laser.theta),
                 ),
-                transform_message(
-                    MESSAGES, 0.0, frames.base, frames.camera,
-                    (kinect.simulated_camera_x, 0.0, kinect.simulated_camera_z), OPTICAL,
+                camera_transform_message(
+                    MESSAGES, 0.0, frames.base, frames.camera, config.camera_mount
                 ),
             ]
         )  # fmt: skip

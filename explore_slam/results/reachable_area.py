@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from explore_slam.errors import EvaluationError
 from explore_slam.geometry import Array, Pose2
-from explore_slam.simulation.grid.grid_world import GridWorld
+from explore_slam.simulation.worlds.grid_world import GridWorld
+from explore_slam.simulation.worlds.loading import load_grid_world
 
 
 class ReachableArea:
@@ -32,7 +33,7 @@ class ReachableArea:
     @classmethod
     def of_file(cls, path: Path, starts: Iterable[Pose2], radius: float) -> 'ReachableArea':
         """Read a world file or a map_server map."""
-        return cls(GridWorld.load(path), starts, radius)
+        return cls(load_grid_world(path), starts, radius)
 
     def explored_fraction(
         self, known: NDArray[np.bool_], resolution: float, origin: tuple[float, float]

@@ -1,13 +1,14 @@
-"""Simulated vehicles in a world; see doc/architecture.
+"""Simulated vehicles: a rendered simulator, a grid simulator, emulators of vehicle hardware.
 
-`World` and the grid world need nothing special; `Simulator` imports MuJoCo, and only when it is
-asked for.
+Importing this package does not import MuJoCo; accessing `Simulator` does.
 """
 
 from typing import TYPE_CHECKING, Any
 
 from explore_slam.simulation.config import SimulationConfig
+from explore_slam.simulation.grid.grid_simulator import warm_up
 from explore_slam.simulation.records import Collision, SimEvent, TruePose
+from explore_slam.simulation.worlds.loading import load_grid_world, load_world, world_path
 from explore_slam.simulation.worlds.world import World
 
 if TYPE_CHECKING:
@@ -20,20 +21,17 @@ __all__ = [
     'Simulator',
     'TruePose',
     'World',
+    'load_grid_world',
+    'load_world',
     'warm_up',
+    'world_path',
 ]
 
 
 def __getattr__(name: str) -> Any:
+    """Import `Simulator` on first access (PEP 562)."""
     if name == 'Simulator':
         from explore_slam.simulation.rendered.simulator import Simulator
 
         return Simulator
     raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
-
-
-def warm_up() -> None:
-    """Compile the kernels of the grid world, or read them from the cache."""
-    from explore_slam.simulation.grid import grid_simulator
-
-    grid_simulator.warm_up()

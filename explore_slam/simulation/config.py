@@ -1,116 +1,119 @@
-"""Settings of the simulated vehicles and their sensors (a Pioneer 3DX, LMS-200, Kinect)."""
+"""Settings of the rendered simulator: bases, lasers and cameras of its vehicles.
+
+Defaults are a Pioneer 3-DX with a SICK LMS-200 and a Kinect v1.
+"""
 
 from dataclasses import dataclass
 
+from explore_slam.mounts import CameraMountConfig, LaserMountConfig
 from explore_slam.settings import Section, section, setting
 
 
 @dataclass(frozen=True)
 class SimulatedBaseConfig(Section):
-    """The differential drive base; defaults are those of a Pioneer 3DX."""
+    """The differential drive."""
 
     simulated_radius: float = setting(
-        0.26, 'circle that holds the body of a vehicle', unit='m', low=0.05, high=2.0
-    )
+        0.26, 'Radius of the circle that contains the body and collides', unit='m',
+        low=0.05, high=2.0, tier='basic',
+    )  # fmt: skip
     simulated_max_speed: float = setting(
-        0.75, 'fastest the base drives, whatever is commanded', unit='m/s', low=0.01, high=5.0
-    )
+        0.75, 'Maximum speed, whatever is commanded', unit='m/s', low=0.01, high=5.0,
+        tier='basic',
+    )  # fmt: skip
     simulated_max_turn_rate: float = setting(
-        1.75, 'fastest the base turns, whatever is commanded', unit='rad/s', low=0.01, high=10.0
+        1.75, 'Maximum turn rate, whatever is commanded', unit='rad/s', low=0.01, high=10.0
     )
     simulated_acceleration: float = setting(
-        0.8, 'change of speed per second that the motors manage', unit='m/s²', low=0.01, high=20.0
+        0.8, 'Acceleration and deceleration', unit='m/s²', low=0.01, high=20.0
     )
     simulated_turn_acceleration: float = setting(
-        3.5, 'change of turn rate per second that the motors manage', unit='rad/s²',
-        low=0.01, high=50.0,
-    )  # fmt: skip
+        3.5, 'Angular acceleration', unit='rad/s²', low=0.01, high=50.0
+    )
 
 
 @dataclass(frozen=True)
 class SimulatedOdometryConfig(Section):
-    """Wheel odometry: its variance grows with what is driven (see odometry.py for table I)."""
+    """Wheel odometry with the noise of the paper's table I (rendered/base.py)."""
 
     simulated_odometry_rate: float = setting(
-        20.0, 'odometry readings per second', unit='Hz', low=0.5, high=200.0
+        20.0, 'Rate of odometry readings', unit='Hz', low=0.5, high=200.0
     )
     simulated_distance_variance: float = setting(
-        3.125e-4, 'variance of the driven distance', unit='m² per m', low=0.0, high=1.0
+        3.125e-4, 'Variance of the driven distance', unit='m² per m', low=0.0, high=1.0
     )
     simulated_drift_variance: float = setting(
-        1.371e-3, 'variance of the heading from driving', unit='rad² per m', low=0.0, high=1.0
-    )
+        1.371e-3, 'Variance of the heading per driven distance', unit='rad² per m',
+        low=0.0, high=1.0,
+    )  # fmt: skip
     simulated_turn_variance: float = setting(
-        4.363e-4, 'variance of the heading from turning', unit='rad² per rad', low=0.0, high=1.0
+        4.363e-4, 'Variance of the heading per rotation', unit='rad² per rad', low=0.0, high=1.0
     )
 
 
 @dataclass(frozen=True)
 class SimulatedLaserConfig(Section):
-    """The laser scanner; defaults are those of a SICK LMS-200 (180 degrees at 0.5)."""
+    """The laser scanner; its pose in the plane is a LaserMountConfig."""
 
     simulated_scan_rate: float = setting(
-        10.0, 'scans per second; 0 switches the laser off', unit='Hz', low=0.0, high=100.0
-    )
-    simulated_beams: int = setting(361, 'beams of a scan', low=2, high=4000)
+        10.0, 'Rate of scans; 0 switches the laser off', unit='Hz', low=0.0, high=100.0,
+        tier='basic',
+    )  # fmt: skip
+    simulated_beams: int = setting(361, 'Beams of a scan', low=2, high=4000)
     simulated_field_of_view: float = setting(
-        180.0, 'angle from the first to the last beam', unit='degrees', low=1.0, high=360.0
+        180.0, 'Angle between the first and the last beam', unit='degrees', low=1.0, high=360.0
     )
-    simulated_scan_range: float = setting(8.0, 'farthest return', unit='m', low=0.5, high=100.0)
+    simulated_scan_range: float = setting(
+        8.0, 'Maximum range', unit='m', low=0.5, high=100.0, tier='basic'
+    )
     simulated_scan_noise: float = setting(
-        0.01, 'standard deviation of a range', unit='m', low=0.0, high=1.0
+        0.01, 'Standard deviation of a range', unit='m', low=0.0, high=1.0
     )
-    simulated_laser_x: float = setting(
-        0.1, 'laser ahead of the vehicle origin', unit='m', low=-1.0, high=1.0
-    )
-    simulated_laser_z: float = setting(0.3, 'laser above the ground', unit='m', low=0.02, high=3.0)
+    simulated_laser_z: float = setting(0.3, 'Laser above the ground', unit='m', low=0.02, high=3.0)
 
 
 @dataclass(frozen=True)
 class SimulatedKinectConfig(Section):
-    """The RGB-D camera; defaults are those of a Kinect v1 in registered mode."""
+    """The RGB-D camera, registered; its pose is a CameraMountConfig."""
 
     simulated_camera_rate: float = setting(
-        4.0, 'RGB-D frames per second; 0 switches the camera off', unit='Hz', low=0.0, high=60.0
-    )
+        4.0, 'Rate of RGB-D frames; 0 switches the camera off', unit='Hz', low=0.0, high=60.0,
+        tier='basic',
+    )  # fmt: skip
     simulated_image_width: int = setting(
-        640, 'columns of the images', unit='pixels', low=16, high=4096
+        640, 'Columns of the images', unit='pixels', low=16, high=4096
     )
     simulated_image_height: int = setting(
-        480, 'rows of the images', unit='pixels', low=16, high=4096
+        480, 'Rows of the images', unit='pixels', low=16, high=4096
     )
     simulated_camera_angle: float = setting(
-        57.0, 'horizontal field of view', unit='degrees', low=10.0, high=120.0
+        57.0, 'Horizontal field of view', unit='degrees', low=10.0, high=120.0
     )
     simulated_min_depth: float = setting(
-        0.8, 'nearest depth that the camera measures', unit='m', low=0.1, high=20.0
+        0.8, 'Minimum measured depth', unit='m', low=0.1, high=20.0
     )
     simulated_max_depth: float = setting(
-        3.5, 'farthest depth that the camera measures', unit='m', low=0.2, high=20.0
+        3.5, 'Maximum measured depth', unit='m', low=0.2, high=20.0
     )
     simulated_depth_noise: float = setting(
-        0.003, 'standard deviation of depth at 1 m; grows with its square', unit='1/m',
+        0.003, 'Standard deviation of depth at 1 m; grows with the square of depth', unit='1/m',
         low=0.0, high=1.0,
     )  # fmt: skip
     simulated_color_noise: float = setting(
-        2.0, 'standard deviation of each colour value', unit='grey levels', low=0.0, high=40.0
-    )
-    simulated_camera_x: float = setting(
-        0.1, 'camera ahead of the vehicle origin', unit='m', low=-1.0, high=1.0
-    )
-    simulated_camera_z: float = setting(
-        0.4, 'camera above the ground', unit='m', low=0.02, high=3.0
+        2.0, 'Standard deviation of each colour channel', unit='grey levels', low=0.0, high=40.0
     )
 
 
 @dataclass(frozen=True)
 class SimulationConfig(Section):
-    """All settings of the simulator."""
+    """All settings of the rendered simulator."""
 
     tick_rate: float = setting(
-        50.0, 'steps of the simulation per simulated second', unit='Hz', low=5.0, high=1000.0
+        50.0, 'Time steps per simulated second', unit='Hz', low=5.0, high=1000.0
     )
     base: SimulatedBaseConfig = section(SimulatedBaseConfig)
     odometry: SimulatedOdometryConfig = section(SimulatedOdometryConfig)
     laser: SimulatedLaserConfig = section(SimulatedLaserConfig)
+    laser_mount: LaserMountConfig = section(LaserMountConfig)
     kinect: SimulatedKinectConfig = section(SimulatedKinectConfig)
+    camera_mount: CameraMountConfig = section(CameraMountConfig)

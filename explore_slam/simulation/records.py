@@ -1,4 +1,4 @@
-"""What a simulator gives out beside the records that real vehicles give too."""
+"""Records of a simulator beyond those of real vehicles: true poses, events, collisions."""
 
 from typing import NamedTuple
 
@@ -7,7 +7,7 @@ from explore_slam.geometry import Pose2
 
 
 class TruePose(NamedTuple):
-    """Where a vehicle really is: pose in the world, speed (m/s) and turn rate (rad/s)."""
+    """True state of a vehicle: pose in the world, speed (m/s) and turn rate (rad/s)."""
 
     stamp: float
     pose: Pose2
@@ -15,11 +15,12 @@ class TruePose(NamedTuple):
     angular: float
 
 
+WALL = 'wall'
 Record = OdometryReading | LaserScan | RgbdFrame | TruePose
 
 
 class SimEvent(NamedTuple):
-    """One record of one vehicle; the stamp is simulated time (s)."""
+    """A record of a vehicle; stamp: simulated time (s)."""
 
     stamp: float
     vehicle: str
@@ -27,7 +28,7 @@ class SimEvent(NamedTuple):
 
 
 class Collision(NamedTuple):
-    """A vehicle drove against something: a wall or the vehicle named."""
+    """First contact of a vehicle with an obstacle: WALL (any solid) or another vehicle's name."""
 
     stamp: float
     vehicle: str

@@ -16,7 +16,7 @@ from explore_slam.geometry import Pose2
 from explore_slam.results.reachable_area import ReachableArea
 from explore_slam.results.run_data import RunData, RunRecorder
 from explore_slam.settings import Section, section, setting
-from explore_slam.simulation import SimulationConfig, Simulator, World
+from explore_slam.simulation import SimulationConfig, Simulator, load_world
 from explore_slam.simulation.records import TruePose
 from explore_slam.vehicle import PathFollower, PathFollowerConfig
 
@@ -55,7 +55,7 @@ class ClosedLoop:
     follower: PathFollowerConfig = field(default_factory=PathFollowerConfig)
 
     def __post_init__(self) -> None:
-        world = World.load(self.world_path)
+        world = load_world(self.world_path)
         if not 1 <= self.vehicles <= len(world.starts):
             raise EvaluationError(
                 f'{self.world_path}: {self.vehicles} vehicles, expected 1 to {len(world.starts)} '

@@ -27,7 +27,8 @@ from explore_slam.mapping import GridConfig, OccupancyGrid
 from explore_slam.results.coverage import CoverageCurve, GoalCounter
 from explore_slam.settings import Section, setting, with_values
 from explore_slam.simulation.grid.grid_simulator import GridSimulator, GridSimulatorConfig
-from explore_slam.simulation.grid.grid_world import GridWorld
+from explore_slam.simulation.records import WALL
+from explore_slam.simulation.worlds.grid_world import GridWorld
 
 TIME_LIMIT = 'time_limit'
 
@@ -213,7 +214,7 @@ def _scan(team: _Team) -> None:
     """Insert a scan of every vehicle into the map, at the known pose."""
     simulator = team.simulator
     poses = {vehicle: simulator.known_pose(vehicle) for vehicle in simulator.vehicles}
-    radius = simulator.config.body_radius
+    radius = simulator.config.disc_radius
     for vehicle, pose in poses.items():
         bodies = [(p.x, p.y, radius) for other, p in poses.items() if other != vehicle]
         team.grid.insert_scan(pose, simulator.scan(vehicle), np.reshape(bodies, (-1, 3)))
@@ -270,7 +271,7 @@ def _summarize(
     wall_seconds: float,
 ) -> ExplorationRun:
     simulator = team.simulator
-    contacts = [contact.other is not None for contact in simulator.collisions]
+    contacts = [contact.obstacle != WALL for contact in simulator.collisions]
     return ExplorationRun(
         strategy=strategy,
         vehicles=len(simulator.vehicles),

@@ -15,7 +15,8 @@ from explore_slam.errors import EvaluationError
 from explore_slam.exploration import ExplorationConfig
 from explore_slam.settings import values_of, with_values
 from explore_slam.simulation.grid.grid_simulator import GridSimulatorConfig
-from explore_slam.simulation.grid.grid_world import GridWorld
+from explore_slam.simulation.worlds.grid_world import GridWorld
+from explore_slam.simulation.worlds.loading import load_grid_world
 from explore_slam.studies.exploration_run import (
     ExplorationRun,
     StudyConfig,
@@ -90,7 +91,7 @@ _WORLDS: dict[Path, GridWorld] = {}
 def _world(path: Path) -> GridWorld:
     """Return the world of a file, read once per process."""
     if path not in _WORLDS:
-        _WORLDS[path] = GridWorld.load(path)
+        _WORLDS[path] = load_grid_world(path)
     return _WORLDS[path]
 
 

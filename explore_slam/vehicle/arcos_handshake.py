@@ -1,4 +1,8 @@
-"""The handshake with ARCOS: SYNC 0, 1, 2, sessions left open, and who else may be at the port."""
+"""Handshake with ARCOS (SYNC 0, 1, 2), and a diagnosis of what else answers at the port.
+
+Source: Pioneer 3 operations manual, "Client-Server Communication"; the sequence of retries was
+chosen on emulated lines with byte errors (benchmarks/vehicle_faults.py).
+"""
 
 import logging
 import time
@@ -11,21 +15,29 @@ from explore_slam.vehicle.serial_port import SerialPort
 _log = logging.getLogger(__name__)
 _REPLY_TIMEOUT = 0.25  # s for an echo of the handshake
 _SYNC_ATTEMPTS = 3
+_CLOSE_TIME = 0.1  # s, a status period: the robot has ended its session by then
+_LONGEST_ECHO = 80  # bytes: the reply to SYNC2 with name, class and subclass
+_LOST_COUNT = 255  # id of the reply with which the robot asks to start again at SYNC0
+_KEPT = 4096  # bytes kept for the diagnosis
 
 
 def shake_hands(port: SerialPort, decoder: PacketDecoder) -> tuple[RobotIdentity | None, bytes]:
-    """Shake hands at the present rate; return identity or None, and the bytes that came."""
+    """Synchronize at the present baud rate.
+
+    Returns the identity of the robot, None if none answered, and the bytes received. A session
+    that another client left open is closed first.
+    """
     port.discard()
     decoder.clear()
     step, failures, heard = 0, 0, b''
     while failures < _SYNC_ATTEMPTS:
         port.write(encode_command(step))
-        reply, came = _await_echo(port, decoder, step)
-        heard = (heard + came)[-4096:]
+        reply, received = _await_echo(port, decoder, step)
+        heard = (heard + received)[-_KEPT:]
         if reply == 'session':  # of a client that crashed
             _log.info('%s: closing a session left open', port.url)
             port.write(encode_command(Command.CLOSE))
-            time.sleep(0.1)
+            time.sleep(_CLOSE_TIME)
             port.discard()
             decoder.clear()
             step, failures = 0, failures + 1
@@ -35,14 +47,18 @@ def shake_hands(port: SerialPort, decoder: PacketDecoder) -> tuple[RobotIdentity
             step += 1
         else:
             step, failures = 0, failures + 1
-            if not came and failures == 2:
-                break  # nothing at all twice: another rate, or nobody
+            if not received and failures == 2:
+                break  # twice nothing at all: another baud rate, or no device
     return None, heard
 
 
 def _await_echo(port: SerialPort, decoder: PacketDecoder, step: int) -> tuple[bytes | str, bytes]:
-    """Return the echo of a sync step, 'session', 'lost' or 'silent', and what came."""
-    end = time.monotonic() + _REPLY_TIMEOUT + port.transmission_time(80)
+    """Return the reply to a SYNC step and the bytes received.
+
+    The reply is the echo, or 'session' (open, status packets come), 'lost' (the robot lost count)
+    or 'silent'.
+    """
+    end = time.monotonic() + _REPLY_TIMEOUT + port.transmission_time(_LONGEST_ECHO)
     heard = b''
     while (left := end - time.monotonic()) > 0.0:
         data = port.read(left)
@@ -52,19 +68,19 @@ def _await_echo(port: SerialPort, decoder: PacketDecoder, step: int) -> tuple[by
                 return payload, heard
             if parse_status(payload) is not None:
                 return 'session', heard
-            if payload[0] == 255:
+            if payload[0] == _LOST_COUNT:
                 return 'lost', heard
     return 'silent', heard
 
 
 def who_is_there(heard: bytes, rates: list[int]) -> str:
-    """Return why no robot was found, from the bytes that came instead of its answers."""
+    """Explain why no robot was found at these baud rates, from the bytes received instead."""
     asked = '/'.join(str(rate) for rate in rates)
     if TelegramDecoder().feed(heard):
-        return 'a SICK laser is at this port, not a robot; exchange base_port and laser_port'
+        return 'a SICK laser is at this port, not a robot; swap base_port and laser_port'
     if heard:
         return (
-            f'{len(heard)} bytes came at {asked} Bd but no answer to SYNC; '
+            f'{len(heard)} bytes received at {asked} Bd but no reply to SYNC; '
             'is another device at this port, or base_baud wrong?'
         )
-    return f'no answer to SYNC at {asked} Bd; is the robot switched on and its cable plugged in?'
+    return f'no reply to SYNC at {asked} Bd; is the robot switched on and its cable plugged in?'

@@ -1,18 +1,21 @@
-"""ARCOS (P2OS) framing: pure functions over bytes and an incremental decoder.
+"""ARCOS (P2OS) framing: encoding of packets and an incremental decoder.
 
-A packet is FA FB, count, payload, checksum; count covers payload and checksum. Source: the
-Pioneer 3 operations manual, chapter on client-server communication.
+A packet is FA FB, count, payload, checksum; count covers payload and checksum. Source: Pioneer 3
+operations manual (MobileRobots), chapter "Client-Server Communication".
 """
 
 from enum import IntEnum
 
 HEADER = b'\xfa\xfb'
-LONGEST_COUNT = 200  # bytes after the count byte, as the manual bounds them
+LONGEST_COUNT = 200  # bytes after the count byte (manual)
 _SHORTEST_COUNT = 3  # one payload byte and the checksum
+BAUD_CODES = {9600: 0, 19200: 1, 38400: 2, 57600: 3, 115200: 4}  # arguments of HOSTBAUD
+RATE_CHANGE_DELAY = 0.01  # s from HOSTBAUD until the robot uses the new baud rate
+RATE_CHANGE_TIMEOUT = 0.9  # s without a packet at a new baud rate until the robot goes back
 
 
 class Command(IntEnum):
-    """Command numbers of the client."""
+    """Client command numbers (manual, table of client commands)."""
 
     PULSE = 0
     OPEN = 1
@@ -35,11 +38,12 @@ class Command(IntEnum):
     BATTERYINFO = 62
 
 
-_POSITIVE, _NEGATIVE, _STRING = 0x3B, 0x1B, 0x2B
+_POSITIVE, _NEGATIVE, _STRING = 0x3B, 0x1B, 0x2B  # argument types
+_LARGEST_ARGUMENT = 0xFFFF  # magnitude, u16
 
 
 def checksum(payload: bytes) -> int:
-    """Return the sum of big-endian byte pairs modulo 2**16, an odd last byte XORed in."""
+    """Return the sum of big-endian byte pairs modulo 2¹⁶; an odd last byte is XORed in."""
     total = sum(payload[0 : len(payload) - 1 : 2]) << 8
     total += sum(payload[1::2])
     total &= 0xFFFF
@@ -47,7 +51,7 @@ def checksum(payload: bytes) -> int:
 
 
 def encode_packet(payload: bytes) -> bytes:
-    """Return the frame of a payload of 1 to 198 bytes."""
+    """Return the packet of a payload; raises ValueError unless it has 1 to 198 bytes."""
     count = len(payload) + 2
     if not _SHORTEST_COUNT <= count <= LONGEST_COUNT:
         raise ValueError(f'payload of {len(payload)} bytes, expected 1 to {LONGEST_COUNT - 2}')
@@ -55,18 +59,21 @@ def encode_packet(payload: bytes) -> bytes:
 
 
 def encode_command(command: int, argument: int | bytes | None = None) -> bytes:
-    """Return the frame of a command with no, an integer (-65535 to 65535) or a bytes argument."""
+    """Return the packet of a command.
+
+    argument: None, an integer (clamped to ±65535), or bytes.
+    """
     payload = bytes([command])
     if isinstance(argument, bytes):
         payload += bytes([_STRING, len(argument)]) + argument
     elif argument is not None:
         kind = _NEGATIVE if argument < 0 else _POSITIVE
-        payload += bytes([kind]) + min(abs(argument), 0xFFFF).to_bytes(2, 'little')
+        payload += bytes([kind]) + min(abs(argument), _LARGEST_ARGUMENT).to_bytes(2, 'little')
     return encode_packet(payload)
 
 
 def decode_command(payload: bytes) -> tuple[int, int | bytes | None]:
-    """Return (command, argument) of a client's payload; None for an argument without sense."""
+    """Return command and argument of a client's payload; None for no or a malformed argument."""
     command, kind = payload[0], payload[1] if len(payload) > 1 else None
     if kind in (_POSITIVE, _NEGATIVE) and len(payload) >= 4:
         value = int.from_bytes(payload[2:4], 'little')
@@ -77,7 +84,7 @@ def decode_command(payload: bytes) -> tuple[int, int | bytes | None]:
 
 
 class PacketDecoder:
-    """Finds packets in a stream that may hold anything; keeps at most one packet's bytes."""
+    """Incremental decoder that resynchronizes after garbage; buffers at most one packet."""
 
     def __init__(self) -> None:
         self._buffer = bytearray()
@@ -85,15 +92,15 @@ class PacketDecoder:
 
     @property
     def pending(self) -> int:
-        """Bytes kept for a packet that is not yet whole."""
+        """Number of buffered bytes of an incomplete packet."""
         return len(self._buffer)
 
     def clear(self) -> None:
-        """Forget a packet begun."""
+        """Discard an incomplete packet."""
         self._buffer.clear()
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Return the payloads completed by these bytes."""
+        """Add received bytes; return the payloads that are now complete."""
         buffer = self._buffer
         buffer += data
         payloads: list[bytes] = []
@@ -119,7 +126,7 @@ class PacketDecoder:
             if checksum(payload) == int.from_bytes(buffer[end - 2 : end], 'big'):
                 payloads.append(payload)
                 start = end
-            else:  # what looked like a header may have been data: look again from the next byte
+            else:  # the header may have been data of a broken packet: rescan from the next byte
                 self.rejected += 1
                 start += 1
         del buffer[:start]

@@ -1,4 +1,7 @@
-"""ARCOS server packets: status (SIP), configuration, scale factors of the robots' subclasses."""
+"""ARCOS server packets (status, configuration), scale factors, odometry from counters.
+
+Source: Pioneer 3 operations manual (MobileRobots), "Server Information Packets".
+"""
 
 import logging
 import math
@@ -8,15 +11,21 @@ from typing import NamedTuple
 from explore_slam.errors import VehicleError
 from explore_slam.geometry import IDENTITY, Pose2, wrap_angle
 
-STOPPED, MOVING = 0x32, 0x33
+STOPPED, MOVING = 0x32, 0x33  # types of a status packet (SIP)
 CONFIG_PACKET = 0x20
 _log = logging.getLogger(__name__)
-_LONGEST_STEP = 3.0  # m between two status packets; more is a robot that was reset
-COUNTER_BITS = 15  # x and y wrap here on some firmware, at 16 on other
+_LONGEST_STEP = 3.0  # m between two status packets, 4 s at top speed; more is a reset robot
+COUNTER_BITS = 15  # firmware wraps x and y at 15 or at 16 bits: the low 15 are always valid
+_BATTERY_UNIT = 0.1  # V
+_TURN_RATE_UNIT = 0.1  # °/s
 
 
 class ScaleFactors(NamedTuple):
-    """What one count of the robot means: mm, rad, mm/s, mm, and rad/s per mm/s of difference."""
+    """Units of the robot's counts (robot parameter files of ARIA: DistConvFactor etc.).
+
+    distance: mm. angle: rad. velocity: mm/s. range: mm.
+    difference: turn rate (rad/s) per half the difference of the wheel speeds (mm/s).
+    """
 
     distance: float
     angle: float
@@ -32,14 +41,16 @@ SCALE_FACTORS = {
 
 
 def scale_factors(subclass: str, distance: float = 0.0) -> ScaleFactors:
-    """Return the factors of a subclass; a distance factor > 0 (mm) replaces the tabled one.
+    """Return the scale factors of a robot's subclass.
 
-    Raises VehicleError for a subclass that is not tabled when no distance factor is given.
+    distance: overrides the distance factor (mm per count) if > 0.
+    Raises VehicleError for an unknown subclass without a distance factor.
     """
     known = SCALE_FACTORS.get(subclass.lower())
     if known is None and distance <= 0.0:
         raise VehicleError(
-            f"robot of unknown subclass '{subclass}', expected one of {sorted(SCALE_FACTORS)}: "
+            f"the robot has the unknown subclass '{subclass}', expected one of "
+            f'{sorted(SCALE_FACTORS)}: '
             'set distance_factor to its DistConvFactor (mm per count)'
         )
     factors = known or SCALE_FACTORS['p3dx']
@@ -48,9 +59,9 @@ def scale_factors(subclass: str, distance: float = 0.0) -> ScaleFactors:
 
 @dataclass(frozen=True)
 class StatusPacket:
-    """A SIP in the robot's own units (counts); fields that the packet lacks are None.
+    """A server information packet (SIP) in the robot's units; absent fields are None.
 
-    sonar maps a transducer's index to its reading (counts).
+    sonar: transducer index -> reading (counts).
     """
 
     moving: bool
@@ -75,12 +86,12 @@ class StatusPacket:
 
     @property
     def motors_on(self) -> bool:
-        """Flag bit 0."""
+        """Whether the motors have power (flag bit 0)."""
         return bool(self.flags & 1)
 
     @property
     def emergency_stop(self) -> bool:
-        """Flag bit 5: the red button is pressed."""
+        """Whether the emergency stop button is pressed (flag bit 5)."""
         return bool(self.flags & 1 << 5)
 
 
@@ -92,12 +103,12 @@ def _unsigned(data: bytes, offset: int) -> int:
     return int.from_bytes(data[offset : offset + 2], 'little')
 
 
-_FIXED = 20  # bytes up to the number of sonar readings
-_TRAILING = 5  # gripper, analogue port, analogue, digital in, digital out
+_FIXED = 20  # bytes up to and including the number of sonar readings
+_IO_BYTES = 5  # gripper, analogue port, analogue, digital in, digital out
 
 
 def parse_status(payload: bytes) -> StatusPacket | None:
-    """Return a status packet, or None where the payload is no (whole) one; never raises."""
+    """Parse a status packet; None for any other or an incomplete payload. Never raises."""
     if len(payload) < _FIXED or payload[0] not in (STOPPED, MOVING):
         return None
     sonar: dict[int, int] = {}
@@ -107,8 +118,9 @@ def parse_status(payload: bytes) -> StatusPacket | None:
             return None
         sonar[payload[end]] = _unsigned(payload, end + 1)
         end += 3
-    rest = payload[end + _TRAILING :]
-    battery = 0.1 * _unsigned(rest, 0) if len(rest) >= 2 else 0.1 * payload[11]
+    rest = payload[end + _IO_BYTES :]
+    counts = _unsigned(rest, 0) if len(rest) >= 2 else payload[11]
+    turn_rate = math.radians(_TURN_RATE_UNIT * _signed(rest, 3)) if len(rest) >= 5 else None
     return StatusPacket(
         moving=payload[0] == MOVING,
         x=_unsigned(payload, 1),
@@ -116,7 +128,7 @@ def parse_status(payload: bytes) -> StatusPacket | None:
         heading=_signed(payload, 5),
         left_velocity=_signed(payload, 7),
         right_velocity=_signed(payload, 9),
-        battery=battery,
+        battery=_BATTERY_UNIT * counts,
         left_stall=bool(payload[12] & 1),
         right_stall=bool(payload[13] & 1),
         rear_bumpers=payload[12] >> 1,
@@ -125,7 +137,7 @@ def parse_status(payload: bytes) -> StatusPacket | None:
         compass=payload[18],
         sonar=sonar,
         charge_state=rest[2] if len(rest) >= 3 else None,
-        rotational_velocity=math.radians(0.1 * _signed(rest, 3)) if len(rest) >= 5 else None,
+        rotational_velocity=turn_rate,
         faults=_unsigned(rest, 5) if len(rest) >= 7 else None,
         temperature=rest[9] - 256 * (rest[9] > 127) if len(rest) >= 10 else None,
         state_of_charge=rest[10] if len(rest) >= 11 else None,
@@ -133,7 +145,7 @@ def parse_status(payload: bytes) -> StatusPacket | None:
 
 
 class RobotIdentity(NamedTuple):
-    """What the robot says of itself at the end of the handshake."""
+    """Identity that the robot reports at the end of the handshake."""
 
     name: str
     robot_class: str
@@ -141,14 +153,14 @@ class RobotIdentity(NamedTuple):
 
 
 def parse_identity(payload: bytes) -> RobotIdentity:
-    """Return name, class and subclass of the SYNC2 reply; what is missing is ''."""
+    """Parse the reply to SYNC2; missing texts are ''."""
     texts = [part.decode('ascii', 'replace').strip() for part in payload[1:].split(b'\0')]
     name, robot_class, subclass = (*texts, '', '', '')[:3]
     return RobotIdentity(name, robot_class, subclass)
 
 
 class RobotConfiguration(NamedTuple):
-    """The head of a CONFIG packet: top speeds mm/s and °/s, accelerations mm/s² and °/s²."""
+    """First fields of a CONFIG packet: limits in mm/s, °/s, mm/s² and °/s²."""
 
     robot_class: str
     subclass: str
@@ -163,7 +175,7 @@ class RobotConfiguration(NamedTuple):
 
 
 def parse_configuration(payload: bytes) -> RobotConfiguration | None:
-    """Return the head of a CONFIG packet, or None where the payload is no (whole) one."""
+    """Parse a CONFIG packet; None for any other or an incomplete payload. Never raises."""
     if not payload or payload[0] != CONFIG_PACKET:
         return None
     parts = payload[1:].split(b'\0', 3)
@@ -188,22 +200,25 @@ def parse_configuration(payload: bytes) -> RobotConfiguration | None:
 
 
 class CounterOdometry:
-    """Pose in the odometry frame from the robot's counters, through wrap-around and restarts."""
+    """Pose in the odometry frame from the robot's counters.
+
+    It is continuous through wrap-around of the counters and restarts of the robot.
+    """
 
     def __init__(self, factors: ScaleFactors, start: Pose2 = IDENTITY) -> None:
         self._factors = factors
-        self._anchor = start  # odometry frame pose at which the robot's counters stood at 0
+        self._anchor = start  # pose in the odometry frame at which the unwrapped counters are 0
         self._counts: tuple[int, int] | None = None
         self._total = [0, 0]
         self.pose = start
 
     def restart(self, factors: ScaleFactors) -> None:
-        """Go on from the present pose with counters that may stand anywhere."""
+        """Continue from the present pose with counters of any value (after a reconnection)."""
         self._factors = factors
         self._counts = None
 
     def update(self, status: StatusPacket) -> Pose2:
-        """Return the pose (m, rad) after a status packet."""
+        """Update with a status packet; return the pose (m, rad)."""
         scale = 0.001 * self._factors.distance
         heading = wrap_angle(self._factors.angle * status.heading)
         counts = (status.x, status.y)
@@ -212,7 +227,9 @@ class CounterOdometry:
         jumped = max(map(abs, steps)) * scale > _LONGEST_STEP
         if self._counts is None or jumped:
             if jumped:
-                _log.warning('odometry: counters jumped by %s, going on from the last pose', steps)
+                _log.warning(
+                    'odometry: counters jumped by %s, continuing from the last pose', steps
+                )
             self._total = [0, 0]
             self._anchor = self.pose.compose(Pose2(0.0, 0.0, heading).inverse())
         else:
@@ -224,6 +241,6 @@ class CounterOdometry:
 
 
 def counter_difference(value: int, last: int, bits: int = COUNTER_BITS) -> int:
-    """Return value - last on a counter of this many bits, the nearest way round."""
+    """Return value - last modulo 2^bits, as a signed number of least magnitude."""
     half = 1 << (bits - 1)
     return ((value - last + half) & ((1 << bits) - 1)) - half

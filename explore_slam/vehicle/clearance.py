@@ -1,4 +1,4 @@
-"""How far a round body may drive along an arc before it touches what the laser saw."""
+"""Free distance of a disc along an arc between points, e.g. laser returns."""
 
 import math
 
@@ -7,13 +7,14 @@ import numpy as np
 from explore_slam.data import LaserScan
 from explore_slam.geometry import Array, Pose2, to_world
 
-_STRAIGHT = 1e-3  # curvature (1/m) below which an arc counts as a line
+_STRAIGHT = 1e-3  # 1/m, curvature below which an arc counts as a straight line
 
 
 def scan_points(scan: LaserScan, laser: Pose2) -> Array:
-    """Return what the scan hit as points (N, 2) m in the vehicle frame.
+    """Return the returns of a scan as points (N, 2) m in the vehicle frame.
 
-    NaN and +inf are nothing; -inf (too close, REP-117) counts as a hit at range_min.
+    laser: pose of the laser in the vehicle frame. NaN and +inf are no returns; -inf (too close,
+    REP-117) counts as a return at range_min.
     """
     ranges = scan.ranges.astype(np.float64)
     ranges = np.where(np.isneginf(ranges), scan.range_min, ranges)
@@ -24,11 +25,11 @@ def scan_points(scan: LaserScan, laser: Pose2) -> Array:
 
 
 def free_distance(points: Array, curvature: float, radius: float, forward: bool = True) -> float:
-    """Return the arc length (m) until a circle of this radius touches one of the points (N, 2).
+    """Return the arc length (m) after which a disc touches one of the points (N, 2) m.
 
-    The circle's center starts at the origin heading along +x (or -x when not forward), turning
-    with the curvature (1/m, left positive). inf where nothing is touched within half a turn;
-    0.0 where a point inside the circle would be driven into.
+    The disc's centre starts at the origin, heading along +x (-x if not forward), with constant
+    curvature (1/m, left positive). Returns inf if nothing is touched within half a turn, and 0
+    if a point inside the disc lies ahead of its centre.
     """
     if len(points) == 0:
         return math.inf
@@ -47,7 +48,7 @@ def free_distance(points: Array, curvature: float, radius: float, forward: bool 
 
 
 def _free_arc(x: Array, y: Array, turn: float, radius: float) -> float:
-    """Return free_distance for a left arc of radius turn (m) about (0, turn)."""
+    """Return the free distance on the left arc of radius `turn` (m) around (0, turn)."""
     distance = np.hypot(x, y - turn)
     touched = (np.abs(distance - turn) < radius) & (distance > 1e-9)
     if not touched.any():

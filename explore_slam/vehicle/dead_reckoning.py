@@ -1,4 +1,4 @@
-"""The vehicle's pose in the map now: the latest map pose carried on by odometry."""
+"""Dead reckoning: the present pose in the map from the latest map pose and odometry."""
 
 import math
 from collections import deque
@@ -6,13 +6,14 @@ from collections import deque
 from explore_slam.data import OdometryReading
 from explore_slam.geometry import IDENTITY, Pose2, wrap_angle
 
-_HORIZON = 60.0  # s of odometry kept; a map pose older than that cannot be carried on
-_EXTRAPOLATION = 0.3  # s beyond the last reading
-_JUMP = 1.0  # m between readings, beyond what speed explains: the base was reset
+_HORIZON = 60.0  # s of odometry kept; older map poses are ignored
+_EXTRAPOLATION = 0.3  # s beyond the newest reading
+_LARGEST_FACTOR = 3.0  # of extrapolation, in intervals between the last two readings
+_JUMP, _TOP_SPEED = 1.0, 3.0  # m, m/s; a reading farther from the last one is a reset base
 
 
 class DeadReckoning:
-    """Interpolates odometry and anchors it in the map. Stamps in seconds, all of one clock."""
+    """Interpolated odometry, anchored in the map. All stamps (s) are of one clock."""
 
     def __init__(self) -> None:
         self._readings: deque[OdometryReading] = deque()
@@ -22,18 +23,18 @@ class DeadReckoning:
 
     @property
     def odometry_stamp(self) -> float:
-        """Stamp (s) of the newest odometry, -inf when there is none."""
+        """Stamp (s) of the newest odometry, -inf without any."""
         return self._readings[-1].stamp if self._readings else -math.inf
 
     def add_odometry(self, reading: OdometryReading) -> None:
-        """Take the next odometry reading; a jump in time or place starts afresh."""
+        """Add an odometry reading; a jump in time or position discards all earlier ones."""
         if self._readings:
             last = self._readings[-1]
             gap = reading.stamp - last.stamp
             if gap == 0.0:
                 return
             moved = math.hypot(reading.pose.x - last.pose.x, reading.pose.y - last.pose.y)
-            if gap < 0.0 or moved > _JUMP + 3.0 * gap:
+            if gap < 0.0 or moved > _JUMP + _TOP_SPEED * gap:
                 self._readings.clear()
                 self._map_to_odometry = None
                 self.pose_stamp = -math.inf
@@ -44,7 +45,7 @@ class DeadReckoning:
             self.set_pose(*self._pending)
 
     def set_pose(self, stamp: float, pose: Pose2) -> None:
-        """Anchor: the vehicle was at this map pose at the stamp; waits for odometry if need be."""
+        """Set the pose in the map at a stamp; if odometry of that time is missing, wait for it."""
         if not self._readings or stamp > self._readings[-1].stamp + _EXTRAPOLATION:
             self._pending = (stamp, pose)
             return
@@ -55,7 +56,7 @@ class DeadReckoning:
         self.pose_stamp = stamp
 
     def odometry_at(self, stamp: float) -> Pose2:
-        """Return the odometry pose at a stamp, carried on from the newest readings if need be."""
+        """Return the odometry pose at a stamp, interpolated or (at most 0.3 s) extrapolated."""
         readings = self._readings
         if len(readings) < 2 or stamp <= readings[0].stamp:
             return readings[0].pose if readings else IDENTITY
@@ -63,10 +64,10 @@ class DeadReckoning:
             ahead = min(stamp - readings[-1].stamp, _EXTRAPOLATION)
             a, b = readings[-2], readings[-1]
             step = a.pose.between(b.pose)
-            f = min(ahead / (b.stamp - a.stamp), 3.0)
+            f = min(ahead / (b.stamp - a.stamp), _LARGEST_FACTOR)
             return b.pose.compose(Pose2(f * step.x, f * step.y, wrap_angle(f * step.theta)))
         i = len(readings) - 1
-        while readings[i - 1].stamp > stamp:  # what is asked for is mostly recent
+        while readings[i - 1].stamp > stamp:  # from the newest: most queries are recent
             i -= 1
         a, b = readings[i - 1], readings[i]
         f = (stamp - a.stamp) / (b.stamp - a.stamp)
@@ -74,7 +75,7 @@ class DeadReckoning:
         return a.pose.compose(Pose2(f * step.x, f * step.y, f * step.theta))
 
     def map_pose(self, now: float) -> Pose2 | None:
-        """Return the pose in the map at now, or None as long as there is no anchor."""
+        """Return the pose in the map at a time (s), None before the first map pose."""
         if self._map_to_odometry is None:
             return None
         return self._map_to_odometry.compose(self.odometry_at(now))

@@ -1,4 +1,4 @@
-"""The camera: a Kinect v1 through libfreenect's Python binding (`freenect`), which is optional."""
+"""Driver of a Kinect v1 through libfreenect's Python binding `freenect`, which is optional."""
 
 import logging
 import math
@@ -6,7 +6,7 @@ import queue
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,18 +14,26 @@ from numpy.typing import NDArray
 
 from explore_slam.data import Intrinsics, RgbdFrame
 from explore_slam.errors import VehicleError
+from explore_slam.settings import Section, setting
+from explore_slam.vehicle.devices import Clock, Statistics
 from explore_slam.vehicle.driver_config import CameraConfig
 
 _log = logging.getLogger(__name__)
 WIDTH, HEIGHT = 640, 480
-_TICKS = 1 << 32  # the device's stamps wrap here
-_HALF_FRAME = 1_000_000 + 50_000  # ticks of 60 MHz: half of 1/30 s and some jitter
-_RAW_NO_DATA = 2047
-_FARTHEST = 10_000  # mm; registered depth is clamped here
+_TICKS = 1 << 32  # stamps of the device wrap here
+_HALF_FRAME = 1_000_000 + 50_000  # ticks of 60 MHz: half a period of 30 Hz, and jitter
+_RAW_NO_DATA = 2047  # 11-bit disparity without a measurement
+_FARTHEST = 10_000  # mm; libfreenect clamps registered depth here
+# depth = 1 / (offset + slope * disparity) m: the first-order fit of the OpenKinect wiki (page
+# "Imaging Information")
+_RAW_OFFSET, _RAW_SLOPE = 3.3309495, -0.0030711016
+_QUEUE_LENGTH = 8  # images
+_EARLY = 0.9  # of a period of camera_rate that must have passed since the last frame
+_CLOSE_TIMEOUT = 0.5  # s
 
 
 class Image(NamedTuple):
-    """One image of one sensor: the device's stamp (ticks), when it came (s), pixels."""
+    """An image of one sensor: stamp of the device (ticks), time of receipt (s), pixels."""
 
     ticks: int
     received: float
@@ -33,7 +41,7 @@ class Image(NamedTuple):
 
 
 class StampPairing:
-    """Pairs depth and colour by the device's stamps: at most half a frame apart."""
+    """Pairs depth and colour images whose device stamps differ by at most half a period."""
 
     def __init__(self) -> None:
         self._waiting: dict[str, deque[Image]] = {
@@ -43,7 +51,7 @@ class StampPairing:
         self.unpaired = 0
 
     def add(self, kind: str, image: Image) -> tuple[Image, Image] | None:
-        """Take an image, 'depth' or 'color'; return (depth, color) once a pair is whole."""
+        """Add an image ('depth' or 'color'); return (depth, color) if it completes a pair."""
         other = self._waiting['color' if kind == 'depth' else 'depth']
         for partner in other:
             gap = (image.ticks - partner.ticks + _TICKS // 2) % _TICKS - _TICKS // 2
@@ -62,53 +70,85 @@ class StampPairing:
 
 
 def raw_to_millimetres(raw: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """Return 11 bit disparities (H, W) as mm; 0 is no data. 1 / (3.3309 - 0.0030711 raw) m."""
-    table = np.zeros(2048)
+    """Convert 11-bit disparities (H, W) to depth in mm; 0 is no data."""
+    table = np.zeros(_RAW_NO_DATA + 1)
     steps = np.arange(_RAW_NO_DATA)
-    inverse = 3.3309495 - 0.0030711016 * steps
+    inverse = _RAW_OFFSET + _RAW_SLOPE * steps
     valid = inverse > 1.0 / (0.001 * _FARTHEST)
     table[:_RAW_NO_DATA][valid] = 1000.0 / inverse[valid]
-    millimetres: NDArray[np.uint16] = np.rint(table).astype(np.uint16)[np.minimum(raw, 2047)]
+    millimetres: NDArray[np.uint16] = np.rint(table).astype(np.uint16)[
+        np.minimum(raw, _RAW_NO_DATA)
+    ]
     return millimetres
 
 
-class Kinect:
-    """Reads pairs of colour and registered depth; one thread calls all of it.
+@dataclass(frozen=True)
+class KinectConfig(Section):
+    """Settings of a Kinect beside those of any camera."""
 
-    libfreenect is called in a thread of its own: its calls block for ever when the camera is
-    pulled out. clock gives the stamps (s).
+    camera_index: int = setting(
+        0, 'Index of the Kinect among those connected', low=0, high=15, tier='basic'
+    )
+    camera_depth: str = setting(
+        'registered',
+        'registered: depth in mm, aligned with colour; raw: disparities converted by a formula',
+        choices=('registered', 'raw'),
+    )
+    camera_focal_length: float = setting(
+        525.0, 'Focal length of the colour camera', unit='pixels', low=100.0, high=2000.0
+    )
+    camera_center_x: float = setting(
+        319.5, 'Column of the principal point', unit='pixels', low=0.0, high=640.0
+    )
+    camera_center_y: float = setting(
+        239.5, 'Row of the principal point', unit='pixels', low=0.0, high=480.0
+    )
+
+
+class Kinect:
+    """A Kinect v1 (protocol Camera): pairs of colour and registered depth.
+
+    libfreenect is called in a separate thread, since its calls never return once the camera is
+    unplugged. clock gives the stamps (s).
     """
 
-    def __init__(self, config: CameraConfig, clock: Callable[[], float] = time.time) -> None:
+    def __init__(
+        self,
+        config: CameraConfig,
+        own: KinectConfig | None = None,
+        clock: Clock = time.time,
+    ) -> None:
         self.config = config
+        self.own = own or KinectConfig()
         self.frames = 0
         self.pairing = StampPairing()
         self._clock = clock
         self._freenect: Any = None
-        self._images: queue.Queue[tuple[str, Image] | None] = queue.Queue(maxsize=8)
+        self._images: queue.Queue[tuple[str, Image] | None] = queue.Queue(_QUEUE_LENGTH)
         self._reader: threading.Thread | None = None
         self._running = threading.Event()
         self._heard = 0.0
         self._published = -math.inf
-        center = config.camera_center
-        focal = config.camera_focal_length
-        self.intrinsics = Intrinsics(WIDTH, HEIGHT, focal, focal, center[0], center[1])
+        focal = self.own.camera_focal_length
+        self.intrinsics = Intrinsics(
+            WIDTH, HEIGHT, focal, focal, self.own.camera_center_x, self.own.camera_center_y
+        )
 
     def connect(self) -> str:
-        """Open the camera and start to read; raises VehicleError that says what to do."""
+        """Open the camera and start reading; raises VehicleError that says what to do."""
         self.close()
         if self._reader is not None and self._reader.is_alive():
             raise VehicleError(
-                f'Kinect {self.config.camera_index}: libfreenect hangs since the camera was lost; '
-                'plug it in again and restart the driver'
+                f'Kinect {self.own.camera_index}: libfreenect has hung since the camera was '
+                'lost; plug it in again and restart the driver'
             )
         self._freenect = _import_freenect()
-        if self._freenect.sync_get_depth(self.config.camera_index, self._depth_format()) is None:
+        if self._freenect.sync_get_depth(self.own.camera_index, self._depth_format()) is None:
             raise VehicleError(
-                f'Kinect {self.config.camera_index}: not found or busy; is it plugged in, is its '
-                'power supply on, do the udev rules of libfreenect let this user open it?'
+                f'Kinect {self.own.camera_index}: not found or busy; is it plugged in, is its '
+                'power supply on, do the udev rules of libfreenect allow this user to open it?'
             )
-        self._images = queue.Queue(maxsize=8)
+        self._images = queue.Queue(_QUEUE_LENGTH)
         self._running = threading.Event()
         self._running.set()
         self._reader = threading.Thread(
@@ -116,15 +156,16 @@ class Kinect:
         )
         self._reader.start()
         self._heard = time.monotonic()
-        return f'Kinect {self.config.camera_index}'
+        return f'Kinect {self.own.camera_index}'
 
     def _depth_format(self) -> int:
-        raw = self.config.camera_depth == 'raw'
+        raw = self.own.camera_depth == 'raw'
         freenect = self._freenect
         return int(freenect.DEPTH_11BIT if raw else freenect.DEPTH_REGISTERED)
 
     def _read(self, running: threading.Event, images: 'queue.Queue[Any]') -> None:
-        freenect, index = self._freenect, self.config.camera_index
+        """Put images into the queue until told to end; None marks the loss of the camera."""
+        freenect, index = self._freenect, self.own.camera_index
         while running.is_set():
             for kind in ('depth', 'color'):
                 if kind == 'depth':
@@ -135,25 +176,27 @@ class Kinect:
                     images.put(None)
                     return
                 pixels, ticks = got
-                image = Image(int(ticks), self._clock(), np.array(pixels))  # freenect's own buffer
+                image = Image(
+                    int(ticks), self._clock(), np.array(pixels)
+                )  # copied: freenect reuses it
                 try:
                     images.put_nowait((kind, image))
-                except queue.Full:  # nobody polls: the newest will do
+                except queue.Full:  # not polled: drop the image
                     continue
 
     def poll(self, timeout: float) -> list[RgbdFrame]:
-        """Return the frames that came within timeout (s), no more than camera_rate of them.
+        """Return the frames received within timeout (s), at most camera_rate per second.
 
         Raises VehicleError when the camera is lost.
         """
         if self._reader is None:
-            raise VehicleError(f'Kinect {self.config.camera_index}: not connected')
+            raise VehicleError(f'Kinect {self.own.camera_index}: not connected')
         frames: list[RgbdFrame] = []
         try:
             item = self._images.get(timeout=timeout)
             while True:
                 if item is None:
-                    raise VehicleError(f'Kinect {self.config.camera_index}: lost')
+                    raise VehicleError(f'Kinect {self.own.camera_index}: lost')
                 self._heard = time.monotonic()
                 pair = self.pairing.add(*item)
                 if pair is not None:
@@ -164,30 +207,35 @@ class Kinect:
         silent = time.monotonic() - self._heard
         if silent > self.config.camera_timeout:
             text = f'no image for {silent:.0f} s; is it plugged in?'
-            raise VehicleError(f'Kinect {self.config.camera_index}: {text}')
+            raise VehicleError(f'Kinect {self.own.camera_index}: {text}')
         return frames
 
     def _frame(self, depth: Image, color: Image) -> list[RgbdFrame]:
-        if depth.received - self._published < 0.9 / self.config.camera_rate:
+        """Return the frame of a pair; none if the last frame was published too recently."""
+        if depth.received - self._published < _EARLY / self.config.camera_rate:
             return []
         self._published = depth.received
         self.frames += 1
         millimetres = depth.pixels.astype(np.uint16)
-        if self.config.camera_depth == 'raw':
+        if self.own.camera_depth == 'raw':
             millimetres = raw_to_millimetres(millimetres)
         else:
             millimetres[millimetres >= _FARTHEST] = 0
         return [RgbdFrame(depth.received, color.pixels, millimetres, self.intrinsics)]
 
     def close(self) -> None:
-        """End reading; never raises, never blocks for long."""
+        """Stop reading; never raises, returns within a second."""
         self._running.clear()
         if self._reader is None:
             return
-        self._reader.join(0.5)
+        self._reader.join(_CLOSE_TIMEOUT)
         if not self._reader.is_alive():
             self._freenect.sync_stop()
             self._reader = None
+
+    def statistics(self) -> Statistics:
+        """Return counters for diagnostics."""
+        return {'frames': self.frames, 'unpaired': self.pairing.unpaired}
 
 
 def _import_freenect() -> Any:
@@ -197,6 +245,6 @@ def _import_freenect() -> Any:
         raise VehicleError(
             f'the Kinect needs the Python binding of libfreenect ({error}): '
             '`apt install libfreenect-dev`, then `pip install freenect`; '
-            'without a Kinect set use_camera to false'
+            'without a Kinect, set use_camera to false'
         ) from error
     return freenect

@@ -1,4 +1,7 @@
-"""Content of the LMS-200's telegrams: scans, configuration, status byte."""
+"""Content of the LMS-200's telegrams: scans, configuration, status byte.
+
+Source: SICK, "Telegrams for Configuring and Operating the LMS 2xx".
+"""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -6,19 +9,21 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-CONFIGURATION_LENGTH = 34
-_MODE, _UNIT = 5, 6  # offsets of measuring mode and unit
+MIRROR_PERIOD = 0.01332  # s per revolution, 75 Hz
+VARIANTS = ((180, 100), (180, 50), (100, 100), (100, 50), (100, 25))  # field of view °, step 0.01°
+CONFIGURATION_LENGTH = 34  # bytes of the block that 74 reads and 77 writes
+_MODE, _UNIT = 5, 6  # its offsets of measuring mode and unit
 CENTIMETRES, MILLIMETRES = 0, 1
-# measuring mode -> bits of a value; the bits above are flags of the fields
+# measuring mode -> bits of a distance; higher bits are flags of the monitored fields
 VALUE_BITS = {0: 13, 1: 13, 2: 13, 3: 14, 4: 14, 5: 15, 6: 15, 0x0F: 15}
-RANGE_BITS = {8: 13, 16: 14, 32: 15}  # m measured in mm -> bits of a value
-# last digits of values that are no distances (2**bits - 16 + digit)
+RANGE_BITS = {8: 13, 16: 14, 32: 15}  # maximum range (m) in mm -> bits of a distance
+# values from 2^bits - 16 are codes; these are their last hexadecimal digits
 NO_ECHO, DAZZLE, OVERFLOW, LOW_SIGNAL, CHANNEL_ERROR, BEYOND = 0xF, 0xE, 0xD, 0xB, 0xA, 0x7
 _NO_RETURN = (NO_ECHO, BEYOND)
 
 
 class StatusByte(NamedTuple):
-    """The last data byte of every reply: severity 0 (fine) to 4 (fatal)."""
+    """Last data byte of every reply: severity 0 (fine) to 4 (fatal), warnings."""
 
     severity: int
     implausible: bool
@@ -26,47 +31,47 @@ class StatusByte(NamedTuple):
 
 
 def parse_status_byte(value: int) -> StatusByte:
-    """Return severity and warnings."""
+    """Parse the status byte of a reply."""
     return StatusByte(value & 0b111, bool(value & 1 << 6), bool(value & 1 << 7))
 
 
 @dataclass(frozen=True)
 class ScannerConfiguration:
-    """The block of 34 bytes that 74 reads and 77 writes."""
+    """The configuration block of the scanner."""
 
     block: bytes
 
     @property
     def mode(self) -> int:
-        """Measuring mode: how many bits are distance and what the others mean."""
+        """Measuring mode: number of bits of a distance and meaning of the others."""
         return self.block[_MODE]
 
     @property
     def unit(self) -> int:
-        """CENTIMETRES or MILLIMETRES."""
+        """Unit of distances: CENTIMETRES or MILLIMETRES."""
         return self.block[_UNIT]
 
     @property
     def value_bits(self) -> int:
-        """Bits of a distance."""
+        """Number of bits of a distance."""
         return VALUE_BITS.get(self.mode, 13)
 
     def changed(self, mode: int, unit: int) -> 'ScannerConfiguration':
-        """Return the block with another measuring mode and unit, all else as it is."""
+        """Return the configuration with another measuring mode and unit."""
         block = bytearray(self.block)
         block[_MODE], block[_UNIT] = mode, unit
         return ScannerConfiguration(bytes(block))
 
 
 def parse_configuration(data: bytes) -> ScannerConfiguration | None:
-    """Return the block of an F4 telegram, or None where it is too short."""
+    """Parse the data of an F4 telegram; None where they are too short."""
     if len(data) < _UNIT + 1:
         return None
     return ScannerConfiguration(data[:CONFIGURATION_LENGTH])
 
 
 class RawScan(NamedTuple):
-    """A B0 telegram: values (N,) u16 right to left with flag bits, unit, partial or whole."""
+    """A B0 telegram: values (N,) u16 from right to left with flag bits, unit, whether partial."""
 
     values: NDArray[np.uint16]
     unit: int
@@ -74,7 +79,7 @@ class RawScan(NamedTuple):
 
 
 def parse_scan(data: bytes) -> RawScan | None:
-    """Return the scan of a B0 telegram's data, or None where it is not whole; never raises."""
+    """Parse the data of a B0 telegram; None where they are incomplete. Never raises."""
     if len(data) < 2:
         return None
     head = data[0] | data[1] << 8
@@ -86,7 +91,7 @@ def parse_scan(data: bytes) -> RawScan | None:
 
 
 def scan_ranges(scan: RawScan, value_bits: int) -> NDArray[np.float32]:
-    """Return ranges (N,) m after REP-117: +inf no return, NaN no valid value, -inf too close."""
+    """Return ranges (N,) m as in REP-117: +inf no return, NaN invalid, -inf too close."""
     values = (scan.values & ((1 << value_bits) - 1)).astype(np.int64)
     ranges = values * (0.001 if scan.unit == MILLIMETRES else 0.01)
     codes = values - ((1 << value_bits) - 16)
@@ -97,5 +102,5 @@ def scan_ranges(scan: RawScan, value_bits: int) -> NDArray[np.float32]:
 
 
 def maximum_range(value_bits: int, unit: int) -> float:
-    """Return the largest distance (m) that a value can tell."""
+    """Return the maximum distance (m) that a value can represent."""
     return float((1 << value_bits) - 16 + BEYOND - 1) * (0.001 if unit == MILLIMETRES else 0.01)

@@ -1,8 +1,8 @@
-"""SICK LMS-200 framing: pure functions over bytes and an incremental decoder.
+"""SICK LMS-200 framing: encoding of telegrams and an incremental decoder.
 
-A telegram is 02, address, length (u16 LE: command and data), command, data, CRC (u16 LE);
-replies have bit 7 of the address set and end their data with a status byte. Source: SICK,
-Telegrams for Configuring and Operating the LMS 2xx.
+A telegram is 02, address, length (u16 LE, of command and data), command, data, CRC (u16 LE).
+Replies have bit 7 of the address set; their data end with a status byte. Source: SICK, "Telegrams
+for Configuring and Operating the LMS 2xx".
 """
 
 from enum import IntEnum
@@ -10,12 +10,13 @@ from typing import NamedTuple
 
 START = 0x02
 ACK, NAK = b'\x06', b'\x15'
-LONGEST = 1024  # bytes of command and data; the longest scan has 808
-_REPLY = 0x80
+LONGEST = 1024  # bytes of command and data; the longest scan (0.25°) has 806
+_POLYNOMIAL = 0x8005  # of the CRC
+_REPLY = 0x80  # bit of the address in replies
 
 
 class Request(IntEnum):
-    """Command bytes of the host that are used here."""
+    """Command bytes of the host."""
 
     RESET = 0x10
     MODE = 0x20
@@ -28,7 +29,7 @@ class Request(IntEnum):
 
 
 class Mode(IntEnum):
-    """Data byte of Request.MODE."""
+    """First data byte of Request.MODE."""
 
     INSTALLATION = 0x00
     STREAM = 0x24
@@ -60,11 +61,11 @@ BAUD_MODES = {
     38400: Mode.BAUD_38400,
     500000: Mode.BAUD_500000,
 }
-PASSWORD = b'SICK_LMS'
+PASSWORD = b'SICK_LMS'  # of the installation mode, as delivered
 
 
 class Telegram(NamedTuple):
-    """One telegram; data without the status byte, which is None in telegrams of the host."""
+    """A telegram; status: its last data byte, None in telegrams of the host."""
 
     address: int
     command: int
@@ -73,12 +74,12 @@ class Telegram(NamedTuple):
 
 
 def _make_table() -> tuple[list[int], list[int]]:
-    # the CRC is linear: its shift by one byte pair depends on the high byte alone
+    """Return the contributions of the high and the low byte to the CRC shifted by one bit."""
     shift, carry = [], []
     for value in range(256):
         word = value << 8
         doubled = word << 1
-        shift.append((doubled ^ 0x8005) & 0xFFFF if word & 0x8000 else doubled & 0xFFFF)
+        shift.append((doubled ^ _POLYNOMIAL) & 0xFFFF if word & 0x8000 else doubled & 0xFFFF)
         carry.append(value << 1)
     return shift, carry
 
@@ -87,7 +88,11 @@ _SHIFT, _CARRY = _make_table()
 
 
 def crc(data: bytes) -> int:
-    """Return the check sum over everything from the start byte on."""
+    """Return the CRC of a telegram's bytes from the start byte on.
+
+    Per byte the value is shifted left by one bit, reduced by the polynomial, and XORed with the
+    byte and its predecessor.
+    """
     value, previous = 0, 0
     for byte in data:
         value = _SHIFT[value >> 8] ^ _CARRY[value & 0xFF] ^ (previous << 8 | byte)
@@ -96,34 +101,34 @@ def crc(data: bytes) -> int:
 
 
 def encode_telegram(command: int, data: bytes = b'', address: int = 0) -> bytes:
-    """Return the bytes of a telegram."""
+    """Return the bytes of a telegram; address 0 is broadcast."""
     body = bytes([START, address]) + (1 + len(data)).to_bytes(2, 'little')
     body += bytes([command]) + data
     return body + crc(body).to_bytes(2, 'little')
 
 
 class TelegramDecoder:
-    """Finds telegrams in a stream that may hold anything; keeps at most one telegram's bytes.
+    """Incremental decoder that resynchronizes after garbage; buffers at most one telegram.
 
-    replies: expect what the scanner sends (with a status byte), else what the host sends.
+    replies: decode telegrams of the scanner (with status byte), else those of the host.
     """
 
     def __init__(self, replies: bool = True) -> None:
         self._replies = replies
         self._buffer = bytearray()
-        self.rejected = 0  # starts followed by a bad length or check sum
+        self.rejected = 0  # starts followed by a wrong length or CRC
 
     @property
     def pending(self) -> int:
-        """Bytes kept for a telegram that is not yet whole."""
+        """Number of buffered bytes of an incomplete telegram."""
         return len(self._buffer)
 
     def clear(self) -> None:
-        """Forget a telegram begun."""
+        """Discard an incomplete telegram."""
         self._buffer.clear()
 
     def feed(self, data: bytes) -> list[Telegram]:
-        """Return the telegrams completed by these bytes."""
+        """Add received bytes; return the telegrams that are now complete."""
         buffer = self._buffer
         buffer += data
         telegrams: list[Telegram] = []
@@ -150,7 +155,7 @@ class TelegramDecoder:
             if crc(frame) == buffer[end] | buffer[end + 1] << 8:
                 telegrams.append(self._telegram(frame))
                 start = end + 2
-            else:  # a 02 in the data of something broken: look again from the next byte
+            else:  # 02 may have been data of a broken telegram: rescan from the next byte
                 self.rejected += 1
                 start += 1
         del buffer[:start]

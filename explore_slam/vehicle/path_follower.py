@@ -1,6 +1,8 @@
-"""Follows a plan: pure pursuit on dead-reckoned poses, with stops for obstacles and silence.
+"""Path following: pure pursuit on dead-reckoned poses, with stops for obstacles and silence.
 
-Pure pursuit after Coulter (1992). Nothing here knows ROS or a clock: every call carries its time.
+Pure pursuit after Coulter, "Implementation of the Pure Pursuit Path Tracking Algorithm", 1992.
+Independent of ROS and of clocks: every call gets its time. The constants were chosen with
+benchmarks/vehicle_following.py (slalom, corners, obstacles; odometry and scans with latency).
 """
 
 import math
@@ -17,12 +19,20 @@ from explore_slam.vehicle.dead_reckoning import DeadReckoning
 from explore_slam.vehicle.reference_path import ReferencePath
 
 _PROJECTION_WINDOW = 2.0  # m of path searched for the nearest point: paths may cross themselves
-_CREEP = 0.05  # m/s, so that the last centimetres are driven too
-_PROGRESS_STEP = 0.05  # m or rad that count as getting on
+_SAME_GOAL = 0.05  # m between last waypoints: the plan was only redrawn
+_CREEP = 0.05  # m/s, minimum speed without obstacles, so that the goal is reached
+_OBSTACLE_CREEP = 0.02  # m/s, minimum speed before an obstacle that allows any
+_PROGRESS_STEP = 0.05  # m or rad that count as progress
+_LONGEST_STEP = 0.5  # s of acceleration after a gap between commands
+_TURN_GAIN = 2.0  # 1/s, turn rate per bearing when turning on the spot
+_TURN_HYSTERESIS = 0.35  # of turn_in_place_angle: turning on the spot ends at this bearing
+_GENTLE_CURVATURE = 0.5  # 1/m; below it the straight line ahead must be free too
+_BRAKING_SHARE = 0.6  # of follow_acceleration, relied upon for braking before obstacles
+_RESTART_ROOM = 0.05  # m more than the stop distance to start again after an obstacle
 
 
 class FollowerState(Enum):
-    """What the follower does with its plan."""
+    """State of the follower with respect to its plan."""
 
     WAITING = 'waiting'
     DRIVING = 'driving'
@@ -32,7 +42,7 @@ class FollowerState(Enum):
 
 @dataclass(frozen=True)
 class VelocityCommand:
-    """What the base shall do: m/s forward, rad/s to the left; and why."""
+    """Velocity (m/s forward, rad/s to the left), and the state and reason behind it."""
 
     linear: float
     angular: float
@@ -42,7 +52,7 @@ class VelocityCommand:
 
 @dataclass
 class FollowerProgress:
-    """Where the follower is on its plan, for reports: metres; inf where unknown."""
+    """Progress along the plan, for reports: metres; inf where unknown."""
 
     remaining: float = math.inf
     cross_track: float = 0.0
@@ -51,7 +61,7 @@ class FollowerProgress:
 
 @dataclass
 class _Timers:
-    """Since when (s) something has been the case; -inf or None is not."""
+    """Times (s) of the last inputs (-inf: none yet) and of ongoing conditions (None: not met)."""
 
     agent: float = -math.inf
     odometry: float = -math.inf
@@ -63,7 +73,7 @@ class _Timers:
 
 @dataclass
 class _Best:
-    """The furthest the follower got: what it must beat to count as getting on."""
+    """Best values so far; progress is what improves on them."""
 
     remaining: float = math.inf
     bearing: float = math.inf
@@ -71,7 +81,7 @@ class _Best:
 
 @dataclass
 class _Motion:
-    """The velocity commanded last."""
+    """The last command."""
 
     linear: float = 0.0
     angular: float = 0.0
@@ -79,16 +89,16 @@ class _Motion:
 
 
 class PathFollower:
-    """Turns plan, map pose, odometry and scans into velocity commands for one vehicle.
+    """Computes velocity commands for one vehicle from plan, map pose, odometry and scans.
 
-    The set_ methods take what came and, where it matters, when it came (received, s; by default
-    its stamp): silence is judged by receipt, geometry by stamps.
+    The set_ methods take an input and the time (s) it was received, by default its stamp. Silence
+    is measured by times of receipt, geometry uses stamps.
     """
 
     def __init__(self, config: PathFollowerConfig | None = None) -> None:
+        self.config = config or PathFollowerConfig()
         self.progress = FollowerProgress()
         self.plan: Plan | None = None
-        self.configure(config or PathFollowerConfig())
         self._path: ReferencePath | None = None
         self._s = 0.0
         self._reckoning = DeadReckoning()
@@ -100,12 +110,11 @@ class PathFollower:
         self._arrived = False
 
     def configure(self, config: PathFollowerConfig) -> None:
-        """Take over other settings while driving."""
+        """Replace the settings, also while driving."""
         self.config = config
-        self._laser = config.laser_mount.pose
 
     def set_plan(self, plan: Plan, received: float | None = None) -> None:
-        """Take a plan in the map frame; one without waypoints means: stay."""
+        """Set the plan in the map frame; a plan without waypoints stops the vehicle."""
         self._times.agent = max(self._times.agent, plan.stamp if received is None else received)
         if self.plan is not None and np.array_equal(plan.waypoints, self.plan.waypoints):
             return
@@ -113,13 +122,13 @@ class PathFollower:
             self.plan is not None
             and len(plan.waypoints) > 0
             and len(self.plan.waypoints) > 0
-            and bool(np.allclose(plan.waypoints[-1], self.plan.waypoints[-1], atol=0.05))
+            and bool(np.allclose(plan.waypoints[-1], self.plan.waypoints[-1], atol=_SAME_GOAL))
         )
         self.plan = plan
         self._path = ReferencePath(plan.waypoints) if len(plan.waypoints) else None
         self._s = 0.0
         self._arrived = False
-        if not same_goal:  # a path redrawn to the same goal does not excuse standing still
+        if not same_goal:  # otherwise the timers go on: a redrawn path is no progress
             self._times.obstacle = self._times.progress = None
             self._best = _Best()
         else:
@@ -129,29 +138,29 @@ class PathFollower:
         return self._path.length if self._path is not None else math.inf
 
     def set_pose(self, stamp: float, pose: Pose2, received: float | None = None) -> None:
-        """Take the vehicle's pose in the map at a stamp (s)."""
+        """Set the vehicle's pose in the map at a stamp (s)."""
         self._times.agent = max(self._times.agent, stamp if received is None else received)
         self._reckoning.set_pose(stamp, pose)
 
     def set_odometry(self, reading: OdometryReading, received: float | None = None) -> None:
-        """Take the next odometry reading."""
+        """Add an odometry reading."""
         self._times.odometry = reading.stamp if received is None else received
         self._reckoning.add_odometry(reading)
 
     def set_scan(self, scan: LaserScan, received: float | None = None) -> None:
-        """Take the next scan."""
+        """Replace the scan that shows obstacles."""
         self._times.scan = scan.stamp if received is None else received
         self._scan_stamp = scan.stamp
-        self._points = scan_points(scan, self._laser)
+        self._points = scan_points(scan, self.config.laser_mount.pose)
 
     def map_pose(self, now: float) -> Pose2 | None:
-        """Return the dead-reckoned pose in the map, None as long as there is none."""
+        """Return the dead-reckoned pose in the map, None before the first map pose."""
         return self._reckoning.map_pose(now)
 
     def command(self, now: float, heartbeat_age: float = 0.0) -> VelocityCommand:
-        """Return what the base shall do now (s); to be called at control_frequency.
+        """Return the velocity to drive from now (s) on; call it at control_frequency.
 
-        heartbeat_age is the time (wall s) since the agent's heartbeat; 0 where there is none.
+        heartbeat_age: time (s of wall time) since the agent's heartbeat, 0 if it has none.
         """
         step = self._time_step(now)
         silence = self._silence(now)
@@ -167,8 +176,8 @@ class PathFollower:
         to_goal = float(np.linalg.norm(position - self._path.points[-1]))
         self.progress.remaining = self._path.length - self._s + min(abs(cross), to_goal)
         self.progress.cross_track = cross
-        near_end = self._path.length - self._s <= self.config.goal_tolerance
-        if self._arrived or (near_end and to_goal <= self.config.goal_tolerance):
+        near_end = self._path.length - self._s <= self.config.arrival_tolerance
+        if self._arrived or (near_end and to_goal <= self.config.arrival_tolerance):
             self._arrived = True
             return self._stop(FollowerState.ARRIVED, 'goal reached')
         if abs(cross) > self.config.maximum_deviation:
@@ -176,16 +185,19 @@ class PathFollower:
         return self._drive(now, step, pose)
 
     def _time_step(self, now: float) -> float:
+        """Return the time (s) since the last command; reset all times if the clock jumped."""
         last = self._times.last_command
-        if last is not None and now < last:  # time jumped back: what was heard is of another time
+        if last is not None and now < last:
             self._times = _Timers()
             self._motion = _Motion()
             last = None
         self._times.last_command = now
-        return 1.0 / self.config.control_frequency if last is None else min(now - last, 0.5)
+        if last is None:
+            return 1.0 / self.config.control_frequency
+        return min(now - last, _LONGEST_STEP)
 
     def _silence(self, now: float) -> str:
-        """Return what has gone silent, or ''."""
+        """Return which input is missing or has been silent for too long, or ''."""
         c, t = self.config, self._times
         if self.plan is None:
             return 'no plan yet'
@@ -204,13 +216,16 @@ class PathFollower:
         return ''
 
     def _drive(self, now: float, step: float, pose: Pose2) -> VelocityCommand:
+        """Pursue the lookahead point, turning on the spot first if it lies far aside."""
         assert self._path is not None
         c = self.config
         ahead = max(c.minimum_lookahead, abs(self._motion.linear) * c.lookahead_time)
         target = self._path.point_at(self._s + ahead)
         x, y = to_world(pose.inverse(), target[None, :])[0]
         distance, bearing = math.hypot(x, y), math.atan2(y, x)
-        limit = 0.35 * c.turn_in_place_angle if self._motion.turning else c.turn_in_place_angle
+        limit = c.turn_in_place_angle
+        if self._motion.turning:
+            limit = _TURN_HYSTERESIS * c.turn_in_place_angle
         self._motion.turning = abs(bearing) > limit
         stuck = self._stuck(now, bearing)
         if stuck:
@@ -218,7 +233,8 @@ class PathFollower:
         if self._motion.turning:
             self._times.obstacle = None
             linear = self._ramp(self._motion.linear, 0.0, c.follow_acceleration, step)
-            return self._send(step, max(linear, 0.0), 2.0 * bearing, 'turning to the plan')
+            return self._send(step, max(linear, 0.0), _TURN_GAIN * bearing, 'turning to the plan')
+        # curvature of the arc to the lookahead point (Coulter, 1992)
         curvature = 2.0 * y / max(distance * distance, 1e-6)
         speed = min(c.follow_speed, c.follow_turn_rate / max(abs(curvature), 1e-6))
         speed = min(speed, _braking_speed(self.progress.remaining, c.follow_acceleration))
@@ -233,7 +249,10 @@ class PathFollower:
     def _limit_for_obstacles(
         self, now: float, curvature: float, speed: float
     ) -> tuple[float, bool]:
-        """Return the speed that can still be braked before what lies on the arc, and: stop."""
+        """Return the speed from which the vehicle can stop before obstacles, and whether to stop.
+
+        Obstacles on the arc count, and on a gentle arc those straight ahead too.
+        """
         c = self.config
         if not c.obstacle_stop:
             return speed, False
@@ -241,22 +260,30 @@ class PathFollower:
             self._reckoning.odometry_at(self._scan_stamp)
         )
         points = to_world(moved, self._points)
-        body = c.vehicle_radius + c.side_clearance
+        body = c.body_radius + c.side_clearance
         free = free_distance(points, curvature, body)
-        straight = free_distance(points, 0.0, body) if abs(curvature) < 0.5 else free
+        straight = free
+        if abs(curvature) < _GENTLE_CURVATURE:
+            straight = free_distance(points, 0.0, body)
         self.progress.free = free = min(free, straight) + c.side_clearance
         room = free - c.stop_distance
-        # once stopped, a little more room than it takes to stop: no creeping up on what moves
-        if room <= (0.05 if self._times.obstacle is not None else 0.0):
+        # hysteresis: the vehicle does not creep after an obstacle that moves away slowly
+        if room <= (_RESTART_ROOM if self._times.obstacle is not None else 0.0):
             if self._times.obstacle is None:
                 self._times.obstacle = now
             return 0.0, True
         self._times.obstacle = None
-        a, t = 0.6 * c.follow_acceleration, c.reaction_time
-        return min(speed, max(a * (math.sqrt(t * t + 2.0 * room / a) - t), 0.02)), False
+        # v with v t + v² / (2 a) = room: distance during the reaction time and while braking
+        a, t = _BRAKING_SHARE * c.follow_acceleration, c.reaction_time
+        fastest = max(a * (math.sqrt(t * t + 2.0 * room / a) - t), _OBSTACLE_CREEP)
+        return min(speed, fastest), False
 
     def _stuck(self, now: float, bearing: float) -> str:
-        """Return why this is no progress, or '' ; waiting for an obstacle is not counted here."""
+        """Return the reason if there has been no progress for too long, or ''.
+
+        Progress is less remaining path, or a smaller bearing while turning on the spot. Waiting
+        for an obstacle is not counted.
+        """
         turning = self._motion.turning
         remaining = self.progress.remaining
         better = remaining < self._best.remaining - _PROGRESS_STEP or (
@@ -271,10 +298,11 @@ class PathFollower:
 
     @staticmethod
     def _ramp(present: float, wanted: float, acceleration: float, step: float) -> float:
-        """Return wanted, as far as the acceleration allows; slowing down is twice as quick."""
+        """Limit the change of speed: by the acceleration, and by twice as much when braking."""
         return min(max(wanted, present - 2.0 * acceleration * step), present + acceleration * step)
 
     def _send(self, step: float, linear: float, angular: float, reason: str) -> VelocityCommand:
+        """Return a driving command with turn rate and angular acceleration limited."""
         c = self.config
         bound = c.follow_turn_acceleration * step
         wanted = min(max(angular, -c.follow_turn_rate), c.follow_turn_rate)
@@ -286,6 +314,7 @@ class PathFollower:
         )
 
     def _stop(self, state: FollowerState, reason: str) -> VelocityCommand:
+        """Return a command to stand still."""
         self._motion.linear = self._motion.angular = 0.0
         self._motion.turning = False
         if state is FollowerState.WAITING and self._times.obstacle is None:

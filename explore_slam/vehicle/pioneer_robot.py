@@ -1,16 +1,27 @@
-"""The base: a Pioneer with ARCOS firmware on a serial line or `tcp://host:port`."""
+"""Driver of a Pioneer base with ARCOS firmware, on a serial line or `tcp://host:port`.
+
+Source of commands, periods and codes: Pioneer 3 operations manual (MobileRobots),
+"Client-Server Communication".
+"""
 
 import logging
 import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from explore_slam.data import OdometryReading
 from explore_slam.errors import VehicleError
 from explore_slam.geometry import IDENTITY
+from explore_slam.settings import Section, setting
 from explore_slam.vehicle.arcos_handshake import shake_hands, who_is_there
-from explore_slam.vehicle.arcos_packets import Command, PacketDecoder, encode_command
+from explore_slam.vehicle.arcos_packets import (
+    BAUD_CODES,
+    RATE_CHANGE_DELAY,
+    RATE_CHANGE_TIMEOUT,
+    Command,
+    PacketDecoder,
+    encode_command,
+)
 from explore_slam.vehicle.arcos_status import (
     CounterOdometry,
     RobotConfiguration,
@@ -21,53 +32,58 @@ from explore_slam.vehicle.arcos_status import (
     parse_status,
     scale_factors,
 )
+from explore_slam.vehicle.devices import BaseState, Clock, Statistics
 from explore_slam.vehicle.driver_config import BaseConfig
-from explore_slam.vehicle.odometry_noise import OdometryCovariance
+from explore_slam.vehicle.odometry_covariance import OdometryCovariance
+from explore_slam.vehicle.pioneer_sonar import sonar_points
 from explore_slam.vehicle.serial_port import SerialPort
 
 _log = logging.getLogger(__name__)
-BAUD_RATES = (9600, 38400, 19200, 115200, 57600)
-BAUD_CODES = {9600: 0, 19200: 1, 38400: 2, 57600: 3, 115200: 4}
+BAUD_RATES = (9600, 38400, 19200, 115200, 57600)  # order in which ARIA tries them
 _REST_TIMEOUT = 1.0  # s to come to rest before the motors are switched off
 _AT_REST = 0.02  # m/s, rad/s
-_PULSE_PERIOD = 0.4  # s
-_SPEED_PERIOD = 0.2  # s: velocities are sent again, lest the robot's watchdog fires
+_PULSE_PERIOD = 0.4  # s; the watchdog of the robot fires after 2 s without a packet
+_VELOCITY_PERIOD = 0.2  # s; commanded velocities are repeated, since packets may be lost
+_CLOSING_BYTES = 60  # bytes of the packets sent by close()
+_FRAME_BYTES = 5  # bytes of a packet beside its payload
 
 
 @dataclass(frozen=True)
-class BaseState:
-    """What one status packet tells, in SI units; stamp is when its first byte was sent."""
+class PioneerConfig(Section):
+    """Settings of a Pioneer base beside those of any base."""
 
-    odometry: OdometryReading
-    linear: float  # m/s
-    angular: float  # rad/s
-    status: StatusPacket
-    sonar: dict[int, float]  # transducer -> m
-    received: float  # s, stamp clock
-
-    @property
-    def bumped(self) -> bool:
-        """Some bumper is pressed."""
-        return bool(self.status.front_bumpers or self.status.rear_bumpers)
-
-    @property
-    def stalled(self) -> bool:
-        """Some wheel is stalled."""
-        return self.status.left_stall or self.status.right_stall
+    base_baud: int = setting(
+        0, 'Baud rate of the robot before the handshake; 0 tries all', unit='Bd',
+        low=0, high=1_000_000,
+    )  # fmt: skip
+    host_baud: int = setting(
+        0, 'Baud rate to change to after the handshake; 0 keeps the rate', unit='Bd',
+        low=0, high=115200,
+    )  # fmt: skip
+    distance_factor: float = setting(
+        0.0, 'Millimetres per count of the odometry; 0 takes that of the subclass',
+        unit='mm', low=0.0, high=100.0,
+    )  # fmt: skip
 
 
 class PioneerRobot:
-    """Talks ARCOS; one thread calls all of it. Motors stay off until enable_motors(True).
+    """A Pioneer base (protocol Base). Motors stay off until enable_motors(True).
 
-    clock gives the stamps (s); silence and periods are measured on the monotonic clock.
+    clock gives the stamps (s); silence and periods are measured with the monotonic clock.
     """
 
-    def __init__(self, config: BaseConfig, clock: Callable[[], float] = time.time) -> None:
+    def __init__(
+        self,
+        config: BaseConfig,
+        own: PioneerConfig | None = None,
+        clock: Clock = time.time,
+    ) -> None:
         self.config = config
+        self.own = own or PioneerConfig()
         self.identity: RobotIdentity | None = None
         self.configuration: RobotConfiguration | None = None
         self.packets = 0
-        self.last_baud = config.base_baud
+        self.last_baud = self.own.base_baud
         self._clock = clock
         self._port: SerialPort | None = None
         self._decoder = PacketDecoder()
@@ -80,13 +96,13 @@ class PioneerRobot:
 
     @property
     def rejected(self) -> int:
-        """Packets with a bad checksum or count so far."""
+        """Number of packets with a wrong checksum or count."""
         return self._decoder.rejected
 
     # -- session --------------------------------------------------------------------------------
 
     def connect(self) -> RobotIdentity:
-        """Open the port, find the rate, shake hands and open a session with motors off.
+        """Open the port, find the baud rate, open a session with motors off.
 
         Raises VehicleError that says what is wrong and what to do.
         """
@@ -94,7 +110,7 @@ class PioneerRobot:
         self._port = SerialPort(self.config.base_port, self.last_baud or BAUD_RATES[0])
         try:
             self.identity = self._find_robot()
-            self._factors = scale_factors(self.identity.subclass, self.config.distance_factor)
+            self._factors = scale_factors(self.identity.subclass, self.own.distance_factor)
             self._open_session()
         except VehicleError:
             self.close()
@@ -107,28 +123,30 @@ class PioneerRobot:
         return self.identity
 
     def _find_robot(self) -> RobotIdentity:
+        """Try the baud rates, that of the last connection first; return the robot's identity."""
         assert self._port is not None
-        rates = [self.config.base_baud] if self.config.base_baud else list(BAUD_RATES)
+        rates = [self.own.base_baud] if self.own.base_baud else list(BAUD_RATES)
         if self.last_baud in rates:
-            rates.sort(key=lambda rate: rate != self.last_baud)  # where it was found before
+            rates.sort(key=lambda rate: rate != self.last_baud)
         if self._port.is_network:
             rates = rates[:1]
         heard = b''
         for rate in rates:
             self._port.set_baud(rate)
-            identity, came = shake_hands(self._port, self._decoder)
-            heard += came
+            identity, received = shake_hands(self._port, self._decoder)
+            heard += received
             if identity is not None:
                 self.last_baud = rate
                 return identity
         raise VehicleError(f'{self.config.base_port}: {who_is_there(heard, rates)}')
 
     def _open_session(self) -> None:
-        config, port = self.config, self._port
+        """Open a session with motors off, and set limits and accelerations."""
+        config, port, host_baud = self.config, self._port, self.own.host_baud
         assert port is not None
         self._command(Command.OPEN)
-        if config.host_baud and config.host_baud != port.baud and not port.is_network:
-            self._change_rate(config.host_baud)
+        if host_baud and host_baud != port.baud and not port.is_network:
+            self._change_rate(host_baud)
         self._command(Command.PULSE)
         self._command(Command.ENABLE, 0)
         self._command(Command.CONFIG, 1)
@@ -144,18 +162,18 @@ class PioneerRobot:
         self._velocity = (0, 0)
 
     def _change_rate(self, rate: int) -> None:
-        """Ask for another rate; go back where nothing comes at it."""
+        """Change the baud rate; go back if nothing is received at the new one."""
         assert self._port is not None
         old = self._port.baud
         self._command(Command.HOSTBAUD, BAUD_CODES[rate])
-        time.sleep(0.01)
+        time.sleep(RATE_CHANGE_DELAY)
         self._port.set_baud(rate)
         self._command(Command.PULSE)
-        end = time.monotonic() + 0.9
+        end = time.monotonic() + RATE_CHANGE_TIMEOUT
         while time.monotonic() < end:
             if any(parse_status(p) for p in self._decoder.feed(self._port.read(0.1))):
                 return
-        _log.warning('%s: no answer at %d Bd, staying at %d', self._port.url, rate, old)
+        _log.warning('%s: no packet at %d Bd, staying at %d Bd', self._port.url, rate, old)
         self._port.set_baud(old)
 
     def close(self) -> None:
@@ -165,16 +183,16 @@ class PioneerRobot:
         try:
             self._come_to_rest()
             for command, argument in ((Command.ENABLE, 0), (Command.CLOSE, None)):
-                for _ in range(2):  # twice: a byte may get lost
+                for _ in range(2):  # a packet may be lost
                     self._command(command, argument)
-            time.sleep(0.02 + self._port.transmission_time(60))
+            time.sleep(0.02 + self._port.transmission_time(_CLOSING_BYTES))
         except VehicleError:
             pass
         self._port.close()
         self._port = None
 
     def _come_to_rest(self) -> None:
-        """Command rest until the wheels stand: without power they would roll on."""
+        """Command zero velocity until the vehicle has stopped: without power it would roll on."""
         end = time.monotonic() + _REST_TIMEOUT
         moving = self._odometry is not None
         while moving and time.monotonic() < end:
@@ -184,10 +202,10 @@ class PioneerRobot:
                 moving = abs(state.linear) > _AT_REST or abs(state.angular) > _AT_REST
         self._command(Command.STOP)
 
-    # -- while the session is open ----------------------------------------------------------------
+    # -- open session -----------------------------------------------------------------------------
 
     def poll(self, timeout: float) -> list[BaseState]:
-        """Return the states that came within timeout (s); keeps the session alive.
+        """Return the states received within timeout (s); keeps the session alive.
 
         Raises VehicleError when the line is lost or no status came for base_timeout.
         """
@@ -199,7 +217,7 @@ class PioneerRobot:
         for payload in self._decoder.feed(data):
             status = parse_status(payload)
             if status is not None:
-                states.append(self._state(status, len(payload) + 5))
+                states.append(self._state(status, len(payload) + _FRAME_BYTES))
             elif configuration := parse_configuration(payload):
                 self.configuration = configuration
         now = time.monotonic()
@@ -213,31 +231,41 @@ class PioneerRobot:
         return states
 
     def _state(self, status: StatusPacket, size: int) -> BaseState:
+        """Convert a status packet of this size (bytes); it is stamped when its first byte left."""
         assert self._port is not None
         assert self._odometry is not None
         assert self._factors is not None
         self.packets += 1
         received = self._clock()
-        # a simulated clock begins at 0
+        # not negative: a simulated clock starts at 0
         stamp = max(received - self._port.transmission_time(size), 0.0)
         before = self._odometry.pose
         pose = self._odometry.update(status)
-        self._covariance.drive(before.between(pose))
+        self._covariance.propagate(before.between(pose))
         f = self._factors
         left, right = status.left_velocity, status.right_velocity
+        sonar = {index: 0.001 * f.range * value for index, value in status.sonar.items()}
         turning = 0.5 * (right - left) * f.velocity * f.difference
         return BaseState(
             odometry=OdometryReading(stamp, pose, self._covariance.value(pose)),
             linear=0.0005 * f.velocity * (left + right),
             angular=turning if status.rotational_velocity is None else status.rotational_velocity,
-            status=status,
-            sonar={index: 0.001 * f.range * value for index, value in status.sonar.items()},
             received=received,
+            motors_on=status.motors_on,
+            battery=status.battery,
+            charging=bool(status.charge_state),
+            emergency_stop=status.emergency_stop,
+            stalled=status.left_stall or status.right_stall,
+            front_bumpers=status.front_bumpers,
+            rear_bumpers=status.rear_bumpers,
+            faults=status.faults,
+            sonar_points=sonar_points(sonar) if sonar else None,
         )
 
     def _keep_alive(self) -> None:
+        """Repeat the velocity, or send a pulse, before the robot's watchdog fires."""
         now = time.monotonic()
-        if any(self._velocity) and now - self._sent['velocity'] > _SPEED_PERIOD:
+        if any(self._velocity) and now - self._sent['velocity'] > _VELOCITY_PERIOD:
             self._send_velocity()
         elif now - max(self._sent.values()) > _PULSE_PERIOD:
             self._command(Command.PULSE)
@@ -249,7 +277,7 @@ class PioneerRobot:
         self._sent['pulse'] = time.monotonic()
 
     def set_velocity(self, linear: float, angular: float) -> None:
-        """Command a velocity (m/s, rad/s), within the maximum; sent at once where it changed."""
+        """Command a velocity (m/s, rad/s), clamped to the maximum; a new one is sent at once."""
         c = self.config
         linear = min(max(linear, -c.maximum_speed), c.maximum_speed)
         angular = min(max(angular, -c.maximum_turn_rate), c.maximum_turn_rate)
@@ -267,12 +295,6 @@ class PioneerRobot:
         """Switch the motors on or off."""
         self._command(Command.ENABLE, int(on))
 
-    def enable_sonar(self, on: bool) -> None:
-        """Switch the sonar on or off."""
-        self._command(Command.SONAR, int(on))
-
-    def emergency_stop(self) -> None:
-        """Stop as hard as the robot can; it stays stopped until another velocity is sent."""
-        self._velocity = (0, 0)
-        self._command(Command.ESTOP)
-        self._send_velocity()
+    def statistics(self) -> Statistics:
+        """Return counters for diagnostics."""
+        return {'packets': self.packets, 'rejected': self.rejected, 'baud': self.last_baud}

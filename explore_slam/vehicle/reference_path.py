@@ -1,19 +1,22 @@
-"""A plan as a curve: arc length, nearest point, point ahead."""
+"""The path of a plan as a function of arc length: projection, point ahead."""
 
 import numpy as np
 
 from explore_slam.geometry import Array
+from explore_slam.polyline import points_at
+
+_SHORTEST_STEP = 1e-6  # m; repeated waypoints have no direction and are dropped
 
 
 class ReferencePath:
-    """A polyline by arc length s (m); a single waypoint makes a path of length 0."""
+    """A polyline parameterized by arc length s (m); a single waypoint has length 0."""
 
     def __init__(self, waypoints: Array) -> None:
         points = np.asarray(waypoints, dtype=np.float64).reshape(-1, 2)
         steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-        keep = np.concatenate(([True], steps > 1e-6))  # repeated waypoints have no direction
+        keep = np.concatenate(([True], steps > _SHORTEST_STEP))
         self.points = points[keep]
-        self.s = np.concatenate(([0.0], np.cumsum(steps[steps > 1e-6])))
+        self.s = np.concatenate(([0.0], np.cumsum(steps[steps > _SHORTEST_STEP])))
 
     @property
     def length(self) -> float:
@@ -22,14 +25,14 @@ class ReferencePath:
 
     def point_at(self, s: float) -> Array:
         """Return the point (2,) at arc length s, clamped to the ends."""
-        return np.array(
-            [np.interp(s, self.s, self.points[:, 0]), np.interp(s, self.s, self.points[:, 1])]
-        )
+        point: Array = points_at(self.points, self.s, np.array([s]))[0]
+        return point
 
     def project(self, position: Array, start: float, window: float) -> tuple[float, float]:
-        """Return (s, signed distance) of the nearest point with start <= s <= start + window.
+        """Return arc length and signed distance (m) of the point nearest to a position (2,) m.
 
-        The distance (m) is positive where the position lies left of the path.
+        Only start <= s <= start + window (m) is searched, since paths may cross themselves. The
+        distance is positive if the position lies left of the path.
         """
         if self.length == 0.0:
             return 0.0, float(np.linalg.norm(position - self.points[0]))

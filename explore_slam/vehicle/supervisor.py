@@ -1,35 +1,23 @@
-"""Keeps one device of a vehicle running: connects, polls, and after a failure tries again."""
+"""Supervision of a device: connect, poll, reconnect after a failure, report health."""
 
 import logging
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from explore_slam.errors import ExploreSlamError
+from explore_slam.vehicle.devices import Device
 
 _log = logging.getLogger(__name__)
-_LONGEST_WAIT = 1.0  # s between attempts
-_REPEAT_LOG = 30.0  # s after which a failure that lasts is logged again
-
-
-class Device(Protocol):
-    """What a supervisor runs: PioneerRobot, Lms200, Kinect."""
-
-    def connect(self) -> Any:
-        """Make the device ready; raises VehicleError when it is not to be had."""
-
-    def poll(self, timeout: float) -> list[Any]:
-        """Return what came within timeout (s); raises VehicleError when the device is lost."""
-
-    def close(self) -> None:
-        """Leave the device in a safe state; never raises."""
+_LONGEST_WAIT = 1.0  # s between attempts to connect
+_REPEAT_LOG = 30.0  # s after which a persistent failure is logged again
 
 
 @dataclass
 class Health:
-    """How a device fares, for reports."""
+    """Health of a device, for diagnostics."""
 
     connected: bool = False
     message: str = 'not yet connected'
@@ -40,20 +28,21 @@ class Health:
 
 
 class Supervisor:
-    """Owns the thread that talks to one device; a failure of one leaves the others alone.
+    """Owns the thread that uses one device, so that failures of devices are independent.
 
-    on_record(record) takes what came, on_connected() follows every connection, on_turn() is
-    called after every poll, at least every poll_timeout s; all in this thread.
+    on_record(record) is called for each record, on_connected() after each connection, on_poll()
+    after each poll, i.e. at least every poll_timeout (s) while connected; all in that thread.
+    retry_after: first wait (s) before reconnecting, doubled up to 1 s.
     """
 
     def __init__(
         self,
         name: str,
-        device: Device,
+        device: Device[Any],
         on_record: Callable[[Any], None],
         *,
         on_connected: Callable[[], None] = lambda: None,
-        on_turn: Callable[[], None] = lambda: None,
+        on_poll: Callable[[], None] = lambda: None,
         retry_after: float = 0.25,
         poll_timeout: float = 0.1,
     ) -> None:
@@ -62,7 +51,7 @@ class Supervisor:
         self._device = device
         self._on_record = on_record
         self._on_connected = on_connected
-        self._on_turn = on_turn
+        self._on_poll = on_poll
         self._retry_after = retry_after
         self._poll_timeout = poll_timeout
         self._end = threading.Event()
@@ -70,11 +59,11 @@ class Supervisor:
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def start(self) -> None:
-        """Begin to connect and poll."""
+        """Start the thread: connect and poll."""
         self._thread.start()
 
     def stop(self, timeout: float = 3.0) -> None:
-        """Close the device and end the thread."""
+        """Stop the thread, which closes the device; wait for it at most timeout (s)."""
         self._end.set()
         if self._thread.is_alive():
             self._thread.join(timeout)
@@ -91,8 +80,8 @@ class Supervisor:
                             self.health.records += 1
                             self.health.last_record = time.monotonic()
                             self._on_record(record)
-                        self._on_turn()
-                except Exception as error:  # a bug in one part must not end the others
+                        self._on_poll()
+                except Exception as error:  # a bug in one device must not stop the supervision
                     self._lose(error)
                     self._end.wait(wait)
                     wait = min(2.0 * wait, _LONGEST_WAIT)

@@ -14,8 +14,9 @@ from explore_slam.exploration import (
     PlanningMode,
     VehicleSnapshot,
 )
-from explore_slam.exploration.traffic import cut, remaining_path
+from explore_slam.exploration.traffic import remaining_path
 from explore_slam.geometry import Pose2
+from explore_slam.polyline import truncated
 from explore_slam.settings import with_values
 
 SPEED, STEP = 0.4, 0.5
@@ -74,7 +75,7 @@ def drive(text, starts, homes, limit=400.0, radius=0.2):
             break
         for name, plan in result.plans.items():
             place = np.array(poses[name][:2])
-            ahead = cut(remaining_path(place, plan.waypoints), SPEED * STEP)
+            ahead = truncated(remaining_path(place, plan.waypoints), SPEED * STEP)
             poses[name] = Pose2(float(ahead[-1, 0]), float(ahead[-1, 1]), 0.0)
         for one, other in itertools.combinations(poses.values(), 2):
             least = min(least, math.dist(one[:2], other[:2]))
@@ -149,5 +150,5 @@ def test_remaining_path_starts_at_the_place_and_drops_what_is_behind():
     path = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 3.0]])
     ahead = remaining_path(np.array([2.0, 0.1]), path)
     assert ahead.tolist() == [[2.0, 0.1], [4.0, 0.0], [4.0, 3.0]]
-    assert cut(path, 5.0).tolist() == [[0.0, 0.0], [4.0, 0.0], [4.0, 1.0]]
-    assert cut(path, 99.0) is path
+    assert truncated(path, 5.0).tolist() == [[0.0, 0.0], [4.0, 0.0], [4.0, 1.0]]
+    assert truncated(path, 99.0) is path

@@ -9,7 +9,7 @@ from explore_slam.errors import EvaluationError
 from explore_slam.geometry import Pose2
 from explore_slam.results.reachable_area import ReachableArea
 from explore_slam.settings import with_values
-from explore_slam.simulation.grid.grid_world import GridWorld
+from explore_slam.simulation.worlds.grid_world import GridWorld
 from explore_slam.studies.closed_loop import ClosedLoop, ClosedLoopConfig
 
 SMALL = Path(__file__).resolve().parents[2] / 'config' / 'worlds' / 'small.yaml'

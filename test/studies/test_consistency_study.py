@@ -11,7 +11,7 @@ from explore_slam.cli import benchmark
 from explore_slam.cli.main import build_parser
 from explore_slam.errors import ConfigError, EvaluationError
 from explore_slam.results.consistency import EstimationErrors
-from explore_slam.simulation.worlds.world import world_path
+from explore_slam.simulation import world_path
 from explore_slam.studies.consistency_study import (
     ConsistencyRun,
     ConsistencyStudy,

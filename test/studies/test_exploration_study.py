@@ -6,7 +6,7 @@ import pytest
 
 from explore_slam.errors import ConfigError, EvaluationError, ExploreSlamError
 from explore_slam.geometry import Pose2
-from explore_slam.simulation.grid.grid_world import GridWorld
+from explore_slam.simulation.worlds.grid_world import GridWorld
 from explore_slam.studies.exploration_run import StudyConfig, explore
 from explore_slam.studies.exploration_study import make_study, run_study
 from explore_slam.studies.exploration_tables import (

@@ -50,3 +50,9 @@ def test_scan_points_take_too_close_as_an_obstacle_and_skip_the_rest():
     scan = LaserScan(0.0, 0.0, math.pi / 2, ranges, 0.1, 8.0)
     points = scan_points(scan, Pose2(0.5, 0.0, 0.0))
     np.testing.assert_allclose(points, [[0.4, 0.0], [0.5, -1.0]], atol=1e-6)
+
+
+def test_scan_points_lie_in_the_vehicle_frame():
+    scan = LaserScan(0.0, 0.0, 1.0, np.array([2.0], np.float32), 0.01, 8.0)
+    points = scan_points(scan, Pose2(0.1, 0.0, math.pi / 2))
+    np.testing.assert_allclose(points, [[0.1, 2.0]], atol=1e-9)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from explore_slam.errors import VehicleError
-from explore_slam.vehicle import CameraConfig, Kinect
+from explore_slam.vehicle import CameraConfig, Kinect, KinectConfig
 from explore_slam.vehicle.kinect import Image, StampPairing, raw_to_millimetres
 
 FRAME = 2_000_000  # ticks of 60 MHz between two images
@@ -57,7 +57,7 @@ def test_raw_disparities_become_millimetres():
 @pytest.mark.skipif(importlib.util.find_spec('freenect') is None, reason='freenect not installed')
 def test_no_kinect_plugged_in_says_what_to_do():
     with pytest.raises(VehicleError, match=r'Kinect 15: not found or busy.*udev'):
-        Kinect(CameraConfig(camera_index=15)).connect()
+        Kinect(CameraConfig(), KinectConfig(camera_index=15)).connect()
 
 
 def test_without_the_binding_the_error_tells_how_to_get_it(monkeypatch):
@@ -88,8 +88,8 @@ def write_session(folder, frames=40):
 
 SCRIPT = """
 import numpy as np
-from explore_slam.vehicle import CameraConfig, Kinect
-camera = Kinect(CameraConfig(camera_depth='raw', camera_rate=30.0))
+from explore_slam.vehicle import CameraConfig, Kinect, KinectConfig
+camera = Kinect(CameraConfig(camera_rate=30.0), KinectConfig(camera_depth='raw'))
 print(camera.connect())
 frames = []
 while len(frames) < 8:

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from explore_slam.errors import ConfigError, VehicleError
+from explore_slam.settings import with_values
 from explore_slam.simulation.emulators.arcos_robot import ArcosRobot
 from explore_slam.simulation.emulators.kinematic_body import KinematicBody
 from explore_slam.simulation.emulators.lms200_scanner import Lms200Scanner
 from explore_slam.simulation.emulators.serial_line import SerialLine
-from explore_slam.vehicle import BaseConfig, LaserConfig, Lms200, PioneerRobot
+from explore_slam.vehicle import DriverConfig, Lms200Config, make_base, make_laser
 
 CENTIMETRES = bytes([0, 0, 0x70, 0, 0, 1, 0]) + bytes(27)
 
@@ -25,7 +26,7 @@ def rig(tmp_path):
         body.obstacles = [(2.0, 0.3, 0.4), (0.5, -3.0, 1.0)]
         scanner = Lms200Scanner(body.scan, **options)
         line = SerialLine(scanner, tmp_path / 'laser').start()
-        laser = Lms200(LaserConfig(**{'laser_port': line.path, **(config or {})}))
+        laser = driver(line.path, **(config or {}))
         made.append((laser, line))
         return scanner, line, laser
 
@@ -33,6 +34,10 @@ def rig(tmp_path):
     for laser, line in made:
         laser.close()
         line.stop()
+
+
+def driver(port, **settings):
+    return make_laser(with_values(DriverConfig(), {'laser_port': port, **settings}), time.time)
 
 
 def run(laser, seconds):
@@ -67,7 +72,7 @@ def test_the_configuration_is_written_once_and_only_where_it_must_be(rig):
     assert (scanner.writes, scanner.configuration.unit) == (1, 1)
     assert run(laser, 0.6)
     laser.close()
-    again = Lms200(LaserConfig(laser_port=line.path))
+    again = driver(line.path)
     again.connect()
     assert (scanner.writes, again.written) == (1, 0)
     again.close()
@@ -96,9 +101,9 @@ def test_other_variants(rig, angle, resolution, beams):
 
 def test_variants_that_the_scanner_has_not_are_refused():
     with pytest.raises(ConfigError, match='laser_angle and laser_resolution'):
-        LaserConfig(laser_angle=180, laser_resolution=0.25)
+        Lms200Config(laser_angle=180, laser_resolution=0.25)
     with pytest.raises(ConfigError, match='laser_range'):
-        LaserConfig(laser_range=10)
+        Lms200Config(laser_range=10)
 
 
 def test_upside_down(rig):
@@ -160,12 +165,13 @@ def test_scans_of_a_scanner_in_trouble_are_not_used(rig):
 def test_silence_and_a_robot_at_the_port_have_their_messages(rig, tmp_path):
     _, line, laser = rig()
     line.faults.silent = True
-    with pytest.raises(VehicleError, match='no answer from an LMS-200'):
+    with pytest.raises(VehicleError, match='no reply from an LMS-200'):
         laser.connect()
     device = ArcosRobot(KinematicBody(), baud=38400)
     with SerialLine(device, tmp_path / 'base') as base:
-        robot = PioneerRobot(BaseConfig(base_port=base.path, base_baud=38400))
+        config = with_values(DriverConfig(), {'base_port': base.path, 'base_baud': 38400})
+        robot = make_base(config, time.time)
         robot.connect()
         robot._port.close()  # the session stays open: the robot goes on talking
         with pytest.raises(VehicleError, match='a Pioneer robot is at this port'):
-            Lms200(LaserConfig(laser_port=base.path)).connect()
+            driver(base.path).connect()

@@ -6,12 +6,14 @@ import time
 import pytest
 
 from explore_slam.errors import VehicleError
+from explore_slam.settings import with_values
 from explore_slam.simulation.emulators.arcos_robot import ArcosRobot
 from explore_slam.simulation.emulators.kinematic_body import KinematicBody
 from explore_slam.simulation.emulators.lms200_scanner import Lms200Scanner
 from explore_slam.simulation.emulators.serial_line import SerialLine
-from explore_slam.vehicle import BaseConfig, PioneerRobot
+from explore_slam.vehicle import DriverConfig, make_base
 from explore_slam.vehicle.arcos_packets import Command
+from explore_slam.vehicle.pioneer_sonar import sonar_points
 
 
 @pytest.fixture
@@ -22,7 +24,7 @@ def rig(tmp_path):
     def make(tcp=False, config=None, clock=time.time, **options):
         device = ArcosRobot(KinematicBody(), **options)
         line = SerialLine(device, tmp_path / 'base', tcp_port=0 if tcp else None).start()
-        robot = PioneerRobot(BaseConfig(**{'base_port': line.path, **(config or {})}), clock)
+        robot = driver(line.path, clock, **(config or {}))
         lines.append(line)
         drivers.append(robot)
         return device, line, robot
@@ -32,6 +34,10 @@ def rig(tmp_path):
         robot.close()
     for line in lines:
         line.stop()
+
+
+def driver(port, clock=time.time, **settings):
+    return make_base(with_values(DriverConfig(), {'base_port': str(port), **settings}), clock)
 
 
 def run(robot, seconds, velocity=None, until=lambda _: False):
@@ -56,7 +62,7 @@ def test_drives_and_reports(rig, tcp):
     last, truth = states[-1], device.odometry()
     assert last.linear == pytest.approx(0.4, abs=0.005)
     assert last.angular == pytest.approx(0.5, abs=0.02)
-    assert last.status.motors_on
+    assert last.motors_on
     assert last.odometry.pose.x == pytest.approx(truth.x, abs=0.08)  # a packet old
     run(robot, 1.0, (0.0, 0.0))
     last = run(robot, 0.3)[-1]
@@ -92,7 +98,7 @@ def test_a_session_that_a_crashed_client_left_open_is_closed(rig):
     run(robot, 0.5, (0.3, 0.0))
     robot._port.close()  # as after SIGKILL
     robot._port = None
-    other = PioneerRobot(BaseConfig(base_port=line.path))
+    other = driver(line.path)
     other.connect()
     assert not device.motors_on
     assert run(other, 0.4)
@@ -147,17 +153,16 @@ def test_bumpers_stalls_sonar_battery_and_the_red_button(rig):
     robot.connect()
     robot.enable_motors(True)
     state = run(robot, 0.5)[-1]
-    assert state.sonar == pytest.approx({3: 1.234, 15: 0.5})
-    assert state.status.battery == pytest.approx(11.7)
-    assert (state.bumped, state.stalled) == (False, False)
+    assert state.sonar_points == pytest.approx(sonar_points({3: 1.234, 15: 0.5}))
+    assert state.battery == pytest.approx(11.7)
+    assert (state.front_bumpers, state.rear_bumpers, state.stalled) == (0, 0, False)
     device.faults.front_bumpers, device.faults.left_stall = 0b100, True
     state = run(robot, 0.5)[-1]
-    assert state.bumped
-    assert state.stalled
+    assert (state.front_bumpers, state.rear_bumpers, state.stalled) == (0b100, 0, True)
     device.faults.emergency_stop = True
     state = run(robot, 0.5)[-1]
-    assert state.status.emergency_stop
-    assert not state.status.motors_on
+    assert state.emergency_stop
+    assert not state.motors_on
 
 
 def test_a_pulled_cable_and_a_silent_robot_are_told(rig):
@@ -193,7 +198,7 @@ def test_unknown_subclass_and_its_remedy(rig):
 def test_each_wrong_port_has_its_message(rig, tmp_path):
     def refusal(port, **settings):
         with pytest.raises(VehicleError) as refused:
-            PioneerRobot(BaseConfig(base_port=str(port), **settings)).connect()
+            driver(port, **settings).connect()
         assert str(refused.value).startswith(str(port))
         return str(refused.value)
 

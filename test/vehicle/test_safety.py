@@ -3,10 +3,9 @@ import math
 import numpy as np
 import pytest
 
-from explore_slam.data import LaserScan
-from explore_slam.geometry import Pose2
 from explore_slam.vehicle import SafetyConfig, SafetyGate, SafetyInputs
-from explore_slam.vehicle.safety import lane_free, sonar_points
+from explore_slam.vehicle.pioneer_sonar import sonar_points
+from explore_slam.vehicle.safety import free_in_lane
 
 
 def gate(**settings):
@@ -119,8 +118,8 @@ def test_brakes_in_time_before_an_obstacle(speed):
 
 def test_what_lies_beside_the_lane_does_not_matter():
     points = np.array([[0.5, 0.23], [0.3, -0.4], [-0.4, 0.0]])
-    assert lane_free(points, 0.22, 0.25, forward=True) == math.inf
-    assert lane_free(points, 0.22, 0.25, forward=False) == pytest.approx(0.15)
+    assert free_in_lane(points, 0.22, 0.25, forward=True) == math.inf
+    assert free_in_lane(points, 0.22, 0.25, forward=False) == pytest.approx(0.15)
     assert drive(gate(), 0.4, laser_points=points).linear == 0.4
 
 
@@ -131,9 +130,3 @@ def test_sonar_stops_where_it_is_asked_to():
     assert points[0] == pytest.approx([0.314, 0.053], abs=0.001)
     assert drive(gate(), 0.4, sonar_points=points).linear == 0.4
     assert drive(gate(sonar_stop=True), 0.4, sonar_points=points).linear == 0.0
-
-
-def test_scan_points_lie_in_the_vehicle_frame():
-    scan = LaserScan(0.0, 0.0, 1.0, np.array([2.0], np.float32), 0.01, 8.0)
-    points = SafetyGate.points_of(scan, Pose2(0.1, 0.0, math.pi / 2))
-    assert points == pytest.approx(np.array([[0.1, 2.0]]))

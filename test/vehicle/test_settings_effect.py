@@ -18,7 +18,7 @@ from explore_slam.vehicle import (
 )
 from explore_slam.vehicle.driver_config import BaseNoiseConfig
 from explore_slam.vehicle.lms200_scan import RawScan
-from explore_slam.vehicle.odometry_noise import OdometryCovariance
+from explore_slam.vehicle.odometry_covariance import OdometryCovariance
 
 X = np.arange(0.0, 4.01, 0.05)
 SLALOM = np.column_stack([X, 0.4 * np.sin(2 * np.pi * X / 2.0)])
@@ -34,10 +34,10 @@ FOLLOWER = {
     'lookahead_time': (2.0, 'slalom'),
     'minimum_lookahead': (0.8, 'slalom'),
     'turn_in_place_angle': (0.3, 'corners'),
-    'goal_tolerance': (0.4, 'corners'),
+    'arrival_tolerance': (0.4, 'corners'),
     'maximum_deviation': (0.2, 'beside'),
     'obstacle_stop': (False, 'wall'),
-    'vehicle_radius': (0.5, 'wall'),
+    'body_radius': (0.5, 'wall'),
     'side_clearance': (0.4, 'pillar'),
     'stop_distance': (0.8, 'wall'),
     'reaction_time': (1.5, 'wall'),
@@ -95,11 +95,11 @@ def test_no_setting_of_the_follower_is_left_out():
 SAFETY = {
     'command_timeout': 1.0,
     'laser_timeout': 1.0,
-    'driver_obstacle_stop': False,
+    'laser_stop': False,
     'sonar_stop': True,
     'guard_distance': 0.6,
     'guard_half_width': 0.6,
-    'guard_length': 0.6,
+    'guard_half_length': 0.6,
     'guard_acceleration': 0.1,
     'guard_deceleration': 0.1,
     'guard_turn_acceleration': 0.5,
@@ -136,7 +136,7 @@ def test_every_setting_of_odometry_noise_has_an_effect(name):
     def covariance(config):
         made, pose = OdometryCovariance(config), Pose2(0.0, 0.0, 0.0)
         for _ in range(20):
-            made.drive(Pose2(0.1, 0.0, 0.1))
+            made.propagate(Pose2(0.1, 0.0, 0.1))
             pose = pose.compose(Pose2(0.1, 0.0, 0.1))
         return made.value(pose)
 
@@ -154,7 +154,7 @@ def test_covariance_grows_sideways_with_the_heading_error():
     )
     made, pose = OdometryCovariance(config), Pose2(0.0, 0.0, 0.0)
     for step in (Pose2(0.0, 0.0, 1.0), *([Pose2(0.1, 0.0, 0.0)] * 50)):
-        made.drive(step)
+        made.propagate(step)
         pose = pose.compose(step)
     covariance = made.value(pose)
     across = np.array([-math.sin(1.0), math.cos(1.0), 0.0])

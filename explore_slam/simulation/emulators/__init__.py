@@ -1,1 +1,1 @@
-"""Emulated hardware: the device side of the serial protocols."""
+"""Emulated vehicle hardware: the device side of the serial protocols, with faults."""

@@ -1,6 +1,7 @@
-"""The robot side of ARCOS: a Pioneer's controller in front of any simulated body.
+"""The robot side of ARCOS: an emulated Pioneer controller that moves any simulated body.
 
-Accepts what ARIA and other clients send (WMS2 junk, SYNC0-2, OPEN, CONFIG, HOSTBAUD, ...).
+It accepts what ARIA and other clients send (WMS2 junk, SYNC0-2, OPEN, CONFIG, HOSTBAUD, ...).
+Source: Pioneer 3 operations manual (MobileRobots), "Client-Server Communication".
 """
 
 import math
@@ -11,6 +12,9 @@ from typing import Protocol
 
 from explore_slam.geometry import Pose2
 from explore_slam.vehicle.arcos_packets import (
+    BAUD_CODES,
+    RATE_CHANGE_DELAY,
+    RATE_CHANGE_TIMEOUT,
     Command,
     PacketDecoder,
     decode_command,
@@ -18,15 +22,17 @@ from explore_slam.vehicle.arcos_packets import (
 )
 from explore_slam.vehicle.arcos_status import CONFIG_PACKET, MOVING, STOPPED, scale_factors
 
-STATUS_PERIOD = 0.1  # s
-WATCHDOG = 2.0  # s without a packet of the host
+STATUS_PERIOD = 0.1  # s between status packets
+WATCHDOG = 2.0  # s without a packet of the host until the robot stops
 _REBOOT = 1.0  # s that a reset takes
-_BAUD_OF_CODE = {0: 9600, 1: 19200, 2: 38400, 3: 57600, 4: 115200}
-_RATE_PROBATION = 0.9  # s in which the host must talk at a new rate
+_TOP_SPEED, _TOP_TURN_RATE = 2200, 300  # mm/s, °/s: limits in the configuration of a P3-DX
+_VEL2_UNIT = 0.02  # m/s
+_MOVING = 0.001  # m/s, rad/s
+_BAUD_OF_CODE = {code: baud for baud, code in BAUD_CODES.items()}
 
 
 def _stock_configuration() -> bytes:
-    """Return what follows the name in a CONFIG packet, as a stock P3-DX has it."""
+    """Return the fields after the name in a CONFIG packet of a P3-DX as delivered."""
     layout: tuple[tuple[int, tuple[int, ...]], ...] = (
         # status period (ms), rates of host and aux, gripper and front sonar, rear sonar
         (1, (round(1000 * STATUS_PERIOD), 0, 0)), (2, (0, 1)), (1, (0,)),
@@ -51,21 +57,21 @@ _CONFIGURATION = _stock_configuration()
 
 
 class Body(Protocol):
-    """What the controller moves: a simulated vehicle, or anything with these."""
+    """What the controller moves: a simulated vehicle, or anything with these methods."""
 
     def set_velocity(self, linear: float, angular: float) -> None:
         """Command a velocity (m/s, rad/s)."""
 
     def odometry(self) -> Pose2:
-        """Return the pose by the wheels (m, rad), in any frame that stays."""
+        """Return the wheel odometry (m, rad), in any fixed frame."""
 
     def velocity(self) -> tuple[float, float]:
-        """Return what is driven (m/s, rad/s)."""
+        """Return the present velocity (m/s, rad/s)."""
 
 
 @dataclass
 class RobotFaults:
-    """What goes wrong with the robot; change it at any time."""
+    """Faults of the robot; may be changed at any time."""
 
     left_stall: bool = False
     right_stall: bool = False
@@ -77,7 +83,7 @@ class RobotFaults:
 
 @dataclass
 class _Session:
-    """Where the handshake stands, and what lives as long as a session."""
+    """State of the handshake and of the session."""
 
     open: bool = False
     synchronized: int = 0
@@ -90,10 +96,10 @@ class _Session:
 
 
 class ArcosRobot:
-    """SerialDevice of a Pioneer. counters: where x and y stand at power-on (counts).
+    """An emulated Pioneer (protocol SerialDevice).
 
-    wrap_bits is 15 or 16, as firmware differs. sonar maps transducer -> m and may be set at any
-    time.
+    counters: x and y at power-on (counts). wrap_bits: 15 or 16, as firmware differs.
+    The attribute sonar (transducer index -> range in m) may be changed at any time.
     """
 
     def __init__(
@@ -125,7 +131,7 @@ class ArcosRobot:
         self._outbox = bytearray()
         self._booted = -math.inf
 
-    # -- what a test or a tool wants to know ------------------------------------------------------
+    # -- state ------------------------------------------------------------------------------------
 
     @property
     def motors_on(self) -> bool:
@@ -139,15 +145,15 @@ class ArcosRobot:
 
     @property
     def commanded(self) -> tuple[float, float]:
-        """The velocity the host asked for (m/s, rad/s)."""
+        """The velocity commanded by the host (m/s, rad/s)."""
         return self._session.velocity
 
     def odometry(self) -> Pose2:
-        """Return the robot's own pose since power-on or SETO, unwrapped and unrounded."""
+        """Return the robot's pose since power-on or SETO, without wrap-around and rounding."""
         return self._origin.between(self.body.odometry())
 
     def reset(self, now: float) -> None:
-        """Restart as after a loss of power: session, counters and motors are gone."""
+        """Restart as after a loss of power: session, counters and motors are reset."""
         self._end_session()
         self._origin = self.body.odometry()
         self.baud = self._power_baud
@@ -157,7 +163,7 @@ class ArcosRobot:
     # -- the device -------------------------------------------------------------------------------
 
     def receive(self, data: bytes, now: float) -> None:
-        """Take bytes of the host."""
+        """Receive bytes of the host."""
         if now < self._booted:
             return
         for payload in self._decoder.feed(data):
@@ -166,13 +172,13 @@ class ArcosRobot:
             self._handle(*decode_command(payload), payload, now)
 
     def transmit(self, now: float) -> bytes:
-        """Return what the robot sends now; keeps watchdogs."""
+        """Return the bytes that the robot sends now; run its watchdogs."""
         if now < self._booted:
             return b''
         session = self._session
         if self._rate_change is not None and now >= self._rate_change[0]:
             self.baud, self._rate_change = self._rate_change[1], None
-            self._probation = now + _RATE_PROBATION
+            self._probation = now + RATE_CHANGE_TIMEOUT
         if now > self._probation:
             self.baud, self._probation = self._power_baud, math.inf
         if session.open and now - session.last_packet > WATCHDOG and any(session.velocity):
@@ -188,6 +194,7 @@ class ArcosRobot:
         return data
 
     def _drive(self) -> None:
+        """Pass the velocity to the body, zero while a fault or a lack of power stops it."""
         f = self.faults
         halted = f.emergency_stop or f.left_stall or f.right_stall or not self._session.motors
         if f.emergency_stop:
@@ -227,7 +234,7 @@ class ArcosRobot:
         elif command == Command.OPEN and session.synchronized == 3:
             session.open = True
             session.next_status = now + STATUS_PERIOD
-        elif command == 0:  # a client that starts again
+        elif command == 0:  # a client that starts over
             session.synchronized = 1
             self._outbox += encode_packet(payload)
         else:
@@ -235,6 +242,7 @@ class ArcosRobot:
             self._outbox += encode_packet(bytes([255]))
 
     def _obey(self, command: int, argument: int) -> None:
+        """Execute a command with an integer argument; unknown ones are ignored."""
         session = self._session
         linear, angular = session.velocity
         if command == Command.ENABLE:
@@ -242,10 +250,10 @@ class ArcosRobot:
             if not argument:
                 session.velocity = (0.0, 0.0)
         elif command == Command.VEL:
-            limit = session.limits.get(Command.SETV, 2200)
+            limit = session.limits.get(Command.SETV, _TOP_SPEED)
             session.velocity = (0.001 * max(-limit, min(limit, argument)), angular)
         elif command == Command.RVEL:
-            limit = session.limits.get(Command.SETRV, 300)
+            limit = session.limits.get(Command.SETRV, _TOP_TURN_RATE)
             session.velocity = (linear, math.radians(max(-limit, min(limit, argument))))
         elif command == Command.VEL2:
             self._obey_wheels(argument)
@@ -256,14 +264,16 @@ class ArcosRobot:
         elif command == Command.SONAR:
             session.sonar = bool(argument)
         elif command == Command.HOSTBAUD and argument in _BAUD_OF_CODE:
-            self._rate_change = (session.last_packet + 0.01, _BAUD_OF_CODE[argument])
+            self._rate_change = (
+                session.last_packet + RATE_CHANGE_DELAY, _BAUD_OF_CODE[argument]
+            )  # fmt: skip
         elif command in (Command.STOP, Command.ESTOP):
             session.velocity = (0.0, 0.0)
 
     def _obey_wheels(self, argument: int) -> None:
-        """VEL2: signed bytes of right and left wheel in steps of 20 mm/s."""
+        """Execute VEL2: signed bytes with the speeds of left and right wheel."""
         left, right = (
-            (value - 256 if value > 127 else value) * 0.02
+            (value - 256 if value > 127 else value) * _VEL2_UNIT
             for value in ((argument >> 8) & 0xFF, argument & 0xFF)
         )
         turn = 0.5 * (right - left) * 1000.0 * self._factors.difference
@@ -272,7 +282,7 @@ class ArcosRobot:
     # -- packets ----------------------------------------------------------------------------------
 
     def status_payload(self) -> bytes:
-        """Return a SIP of the present state."""
+        """Return a status packet of the present state."""
         f, factors = self.faults, self._factors
         pose = self.odometry()
         scale = 1000.0 / factors.distance
@@ -283,7 +293,7 @@ class ArcosRobot:
         linear, angular = self.body.velocity()
         difference = angular / factors.difference
         left, right = round(1000 * linear - difference), round(1000 * linear + difference)
-        moving = abs(linear) > 0.001 or abs(angular) > 0.001
+        moving = abs(linear) > _MOVING or abs(angular) > _MOVING
         flags = int(self._session.motors) | int(f.emergency_stop) << 5
         sonar = self.sonar if self._session.sonar else {}
         flags |= 0b11110 if sonar else 0
@@ -318,10 +328,12 @@ class ArcosRobot:
         )
 
     def configuration_payload(self) -> bytes:
-        """Return a CONFIG packet with the values of a stock P3-DX."""
+        """Return a CONFIG packet with the values of a P3-DX as delivered."""
         _, robot_class, subclass = self.identity
         texts = b'\0'.join((robot_class.encode(), subclass.encode(), b'SIM_0001')) + b'\0'
-        tops = b''.join(value.to_bytes(2, 'little') for value in (500, 2200, 300, 2000, 500))
+        tops = b''.join(
+            value.to_bytes(2, 'little') for value in (500, _TOP_SPEED, _TOP_TURN_RATE, 2000, 500)
+        )
         name = self.identity[0].encode() + b'\0'
         return bytes([CONFIG_PACKET]) + texts + bytes(1) + tops + name + _CONFIGURATION
 

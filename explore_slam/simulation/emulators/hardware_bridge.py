@@ -1,8 +1,8 @@
-"""Joins the simulator to emulated hardware: simulated vehicles behind real serial protocols.
+"""Connection of a simulator to emulated hardware: vehicles behind real serial protocols.
 
-Whoever steps the simulator hands every event to take() and applies commands(); the devices'
-threads read and write under a lock. Devices and lines live in simulated time, so that stamps
-stay right when the simulator falls behind real time for a moment.
+The owner of the simulator passes each event to forward() and applies commands(); the devices'
+threads read and write under a lock. Devices and lines use simulated time, so that stamps stay
+right when the simulator falls behind real time.
 """
 
 import threading
@@ -17,7 +17,7 @@ from explore_slam.simulation.records import SimEvent
 
 
 class BridgedVehicle:
-    """A simulated vehicle as the emulators see it: Body of the robot, scan source of the laser."""
+    """A simulated vehicle as the emulators see it: body of the base, scans of the laser."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -27,32 +27,32 @@ class BridgedVehicle:
         self._scan: LaserScan | None = None
 
     def set_velocity(self, linear: float, angular: float) -> None:
-        """Take what the robot's motors do (m/s, rad/s)."""
+        """Set the velocity of the base's motors (m/s, rad/s)."""
         with self._lock:
             self._command = (linear, angular)
 
     def command(self) -> tuple[float, float]:
-        """Return what the motors do (m/s, rad/s)."""
+        """Return the velocity of the base's motors (m/s, rad/s)."""
         with self._lock:
             return self._command
 
     def odometry(self) -> Pose2:
-        """Return the pose by the wheels."""
+        """Return the wheel odometry."""
         with self._lock:
             return self._odometry
 
     def velocity(self) -> tuple[float, float]:
-        """Return what is driven (m/s, rad/s)."""
+        """Return the present velocity (m/s, rad/s)."""
         with self._lock:
             return self._velocity
 
     def scan(self) -> LaserScan | None:
-        """Return the newest scan."""
+        """Return the newest scan, None before the first one."""
         with self._lock:
             return self._scan
 
-    def take(self, record: object, velocity: tuple[float, float]) -> bool:
-        """Take an odometry reading or a scan; False for what is no hardware's business."""
+    def update(self, record: object, velocity: tuple[float, float]) -> bool:
+        """Set the newest odometry reading or scan; return False for any other record."""
         with self._lock:
             self._velocity = velocity
             if isinstance(record, OdometryReading):
@@ -71,7 +71,9 @@ class HardwareBridge:
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise SimulationError(f'{folder} cannot be made for serial ports: {error}') from error
+            raise SimulationError(
+                f'{folder}: cannot create the folder for serial ports: {error}'
+            ) from error
         self._time = 0.0
         self.bodies = {name: BridgedVehicle() for name in vehicles}
         self.emulators = {
@@ -85,25 +87,25 @@ class HardwareBridge:
 
     @property
     def paths(self) -> dict[str, tuple[str, str]]:
-        """Vehicle -> paths of its base and its laser."""
+        """Paths of base and laser of each vehicle."""
         return {
             name: (emulator.base_line.path, emulator.laser_line.path)
             for name, emulator in self.emulators.items()
         }
 
     def advance(self, now: float) -> None:
-        """Let simulated time (s) be now, for devices and lines."""
+        """Set the simulated time (s) of devices and lines."""
         self._time = now
 
     def commands(self) -> dict[str, tuple[float, float]]:
-        """Return vehicle -> what its motors do (m/s, rad/s)."""
+        """Return the velocity (m/s, rad/s) of each vehicle's motors."""
         return {name: body.command() for name, body in self.bodies.items()}
 
-    def take(self, event: SimEvent, velocity: tuple[float, float]) -> bool:
-        """Take an event; True when it now goes through the hardware and not to topics."""
-        return self.bodies[event.vehicle].take(event.record, velocity)
+    def forward(self, event: SimEvent, velocity: tuple[float, float]) -> bool:
+        """Pass an event to the vehicle's devices; return whether they send it on."""
+        return self.bodies[event.vehicle].update(event.record, velocity)
 
     def close(self) -> None:
-        """Pull all cables."""
+        """Stop all devices and remove their ports."""
         for emulator in self.emulators.values():
             emulator.stop()

@@ -1,4 +1,4 @@
-"""A vehicle body on an empty plane: the least that can stand in for a simulated vehicle."""
+"""A minimal simulated vehicle on an empty plane, for emulators without a simulator."""
 
 import math
 import threading
@@ -10,13 +10,15 @@ import numpy as np
 from explore_slam.data import LaserScan
 from explore_slam.geometry import IDENTITY, Pose2, wrap_angle
 
-LASER_RANGE = 8.0  # m
+LASER_RANGE = 8.0  # m, of an LMS-200 in mm
+_LONGEST_STEP = 0.005  # s of integration
 
 
 class KinematicBody:
-    """A unicycle with limited accelerations, moved on by whoever reads it (clock, s).
+    """A unicycle with limited accelerations and exact odometry.
 
-    Its odometry is perfect. Obstacles are discs (x, y, radius) m that its laser sees.
+    It is integrated up to the clock (s) at each call. The attribute obstacles holds discs
+    (x, y, radius) m that its laser sees. laser_x: laser ahead of the vehicle origin (m).
     """
 
     def __init__(
@@ -45,19 +47,19 @@ class KinematicBody:
             self._wanted = (linear, angular)
 
     def odometry(self) -> Pose2:
-        """Return the pose by the wheels, here the true one."""
+        """Return the wheel odometry, here the true pose."""
         with self._lock:
             self._advance()
             return self._pose
 
     def velocity(self) -> tuple[float, float]:
-        """Return what is driven (m/s, rad/s)."""
+        """Return the present velocity (m/s, rad/s)."""
         with self._lock:
             self._advance()
             return self._velocity
 
     def scan(self) -> LaserScan:
-        """Return a scan of 361 beams over 180° from the laser's place."""
+        """Return a scan of 361 beams over 180°."""
         pose = self.odometry().compose(Pose2(self._laser_x, 0.0, 0.0))
         angles = np.radians(np.linspace(-90.0, 90.0, 361))
         directions = np.column_stack([np.cos(pose.theta + angles), np.sin(pose.theta + angles)])
@@ -80,10 +82,10 @@ class KinematicBody:
         )
 
     def _advance(self) -> None:
-        """Integrate up to the clock in steps of at most 5 ms, along exact arcs."""
+        """Integrate up to the clock in short steps along exact arcs."""
         now = self._clock()
         while now - self._time > 1e-9:
-            step = min(now - self._time, 0.005)
+            step = min(now - self._time, _LONGEST_STEP)
             self._time += step
             v, w = (
                 speed + min(max(wanted - speed, -limit * step), limit * step)

@@ -1,4 +1,7 @@
-"""The scanner side of the LMS-200's telegrams, in front of any source of scans."""
+"""The scanner side of the LMS-200's telegrams, with scans from any source.
+
+Source: SICK, "Telegrams for Configuring and Operating the LMS 2xx".
+"""
 
 import math
 from collections import deque
@@ -12,8 +15,10 @@ from explore_slam.data import LaserScan
 from explore_slam.vehicle.lms200_scan import (
     BEYOND,
     MILLIMETRES,
+    MIRROR_PERIOD,
     NO_ECHO,
     OVERFLOW,
+    VARIANTS,
     ScannerConfiguration,
 )
 from explore_slam.vehicle.lms200_telegrams import (
@@ -28,34 +33,36 @@ from explore_slam.vehicle.lms200_telegrams import (
     encode_telegram,
 )
 
-MIRROR_PERIOD = 0.01332  # s
-_ACK_DELAY = 0.005  # s
+_ACK_DELAY = 0.005  # s; the manual allows 60 ms
 _REPLY_DELAY = 0.02  # s after the acknowledgement
-_MODE_DELAY = 0.05  # s more for a change of mode
-_WRITE_DELAY = 0.1  # s more for the EEPROM
+_MODE_DELAY = 0.05  # s more for a change of mode; the manual allows 3 s
+_WRITE_DELAY = 0.1  # s more for writing the EEPROM
+_BOOT_TIME = 0.5  # s; a real scanner takes a minute
+_STREAM_DELAY = 0.02  # s from the reply to the first scan
 _TYPE = b'LMS200;S18063;V02.19 '
-_FINE, _SEVERE = 0x10, 0x13
+_STATUS = b'V02.19 ' + bytes(145)  # of a status reply: the version, everything else 0
+_FINE, _SEVERE = 0x10, 0x13  # status bytes
 _ADDRESS = 0x80
 _RATE_OF_MODE = {mode: rate for rate, mode in BAUD_MODES.items()}
-_VARIANTS = {(180, 100), (180, 50), (100, 100), (100, 50), (100, 25)}
+# configuration as delivered: measuring mode 4 (14 bits of a distance), mm
 _STOCK = bytes((0, 0, 0x70, 0, 0, 4, MILLIMETRES, 0, 0, 2, 2)) + bytes(21) + bytes((2, 0))
 
 
 @dataclass
 class ScannerFaults:
-    """What goes wrong with the scanner; change it at any time."""
+    """Faults of the scanner; may be changed at any time."""
 
-    stalled: bool = False  # the mirror stands: no scans, but it answers
-    severe: bool = False  # status byte of an error
-    polluted: bool = False  # status bit of a dirty front screen
-    missed_requests: int = 0  # so many requests go unanswered
+    stalled: bool = False  # the mirror does not turn: no scans, but replies
+    severe: bool = False  # the status byte reports an error
+    polluted: bool = False  # the status byte reports a dirty front screen
+    missed_requests: int = 0  # number of requests that get no reply
 
 
 class Lms200Scanner:
-    """SerialDevice of an LMS-200. scan() gives what it sees; None means that nothing is known.
+    """An emulated LMS-200 (protocol SerialDevice).
 
-    A scan goes out when the line has room for it, in step with the mirror: at 38400 Bd and 0.5°
-    every 213 ms as a real one does.
+    scan() returns what it sees, None while nothing is known. Scans are sent at whole revolutions
+    of the mirror as fast as the line allows: every 213 ms at 38400 Bd and 0.5°, as by a real one.
     """
 
     def __init__(
@@ -87,12 +94,12 @@ class Lms200Scanner:
         self.baud, self.streaming, self._installing = 9600, False, False
         self._replies.clear()
         self._decoder.clear()
-        self._reply(now + 0.5, Reply.POWER_ON, _TYPE)
+        self._reply(now + _BOOT_TIME, Reply.POWER_ON, _TYPE)
 
     # -- the device -------------------------------------------------------------------------------
 
     def receive(self, data: bytes, now: float) -> None:
-        """Take bytes of the host."""
+        """Receive bytes of the host."""
         rejected = self._decoder.rejected
         for telegram in self._decoder.feed(data):
             if telegram.address != 0:
@@ -106,7 +113,7 @@ class Lms200Scanner:
             self._replies.append((now + _ACK_DELAY, NAK, None))
 
     def transmit(self, now: float) -> bytes:
-        """Return what the scanner sends now."""
+        """Return the bytes that the scanner sends now."""
         data = bytearray()
         while self._replies and self._replies[0][0] <= now:
             _, telegram, rate = self._replies.popleft()
@@ -120,7 +127,7 @@ class Lms200Scanner:
         return bytes(data)
 
     def _after(self, telegram: bytes, now: float) -> float:
-        """Return when the next scan can go out: a whole number of its revolutions later."""
+        """Return when the next scan can be sent, a whole number of revolutions later."""
         revolutions = {100: 1, 50: 2, 25: 4}[self.variant[1]]
         period = revolutions * MIRROR_PERIOD
         periods = math.ceil(10.0 * len(telegram) / self.baud / period)
@@ -142,10 +149,10 @@ class Lms200Scanner:
         elif command == Request.TYPE:
             self._reply(when, Reply.TYPE, _TYPE)
         elif command == Request.STATUS:
-            self._reply(when, Reply.STATUS, b'V02.19 ' + bytes(145))
+            self._reply(when, Reply.STATUS, _STATUS)
         elif command == Request.VARIANT and len(data) >= 4:
             wanted = (int.from_bytes(data[:2], 'little'), int.from_bytes(data[2:4], 'little'))
-            accepted = wanted in _VARIANTS
+            accepted = wanted in VARIANTS
             self.variant = wanted if accepted else self.variant
             self._reply(when + self._mode_delay, Reply.VARIANT, bytes([accepted]) + data[:4])
         elif command == Request.READ_CONFIGURATION:
@@ -169,7 +176,7 @@ class Lms200Scanner:
         if mode in (Mode.STREAM, Mode.ON_REQUEST):
             self.streaming = mode == Mode.STREAM
             self._installing = False
-            self._next_scan = when + 0.02
+            self._next_scan = when + _STREAM_DELAY
         elif mode == Mode.INSTALLATION:
             accepted = data[1:] == PASSWORD
             self._installing = accepted
@@ -193,7 +200,7 @@ class Lms200Scanner:
         )
 
     def _values(self, scan: LaserScan | None) -> NDArray[np.int64]:
-        """Return the values (N,) of this variant's beams, right to left."""
+        """Return the values (N,) of this variant's beams from right to left."""
         angle, hundredths = self.variant
         count = 100 * angle // hundredths + 1
         base = (1 << self.configuration.value_bits) - 16

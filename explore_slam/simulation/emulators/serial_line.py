@@ -1,6 +1,6 @@
-"""A serial cable with a simulated device at its far end: pty or TCP, real timing, faults.
+"""A serial line with an emulated device at its end: pty or TCP, real timing, faults.
 
-The near end is any client of the device's protocol: this project's drivers, or another's.
+Any client of the device's protocol can be at the other end.
 """
 
 import threading
@@ -14,40 +14,42 @@ import numpy as np
 
 from explore_slam.simulation.emulators.serial_transport import PtyTransport, TcpTransport
 
-_TICK = 0.004  # s between looks at the device while bytes are on the way
+_TICK = 0.004  # s between exchanges while bytes are being sent, twice as much otherwise
 
 
 class SerialDevice(Protocol):
-    """What sits at the far end; all calls come from one thread, now is monotonic seconds."""
+    """An emulated device; all calls come from one thread. now: seconds of the line's clock."""
 
     @property
     def baud(self) -> int:
-        """The rate (Bd) at which the device talks now."""
+        """The present baud rate of the device."""
 
     def receive(self, data: bytes, now: float) -> None:
-        """Take bytes of the host."""
+        """Receive bytes of the host."""
 
     def transmit(self, now: float) -> bytes:
-        """Return what the device wants to send at this time."""
+        """Return the bytes that the device sends at this time."""
 
 
 @dataclass
 class LineFaults:
-    """What goes wrong on the line; change it at any time. Rates are per byte, both ways."""
+    """Faults of the line; may be changed at any time. Rates are per byte in both directions."""
 
     drop_rate: float = 0.0
     duplicate_rate: float = 0.0
     corrupt_rate: float = 0.0
-    silent: bool = False  # the device hears and says nothing
-    deaf: bool = False  # the device does not hear
+    silent: bool = False  # no byte passes in either direction
+    deaf: bool = False  # no byte reaches the device
 
 
 class SerialLine:
-    """Runs a device behind a pty (`link` is a symbolic link to it) or a TCP port.
+    """Runs a device behind a pty or a TCP port, in a thread.
 
-    realtime: bytes take 10 bits each at the device's rate; a host at another rate sends and
-    receives garbage. on_sent(time, data) is called when the last byte of a chunk is out. clock
-    (s) is the time the device and the line live in: real time, or simulated time.
+    link: symbolic link to the pty. tcp_port: port to listen at instead, 0 for any free one.
+    realtime: bytes take 10 bits each at the device's baud rate. A host at another baud rate sends
+    and receives garbage.
+    clock: time (s) of device and line, real or simulated.
+    The attribute on_sent(time, data), if set, is called when a chunk has been sent.
     """
 
     def __init__(
@@ -77,28 +79,28 @@ class SerialLine:
 
     @property
     def path(self) -> str:
-        """What a client opens: a device path, or tcp://host:port."""
+        """What a client opens: a device file, or tcp://host:port."""
         return self._transport.path
 
     def start(self) -> 'SerialLine':
-        """Plug the cable in and run the device."""
+        """Connect the cable and run the device."""
         self.plug()
         self._thread.start()
         return self
 
     def plug(self) -> None:
-        """(Re)connect the cable: a new pty under the same link, or the TCP port again."""
+        """Connect the cable (again): a new pty under the same link, or the same TCP port."""
         with self._lock:
             self._transport.open()
 
     def unplug(self) -> None:
-        """Pull the cable: the client's port is dead from now on."""
+        """Disconnect the cable: the client's port becomes invalid."""
         with self._lock:
             self._transport.close()
             self._outbox.clear()
 
     def stop(self) -> None:
-        """End the device and remove the link."""
+        """Stop the device and remove the link."""
         self._end.set()
         if self._thread.is_alive():
             self._thread.join(2.0)
@@ -121,6 +123,7 @@ class SerialLine:
                 last = now
 
     def _exchange(self, now: float, elapsed: float) -> None:
+        """Pass bytes in both directions, with faults."""
         matched = self._transport.host_rate() in (0, self.device.baud)
         data = self._transport.read()
         if data and not (self.faults.deaf or self.faults.silent):
@@ -132,11 +135,12 @@ class SerialLine:
         if fresh:
             fresh = self._disturb(fresh) if matched else self._garble(fresh)
             if not self._outbox:
-                self._budget = 0.0  # an idle line saves nothing up
+                self._budget = 0.0  # time during which the line was idle is lost
             self._outbox += fresh
         self._send(now, elapsed)
 
     def _send(self, now: float, elapsed: float) -> None:
+        """Send as many bytes as the line transmits in the elapsed time (s)."""
         if not self._outbox:
             return
         count = len(self._outbox)
@@ -153,6 +157,7 @@ class SerialLine:
             self.on_sent(now, chunk[:written])
 
     def _disturb(self, data: bytes) -> bytes:
+        """Drop, corrupt and duplicate bytes."""
         f = self.faults
         if f.drop_rate == f.duplicate_rate == f.corrupt_rate == 0.0:
             return data
@@ -168,4 +173,5 @@ class SerialLine:
         return bytes(result)
 
     def _garble(self, data: bytes) -> bytes:
+        """Return what is received at a wrong baud rate."""
         return self._generator.bytes(max(len(data) // 2, 1))

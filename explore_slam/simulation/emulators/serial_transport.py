@@ -1,4 +1,4 @@
-"""Our end of a client's serial port: a pseudo terminal, or a TCP server."""
+"""The device's end of a client's serial port: a pseudo terminal, or a TCP server."""
 
 import contextlib
 import os
@@ -11,6 +11,7 @@ import tty
 from pathlib import Path
 
 from explore_slam.errors import SimulationError
+from explore_slam.files import replace_link
 
 _TERMIOS_RATES = {
     getattr(termios, f'B{rate}'): rate
@@ -20,7 +21,7 @@ _TERMIOS_RATES = {
 
 
 class PtyTransport:
-    """Our end of a pseudo terminal; both ends are held open so that clients may come and go."""
+    """A pseudo terminal; both ends are held open, so that clients may come and go."""
 
     def __init__(self, link: Path | None) -> None:
         self._link = link
@@ -29,29 +30,26 @@ class PtyTransport:
 
     @property
     def path(self) -> str:
-        """What a client opens."""
+        """What a client opens: a device file, or tcp://host:port."""
         return str(self._link) if self._link is not None else self._name
 
     @property
     def connected(self) -> bool:
-        """Whether a client could hear something."""
+        """Whether bytes can be sent to a client."""
         return self._master >= 0
 
     def open(self) -> None:
-        """Plug in, anew if need be."""
+        """Connect, or connect again."""
         self.close()
         self._master, self._slave = pty.openpty()
         self._name = os.ttyname(self._slave)
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
         if self._link is not None:
-            temporary = self._link.with_name(f'.{self._link.name}.{os.getpid()}')
-            temporary.unlink(missing_ok=True)
-            temporary.symlink_to(self._name)
-            temporary.replace(self._link)
+            replace_link(self._link, self._name)
 
     def close(self) -> None:
-        """Unplug."""
+        """Disconnect."""
         if self._master < 0:
             return
         os.close(self._master)
@@ -61,7 +59,7 @@ class PtyTransport:
             self._link.unlink()
 
     def wait(self, timeout: float) -> None:
-        """Wait for bytes, at most timeout (s)."""
+        """Wait at most timeout (s) for bytes of the host."""
         master = self._master
         if master < 0:
             time.sleep(timeout)
@@ -70,30 +68,30 @@ class PtyTransport:
             select.select([master], [], [], timeout)
 
     def host_rate(self) -> int:
-        """Return the rate (Bd) of the host's side; 0 where there is none."""
+        """Return the baud rate of the host's end, 0 where it has none."""
         if self._master < 0:
             return 0
         return _TERMIOS_RATES.get(termios.tcgetattr(self._slave)[5], 1)
 
     def read(self) -> bytes:
-        """Return what the host has sent."""
+        """Return the bytes received from the host."""
         try:
             return os.read(self._master, 4096) if self._master >= 0 else b''
         except OSError:
             return b''
 
     def write(self, data: bytes) -> int:
-        """Send; return how many bytes need not be sent again."""
+        """Send bytes; return how many need not be sent again."""
         try:
             return os.write(self._master, data)
         except BlockingIOError:
-            return len(data)  # nobody reads: a UART would lose the bytes too
+            return len(data)  # the client does not read: a UART would lose the bytes too
         except OSError:
             return len(data)
 
 
 class TcpTransport:
-    """A listening socket with one client at a time, as the TCP simulators of ARCOS have."""
+    """A listening socket for one client at a time, like the TCP simulators of ARCOS."""
 
     def __init__(self, port: int) -> None:
         self._port = port
@@ -102,16 +100,16 @@ class TcpTransport:
 
     @property
     def path(self) -> str:
-        """What a client opens."""
+        """What a client opens: a device file, or tcp://host:port."""
         return f'tcp://127.0.0.1:{self._port}'
 
     @property
     def connected(self) -> bool:
-        """Whether a client could hear something."""
+        """Whether bytes can be sent to a client."""
         return self._client is not None
 
     def open(self) -> None:
-        """Plug in, anew if need be."""
+        """Connect, or connect again."""
         self.close()
         server = socket.socket()
         server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -119,21 +117,21 @@ class TcpTransport:
             server.bind(('127.0.0.1', self._port))
         except OSError as error:
             server.close()
-            raise SimulationError(f'TCP port {self._port} cannot be had: {error}') from error
+            raise SimulationError(f'TCP port {self._port}: cannot listen: {error}') from error
         self._port = server.getsockname()[1]
         server.listen(1)
         server.setblocking(False)
         self._server = server
 
     def close(self) -> None:
-        """Unplug."""
+        """Disconnect."""
         for end in (self._client, self._server):
             if end is not None:
                 end.close()
         self._client = self._server = None
 
     def wait(self, timeout: float) -> None:
-        """Wait for bytes, at most timeout (s)."""
+        """Wait at most timeout (s) for bytes of the host."""
         end = self._client or self._server
         if end is None:
             time.sleep(timeout)
@@ -142,11 +140,11 @@ class TcpTransport:
             select.select([end], [], [], timeout)
 
     def host_rate(self) -> int:
-        """Return the rate (Bd) of the host's side; 0 where there is none."""
+        """Return the baud rate of the host's end, 0 where it has none."""
         return 0
 
     def read(self) -> bytes:
-        """Return what the host has sent."""
+        """Return the bytes received from the host."""
         if self._client is None and self._server is not None:
             with contextlib.suppress(OSError):
                 self._client, _ = self._server.accept()
@@ -166,7 +164,7 @@ class TcpTransport:
         return data
 
     def write(self, data: bytes) -> int:
-        """Send; return how many bytes need not be sent again."""
+        """Send bytes; return how many need not be sent again."""
         assert self._client is not None
         try:
             return self._client.send(data)

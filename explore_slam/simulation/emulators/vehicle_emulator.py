@@ -1,4 +1,4 @@
-"""The hardware of one vehicle at the far ends of two serial lines: Pioneer and LMS-200."""
+"""Emulated hardware of one vehicle: a Pioneer and an LMS-200 at two serial lines."""
 
 import time
 from collections.abc import Callable
@@ -11,9 +11,9 @@ from explore_slam.simulation.emulators.serial_line import SerialLine
 
 
 class VehicleEmulator:
-    """Pioneer at `<folder>/<name>_base`, laser at `<folder>/<name>_laser`, both ptys.
+    """A Pioneer at the pty `<folder>/<name>_base`, a laser at `<folder>/<name>_laser`.
 
-    clock (s) is the time that devices and lines live in.
+    clock: time (s) of devices and lines, real or simulated.
     """
 
     def __init__(
@@ -36,13 +36,13 @@ class VehicleEmulator:
         )
 
     def start(self) -> 'VehicleEmulator':
-        """Plug both cables in."""
+        """Connect both cables and run the devices."""
         self.base_line.start()
         self.laser_line.start()
         return self
 
     def stop(self) -> None:
-        """Pull both cables and end."""
+        """Stop the devices and remove their ports."""
         self.base_line.stop()
         self.laser_line.stop()
 

@@ -1,1 +1,1 @@
-"""The light simulator on a grid of cells, for planning studies."""
+"""The grid simulator: kinematic vehicles with a laser in a grid world, for planning studies."""

@@ -1,7 +1,7 @@
 """Kinematic vehicles with a laser in a grid world, for planning studies: no rendering, no ROS.
 
-Vehicles are discs that follow plans with the speeds and accelerations of a Pioneer 3-DX, stop in
-front of obstacles and of each other, and know their pose perfectly or with an error that wanders.
+Vehicles are discs that follow plans with the speeds and accelerations of a Pioneer 3-DX and stop
+in front of obstacles and of each other. Their pose is known exactly, or with an error that drifts.
 """
 
 import math
@@ -15,92 +15,94 @@ from explore_slam.data import LaserScan, Plan
 from explore_slam.errors import SimulationError
 from explore_slam.geometry import Array, Pose2, wrap_angle
 from explore_slam.settings import Section, setting
-from explore_slam.simulation.grid import grid_world_kernels as kernels
-from explore_slam.simulation.grid.grid_world import GridWorld
+from explore_slam.simulation.grid import kernels
+from explore_slam.simulation.records import WALL, Collision
+from explore_slam.simulation.worlds.grid_world import FREE, GridWorld
 
-MAX_VEHICLES = 31
-BACKING_SPEED = 0.15
-LOOKS_THERE = 0.2  # rad
-SHORT_LOOK = 0.12  # m
+MAX_VEHICLES = 31  # each has a bit in the 32-bit mask of who has seen a cell
+RANGE_MIN = 0.02  # m, least range in a scan
+
+# Path following and collision avoidance: chosen so that teams in narrow buildings neither collide
+# nor block each other for good (test_grid_world.py, benchmarks/grid_world_speed.py).
+LOOKAHEAD = 0.35  # m
+SHORTEST_LOOKAHEAD = 0.12  # m, in narrow places
+ARRIVAL_DISTANCE = 0.2  # m from the goal
+ARRIVAL_ANGLE = 0.2  # rad from the goal's heading
+WALL_MARGIN = 0.003  # m kept from obstacles
+VEHICLE_MARGIN = 0.15  # m kept from other vehicles
+BACKING_MARGIN = 0.1  # m kept from other vehicles behind
+TURN_GAIN = 2.5  # 1/s, turn rate per heading error at the goal
+BLOCKED_TIME = 4.0  # s without motion until a vehicle backs off
+BACKING_DISTANCE = 0.3  # m
+BACKING_SPEED = 0.15  # m/s
+MOVED = 0.1  # m that count as motion
 
 
 @dataclass(frozen=True)
 class GridSimulatorConfig(Section):
-    """What the vehicles, their lasers and their poses are like."""
+    """Vehicles, their lasers, and the error of their known poses."""
 
-    body_radius: float = setting(
-        0.22,
-        'radius of a vehicle, a disc (half the length of a Pioneer)',
-        unit='m',
-        low=0.05,
-        high=2.0,
-    )
+    disc_radius: float = setting(
+        0.22, 'Radius of the disc that stands for a vehicle; half the length of a Pioneer 3-DX',
+        unit='m', low=0.05, high=2.0, tier='basic',
+    )  # fmt: skip
     reach_clearance: float = setting(
-        0.3,
-        'reachable is what vehicles reach at this distance from obstacles',
-        unit='m',
-        low=0.05,
-        high=2.0,
+        0.3, 'Cells count as reachable if a disc of this radius can cover them',
+        unit='m', low=0.05, high=2.0,
+    )  # fmt: skip
+    cruise_speed: float = setting(
+        0.5, 'Speed on a straight path', unit='m/s', low=0.05, high=3.0, tier='basic'
     )
-    cruise_speed: float = setting(0.5, 'speed on a straight path', unit='m/s', low=0.05, high=3.0)
-    turn_rate: float = setting(1.0, 'fastest turn', unit='rad/s', low=0.1, high=6.0)
-    acceleration: float = setting(0.5, 'while gaining speed', unit='m/s^2', low=0.05, high=10.0)
-    braking: float = setting(1.0, 'while losing speed', unit='m/s^2', low=0.05, high=10.0)
-    turn_acceleration: float = setting(2.0, 'of the turn', unit='rad/s^2', low=0.1, high=20.0)
-    tick: float = setting(0.1, 'time step', unit='s', low=0.01, high=0.5)
-    pursuit_distance: float = setting(0.35, 'lookahead on the path', unit='m', low=0.05, high=2.0)
-    arrival_distance: float = setting(0.2, 'a goal is reached', unit='m', low=0.01, high=2.0)
-    wall_margin: float = setting(0.003, 'kept from obstacles', unit='m', low=0.0, high=1.0)
-    vehicle_margin: float = setting(0.15, 'kept from vehicles', unit='m', low=0.0, high=2.0)
-    beams: int = setting(361, 'beams of the laser', low=1, high=5000)
+    turn_rate: float = setting(1.0, 'Maximum turn rate', unit='rad/s', low=0.1, high=6.0)
+    acceleration: float = setting(0.5, 'Forward acceleration', unit='m/s²', low=0.05, high=10.0)
+    braking: float = setting(1.0, 'Deceleration', unit='m/s²', low=0.05, high=10.0)
+    turn_acceleration: float = setting(
+        2.0, 'Angular acceleration', unit='rad/s²', low=0.1, high=20.0
+    )
+    time_step: float = setting(0.1, 'Time step of the simulation', unit='s', low=0.01, high=0.5)
+    beams: int = setting(361, 'Beams of a scan', low=1, high=5000)
     field_of_view: float = setting(
-        math.pi, 'of the laser', unit='rad', low=0.1, high=2.0 * math.pi
+        math.pi, 'Angle between the first and the last beam', unit='rad', low=0.1,
+        high=2.0 * math.pi,
+    )  # fmt: skip
+    beam_range: float = setting(
+        8.0, 'Maximum range of the laser', unit='m', low=0.5, high=100.0, tier='basic'
     )
-    beam_range: float = setting(8.0, 'longest range of the laser', unit='m', low=0.5, high=100.0)
-    range_noise: float = setting(0.01, 'deviation of a range', unit='m', low=0.0, high=0.5)
+    range_noise: float = setting(
+        0.01, 'Standard deviation of a range', unit='m', low=0.0, high=0.5
+    )
     position_noise: float = setting(
-        0.0, 'deviation of the error of the known position', unit='m', low=0.0, high=1.0
+        0.0, 'Standard deviation of x and y of the known pose', unit='m', low=0.0, high=1.0
     )
     heading_noise: float = setting(
-        0.0, 'deviation of the error of the known heading', unit='rad', low=0.0, high=0.5
+        0.0, 'Standard deviation of the heading of the known pose', unit='rad', low=0.0, high=0.5
     )
-    patience: float = setting(
-        4.0, 'without motion until a vehicle backs off', unit='s', low=0.5, high=60.0
+    error_time_constant: float = setting(
+        20.0, 'Correlation time of the error of the known pose', unit='s', low=0.1, high=1000.0
     )
-    back_off: float = setting(0.3, 'it backs off so far', unit='m', low=0.0, high=2.0)
-    noise_time: float = setting(20.0, 'that error wanders within', unit='s', low=0.1, high=1000.0)
-
-
-@dataclass(frozen=True)
-class Collision:
-    """A contact: when, which vehicle, with which other one; None is an obstacle."""
-
-    stamp: float
-    vehicle: str
-    other: str | None
 
 
 @dataclass
 class _Drive:
-    """What changes about one vehicle beside its pose."""
+    """State of one vehicle beside its pose."""
 
     plan: Plan | None = None
-    segment: int = 0
+    segment: int = 0  # of the plan, followed last
     arrived: bool = True
-    speed: float = 0.0
-    turn: float = 0.0
-    backing: float = 0.0
-    travelled: float = 0.0
-    error: Array = field(default_factory=lambda: np.zeros(3))
-    touching: str | None = None
-    last_moved: float = 0.0
-    last_tried: float = 0.0
-    last_place: tuple[float, float] = (0.0, 0.0)
-    tried_place: tuple[float, float] = (0.0, 0.0)
+    speed: float = 0.0  # m/s
+    turn: float = 0.0  # rad/s
+    backing: float = 0.0  # m still to back off
+    travelled: float = 0.0  # m
+    error: Array = field(default_factory=lambda: np.zeros(3))  # of the known pose
+    touching: str = ''  # the obstacle in contact, WALL or a vehicle
+    progress_time: float = 0.0  # s, when the vehicle last left progress_place
+    progress_place: tuple[float, float] = (0.0, 0.0)
+    motion_time: float = 0.0  # s, when the vehicle last moved on, or last began to back off
+    motion_place: tuple[float, float] = (0.0, 0.0)
 
 
 class GridSimulator:
-    """A team of vehicles in a grid world; one call of step() is one tick."""
+    """A team of vehicles in a grid world; equal seeds and plans give equal runs."""
 
     def __init__(
         self,
@@ -109,6 +111,11 @@ class GridSimulator:
         config: GridSimulatorConfig | None = None,
         seed: int = 0,
     ) -> None:
+        """Place vehicles at their start poses.
+
+        Raises SimulationError for too many vehicles, and for poses outside, in obstacles or closer
+        to each other than two radii.
+        """
         self.world = world
         self.config = config or GridSimulatorConfig()
         self.vehicles = tuple(starts)
@@ -123,8 +130,10 @@ class GridSimulator:
         self._rng = np.random.default_rng(seed)
         self._ticks = 0
         self._poses = np.array([tuple(pose) for pose in starts.values()], dtype=np.float64)
-        self._origin = np.array(world.origin, dtype=np.float64)
-        self._drives = [_Drive(last_place=(pose.x, pose.y)) for pose in starts.values()]
+        origin = np.array(world.origin, dtype=np.float64)
+        self._cells = kernels.Cells(world.cells, world.resolution, origin)
+        self._clearance = kernels.ClearanceField(world.clearance, world.resolution, origin)
+        self._drives = [_Drive(progress_place=(pose.x, pose.y)) for pose in starts.values()]
         self._index = {name: index for index, name in enumerate(self.vehicles)}
         half = 0.5 * self.config.field_of_view
         self._angles = np.linspace(-half, half, self.config.beams)
@@ -136,31 +145,38 @@ class GridSimulator:
         self._own_cells = [0] * len(self.vehicles)
         self._team_cells = 0
         for index in range(len(self.vehicles)):
-            self._wander(index, settled=True)
+            self._drift(index, stationary=True)
 
     def _check_start(self, name: str, pose: Pose2) -> None:
         if not pose.is_finite() or not self.world.is_inside(pose):
-            raise SimulationError(f'grid simulator: {name} starts at {tuple(pose)}, outside')
+            raise SimulationError(
+                f'grid simulator: {name} starts at {tuple(pose)}, outside the world'
+            )
         row, col = self.world.to_cell(np.array([pose[:2]]))[0]
-        if self.world.cells[row, col] != kernels.FREE:
+        if self.world.cells[row, col] != FREE:
             raise SimulationError(
                 f'grid simulator: {name} starts at {tuple(pose)}, in an obstacle'
             )
 
     def _check_apart(self) -> None:
+        needed = 2.0 * self.config.disc_radius
         for index, name in enumerate(self.vehicles):
             x, y, _ = self._poses[index]
-            if kernels.nearest_other(self._poses, index, x, y) < 2.0 * self.config.body_radius:
-                raise SimulationError(f'grid simulator: {name} starts upon another vehicle')
+            gap = kernels.nearest_other(self._poses, index, x, y)
+            if gap < needed:
+                raise SimulationError(
+                    f'grid simulator: {name} starts {gap:.2f} m from another vehicle, '
+                    f'expected at least {needed:g} m'
+                )
 
-    # -- what is known -----------------------------------------------------------------------
+    # -- state -------------------------------------------------------------------------------
 
     def true_pose(self, vehicle: str) -> Pose2:
-        """Return where a vehicle is."""
+        """Return the true pose of a vehicle."""
         return Pose2.from_array(self._poses[self._index[vehicle]])
 
     def known_pose(self, vehicle: str) -> Pose2:
-        """Return where a vehicle believes to be: the true pose and its present error."""
+        """Return the pose a vehicle knows: the true pose with its present error."""
         index = self._index[vehicle]
         return Pose2.from_array(self._poses[index] + self._drives[index].error)
 
@@ -169,17 +185,20 @@ class GridSimulator:
         return self._drives[self._index[vehicle]].travelled
 
     def is_idle(self, vehicle: str) -> bool:
-        """Tell whether a vehicle has no plan or has come to its end."""
+        """Return whether a vehicle has no plan or has reached the goal of its plan."""
         drive = self._drives[self._index[vehicle]]
         return drive.plan is None or drive.arrived
 
     def stalled_for(self, vehicle: str) -> float:
-        """Return for how long (s) a vehicle with a plan has not got on (backing off apart)."""
+        """Return for how long (s) a vehicle with a plan has made no progress.
+
+        Backing off and returning to the same place is no progress.
+        """
         drive = self._drives[self._index[vehicle]]
-        return 0.0 if self.is_idle(vehicle) else self.time - drive.last_moved
+        return 0.0 if self.is_idle(vehicle) else self.time - drive.progress_time
 
     def team_coverage(self) -> float:
-        """Return the share of the reachable cells that any beam has crossed."""
+        """Return the share of the reachable cells that any vehicle's beams have crossed."""
         return self._team_cells / self.reachable_cells
 
     def own_coverage(self, vehicle: str) -> float:
@@ -191,33 +210,27 @@ class GridSimulator:
         mask: NDArray[np.bool_] = (self._seen & np.uint32(1 << self._index[vehicle])) != 0
         return mask
 
-    # -- orders ------------------------------------------------------------------------------
+    # -- inputs and sensors ------------------------------------------------------------------
 
     def set_plan(self, vehicle: str, plan: Plan | None) -> None:
-        """Give a vehicle a plan to follow from now on, or None to stop."""
+        """Set the plan of a vehicle; None, or a plan without waypoints, stops it."""
         drive = self._drives[self._index[vehicle]]
         if drive.plan is None or drive.arrived:
-            drive.last_moved = drive.last_tried = self.time
+            drive.progress_time = drive.motion_time = self.time
         drive.plan = plan if plan is not None and len(plan.waypoints) else None
         drive.segment = 0
         drive.arrived = False
 
     def scan(self, vehicle: str) -> LaserScan:
-        """Return what the laser at the vehicle's center sees now, and remember what it saw."""
+        """Return a scan from the vehicle's centre; the cells it crosses count as seen."""
         index, config = self._index[vehicle], self.config
         others = np.delete(self._poses, index, axis=0)
-        bodies = np.column_stack([others[:, :2], np.full(len(others), config.body_radius)])
+        bodies = np.column_stack([others[:, :2], np.full(len(others), config.disc_radius)])
         own, team = kernels.cast_beams(
-            self.world.cells,
-            self.world.resolution,
-            self._origin,
-            self._poses[index],
-            self._angles,
-            config.beam_range,
+            self._cells,
+            kernels.Laser(self._poses[index], self._angles, config.beam_range),
             bodies,
-            np.uint32(1 << index),
-            self.reachable,
-            self._seen,
+            kernels.Coverage(self.reachable, self._seen, np.uint32(1 << index)),
             self._ranges,
         )
         self._own_cells[index] += own
@@ -231,153 +244,150 @@ class GridSimulator:
             stamp=self.time,
             angle_min=float(self._angles[0]),
             angle_increment=float(step),
-            ranges=np.maximum(ranges, 0.02).astype(np.float32),
-            range_min=0.02,
+            ranges=np.maximum(ranges, RANGE_MIN).astype(np.float32),
+            range_min=RANGE_MIN,
             range_max=config.beam_range,
         )
 
     # -- motion ------------------------------------------------------------------------------
 
     def step(self) -> None:
-        """Let one tick go by: every vehicle steers, brakes and moves."""
+        """Advance by one time step: each vehicle in turn steers, brakes and moves."""
         self._ticks += 1
-        self.time = self._ticks * self.config.tick
+        self.time = self._ticks * self.config.time_step
         for index in range(len(self.vehicles)):
-            self._wander(index)
+            self._drift(index)
             self._steer(index)
             self._move(index)
 
-    def _wander(self, index: int, settled: bool = False) -> None:
-        """Let the error of the known pose wander (Ornstein-Uhlenbeck process)."""
+    def _drift(self, index: int, stationary: bool = False) -> None:
+        """Advance the error of the known pose (Ornstein-Uhlenbeck process).
+
+        stationary: draw it from the stationary distribution instead.
+        """
         config, drive = self.config, self._drives[index]
         if config.position_noise or config.heading_noise:
             sigmas = np.array([config.position_noise, config.position_noise, config.heading_noise])
-            keep = 0.0 if settled else math.exp(-config.tick / config.noise_time)
+            keep = 0.0 if stationary else math.exp(-config.time_step / config.error_time_constant)
             fresh = sigmas * self._rng.normal(size=3)
             drive.error = keep * drive.error + math.sqrt(1.0 - keep * keep) * fresh
 
     def _steer(self, index: int) -> None:
+        """Set speed and turn rate of a vehicle for this time step."""
         config, drive = self.config, self._drives[index]
         wanted_speed, wanted_turn = 0.0, 0.0
         driving = drive.plan is not None and not drive.arrived
-        if driving and self.time - drive.last_tried >= config.patience:
-            drive.last_tried, drive.backing = self.time, config.back_off
+        if driving and self.time - drive.motion_time >= BLOCKED_TIME:
+            drive.motion_time, drive.backing = self.time, BACKING_DISTANCE
         if drive.backing > 0.0:
             self._back_off(index)
             return
         if driving and drive.plan is not None:
-            wanted_speed, wanted_turn, drive.segment, drive.arrived = kernels.pursue(
-                np.ascontiguousarray(drive.plan.waypoints, dtype=np.float64),
-                drive.segment,
-                self._poses[index] + drive.error,
+            pursuit = kernels.Pursuit(
                 self._lookahead(index),
-                config.arrival_distance,
+                ARRIVAL_DISTANCE,
                 config.cruise_speed,
                 config.turn_rate,
                 config.braking,
             )
-            if drive.arrived:
-                # There, but perhaps not yet looking where the plan wants it to look.
+            wanted_speed, wanted_turn, drive.segment, drive.arrived = kernels.pursue(
+                np.ascontiguousarray(drive.plan.waypoints, dtype=np.float64),
+                drive.segment,
+                self._poses[index] + drive.error,
+                pursuit,
+            )
+            if drive.arrived:  # at the goal's position: turn to its heading
                 known = float(self._poses[index, 2] + drive.error[2])
                 aside = wrap_angle(drive.plan.goal.theta - known)
-                drive.arrived = abs(aside) <= LOOKS_THERE
-                wanted_turn = min(max(2.5 * aside, -config.turn_rate), config.turn_rate)
-        change = config.turn_acceleration * config.tick
+                drive.arrived = abs(aside) <= ARRIVAL_ANGLE
+                wanted_turn = min(max(TURN_GAIN * aside, -config.turn_rate), config.turn_rate)
+        change = config.turn_acceleration * config.time_step
         drive.turn = min(max(wanted_turn, drive.turn - change), drive.turn + change)
         wanted_speed = min(wanted_speed, self._safe_speed(index)) if wanted_speed > 0.0 else 0.0
-        rise, fall = config.acceleration * config.tick, config.braking * config.tick
+        rise, fall = config.acceleration * config.time_step, config.braking * config.time_step
         drive.speed = min(max(wanted_speed, drive.speed - fall), drive.speed + rise)
 
     def _lookahead(self, index: int) -> float:
-        """Return the lookahead (m): short in narrow places, where corners must not be cut."""
+        """Return the lookahead (m), short in narrow places, where corners must not be cut."""
         x, y, _ = self._poses[index]
-        field_at = (self.world.clearance, self.world.resolution, self._origin)
-        room = kernels.sample_field(*field_at, x, y) - self.config.body_radius
-        return min(max(2.0 * room, SHORT_LOOK), self.config.pursuit_distance)
+        room = kernels.sample_field(self._clearance, x, y) - self.config.disc_radius
+        return min(max(2.0 * room, SHORTEST_LOOKAHEAD), LOOKAHEAD)
 
     def _back_off(self, index: int) -> None:
-        """Drive straight back, slowly, until far enough or something lies behind."""
+        """Drive straight back until the backing distance is driven or something is behind."""
         config, drive = self.config, self._drives[index]
         behind = self._poses.copy()
         behind[index, 2] += math.pi
-        needed = config.body_radius + config.wall_margin
-        field_at = (self.world.clearance, self.world.resolution, self._origin)
+        needed = config.disc_radius + WALL_MARGIN
         room = min(
-            kernels.free_distance(*field_at, behind[index], needed, 0.2),
-            kernels.room_before_others(behind, index, 2.0 * config.body_radius + 0.1),
+            kernels.free_distance(self._clearance, behind[index], needed, 0.2),
+            kernels.distance_to_others(behind, index, 2.0 * config.disc_radius + BACKING_MARGIN),
         )
         drive.turn = 0.0
-        drive.speed = -BACKING_SPEED if room > 2.0 * BACKING_SPEED * config.tick else 0.0
-        drive.backing += drive.speed * config.tick if drive.speed else -drive.backing
+        drive.speed = -BACKING_SPEED if room > 2.0 * BACKING_SPEED * config.time_step else 0.0
+        drive.backing += drive.speed * config.time_step if drive.speed else -drive.backing
 
     def _safe_speed(self, index: int) -> float:
-        """Return the speed from which the vehicle can stop in time for what lies ahead.
+        """Return the speed (m/s) from which the vehicle can stop before what lies ahead.
 
-        Obstacles (the sonar ring sees glass too) leave it the whole room, straight on and where
-        its turn leads it; before another vehicle it may use half of it, for that one may come
-        nearer as well.
+        Obstacles (glass too, as for a sonar ring) allow the whole distance to them, straight ahead
+        and in the directions of the next time steps. Another vehicle allows half of the distance,
+        since it may approach as well.
         """
         config = self.config
-        reach = config.cruise_speed**2 / (2.0 * config.braking) + config.cruise_speed * config.tick
+        cruise, braking, step = config.cruise_speed, config.braking, config.time_step
+        reach = cruise**2 / (2.0 * braking) + cruise * step
         turned = np.array([0.0, 0.0, self._drives[index].turn])
+        needed = config.disc_radius + WALL_MARGIN
         room = min(
             kernels.free_distance(
-                self.world.clearance,
-                self.world.resolution,
-                self._origin,
-                self._poses[index] + later * turned,
-                config.body_radius + config.wall_margin,
-                2.0 * reach,
+                self._clearance, self._poses[index] + later * turned, needed, 2.0 * reach
             )
-            for later in (0.0, config.tick, 3.0 * config.tick)
+            for later in (0.0, step, 3.0 * step)
         )
-        apart = 2.0 * config.body_radius + config.vehicle_margin
-        before = 0.5 * kernels.room_before_others(self._poses, index, apart)
-        room = min(room, before) - config.cruise_speed * config.tick * 0.5
-        return math.sqrt(2.0 * config.braking * room) if room > 0.0 else 0.0
+        apart = 2.0 * config.disc_radius + VEHICLE_MARGIN
+        before = 0.5 * kernels.distance_to_others(self._poses, index, apart)
+        room = min(room, before) - cruise * step * 0.5
+        return math.sqrt(2.0 * braking * room) if room > 0.0 else 0.0
 
     def _move(self, index: int) -> None:
-        """Move one vehicle by a tick unless it would touch something; count new contacts."""
+        """Move a vehicle over a time step unless it would touch something; record contacts."""
         config, drive = self.config, self._drives[index]
         x, y, theta = self._poses[index]
-        turned = drive.turn * config.tick
-        moved = drive.speed * config.tick
+        turned = drive.turn * config.time_step
+        moved = drive.speed * config.time_step
         nx = x + moved * math.cos(theta + 0.5 * turned)
         ny = y + moved * math.sin(theta + 0.5 * turned)
         self._poses[index, 2] = wrap_angle(theta + turned)
         touching = self._contact(index, (x, y), (nx, ny)) if moved else drive.touching
-        if touching is not None and moved:
+        if touching and moved:
             drive.speed = 0.0
             if touching != drive.touching:
-                other = touching or None
-                self.collisions.append(Collision(self.time, self.vehicles[index], other))
+                self.collisions.append(Collision(self.time, self.vehicles[index], touching))
         elif moved:
             self._poses[index, 0], self._poses[index, 1] = nx, ny
             drive.travelled += abs(moved)
         drive.touching = touching
         place = (float(self._poses[index, 0]), float(self._poses[index, 1]))
-        if math.dist(place, drive.tried_place) > 0.1:
-            drive.last_tried, drive.tried_place = self.time, place
-        if math.dist(place, drive.last_place) > 2.0 * config.back_off:
-            drive.last_moved, drive.last_place = self.time, place
+        if math.dist(place, drive.motion_place) > MOVED:
+            drive.motion_time, drive.motion_place = self.time, place
+        if math.dist(place, drive.progress_place) > 2.0 * BACKING_DISTANCE:
+            drive.progress_time, drive.progress_place = self.time, place
 
-    def _contact(
-        self, index: int, old: tuple[float, float], new: tuple[float, float]
-    ) -> str | None:
-        """Return the vehicle touched by going there, '' for an obstacle, None for nothing."""
-        poses, radius = self._poses, self.config.body_radius
+    def _contact(self, index: int, old: tuple[float, float], new: tuple[float, float]) -> str:
+        """Return the obstacle touched by a motion: a vehicle's name, WALL, or '' for none."""
+        poses, radius = self._poses, self.config.disc_radius
         near = kernels.nearest_other(poses, index, *new)
         if near < 2.0 * radius and near < kernels.nearest_other(poses, index, *old):
             gaps = np.hypot(poses[:, 0] - new[0], poses[:, 1] - new[1])
             gaps[index] = np.inf
             return self.vehicles[int(np.argmin(gaps))]
-        field_at = (self.world.clearance, self.world.resolution, self._origin)
-        clearance = kernels.sample_field(*field_at, *new)
-        if clearance < radius and clearance < kernels.sample_field(*field_at, *old) - 1e-9:
-            return ''
-        return None
+        clearance = kernels.sample_field(self._clearance, *new)
+        if clearance < radius and clearance < kernels.sample_field(self._clearance, *old) - 1e-9:
+            return WALL
+        return ''
 
 
 def warm_up() -> None:
-    """Compile the kernels, so that no run pays for it."""
-    kernels.compile_kernels()
+    """Compile the kernels, so that no run waits for the compiler."""
+    kernels.warm_up()

@@ -1,1 +1,1 @@
-"""The rendered simulator: MuJoCo scene, camera, laser, differential drive."""
+"""The rendered simulator: MuJoCo model, camera, laser, differential drive."""

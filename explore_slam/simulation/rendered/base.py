@@ -1,9 +1,10 @@
-"""The simulated base: a differential drive with limits, and odometry from its wheels.
+"""The simulated base: differential drive with limited accelerations, and noisy wheel odometry.
 
-Noise of the paper's table I. One step of 0.5 m has the deviation 5/100 * 0.5 m * sigma along x
-and 3 pi / 180 * sigma in heading with sigma = 0.5. Independent steps add up their variances, so
-per metre that is (0.0125 m)² / 0.5 m = 3.125e-4 m² and (0.0262 rad)² / 0.5 m = 1.371e-3 rad²;
-a step that turns by pi / 2 has that heading deviation too: 4.363e-4 rad² per rad.
+Odometry noise is that of the paper (table I): a step of 0.5 m has the standard deviations
+5/100 * 0.5 m * sigma along x and 3 pi / 180 * sigma in heading, with sigma = 0.5. Variances of
+independent steps add up, so per metre they are (0.0125 m)² / 0.5 m = 3.125e-4 m² and
+(0.0262 rad)² / 0.5 m = 1.371e-3 rad². A rotation by pi / 2 has the same heading deviation:
+(0.0262 rad)² / (pi / 2) = 4.363e-4 rad² per rad.
 """
 
 import math
@@ -15,16 +16,16 @@ from explore_slam.simulation.config import SimulatedBaseConfig, SimulatedOdometr
 
 
 def arc(linear: float, angular: float, seconds: float) -> Pose2:
-    """Return the increment of driving at constant speed (m/s) and turn rate (rad/s)."""
-    turn, way = angular * seconds, linear * seconds
+    """Return the increment of a motion with constant speed (m/s) and turn rate (rad/s)."""
+    turn, distance = angular * seconds, linear * seconds
     if abs(turn) < 1e-9:
-        return Pose2(way, 0.0, turn)
-    radius = way / turn
+        return Pose2(distance, 0.0, turn)
+    radius = distance / turn
     return Pose2(radius * math.sin(turn), radius * (1.0 - math.cos(turn)), turn)
 
 
 class DifferentialDrive:
-    """Speeds follow the command within the limits of motors and gear."""
+    """Speed and turn rate that follow commands within limits of velocity and acceleration."""
 
     def __init__(self, config: SimulatedBaseConfig) -> None:
         self._config = config
@@ -33,7 +34,7 @@ class DifferentialDrive:
         self.angular = 0.0
 
     def command(self, linear: float, angular: float) -> None:
-        """Set the speed (m/s) and turn rate (rad/s) to reach; both are cut at the limits."""
+        """Set target speed (m/s) and turn rate (rad/s); both are clamped to the limits."""
         fastest, turn = self._config.simulated_max_speed, self._config.simulated_max_turn_rate
         self._target = (
             min(max(linear, -fastest), fastest),
@@ -41,7 +42,7 @@ class DifferentialDrive:
         )
 
     def advance(self, seconds: float) -> Pose2:
-        """Return the increment of the next time step."""
+        """Integrate over a time step (s); return the increment in the vehicle frame."""
         config = self._config
         self.linear = _towards(
             self.linear, self._target[0], config.simulated_acceleration * seconds
@@ -52,7 +53,7 @@ class DifferentialDrive:
         return arc(self.linear, self.angular, seconds)
 
     def stall(self) -> None:
-        """Lose all speed: the vehicle stands against something."""
+        """Set the speed to zero: an obstacle stopped the vehicle."""
         self.linear = 0.0
 
 
@@ -61,7 +62,7 @@ def _towards(value: float, target: float, change: float) -> float:
 
 
 class WheelOdometry:
-    """Adds noise to the motion, adds it up, and keeps the covariance (3, 3) of the pose."""
+    """Pose integrated from noisy increments, with its covariance (3, 3) in the odometry frame."""
 
     def __init__(self, config: SimulatedOdometryConfig, rng: np.random.Generator) -> None:
         self._config = config
@@ -70,13 +71,13 @@ class WheelOdometry:
         self.covariance: Array = np.zeros((3, 3))
 
     def move(self, increment: Pose2) -> None:
-        """Take in the true motion of one time step."""
+        """Add the true increment of one time step, with noise."""
         config = self._config
-        way = math.hypot(increment.x, increment.y)
-        if way == 0.0 and increment.theta == 0.0:
+        distance = math.hypot(increment.x, increment.y)
+        if distance == 0.0 and increment.theta == 0.0:
             return
-        distance_variance = config.simulated_distance_variance * way
-        heading_variance = config.simulated_drift_variance * way
+        distance_variance = config.simulated_distance_variance * distance
+        heading_variance = config.simulated_drift_variance * distance
         heading_variance += config.simulated_turn_variance * abs(increment.theta)
         along, turned = self._rng.standard_normal(2)
         measured = Pose2(

@@ -1,20 +1,20 @@
-"""What a vehicle runs into: walls, furniture and other vehicles, all seen from above."""
+"""Collision checks in the plane against walls, furniture and other vehicles."""
 
 import math
 from collections.abc import Mapping
 
 from explore_slam.errors import SimulationError
 from explore_slam.geometry import Pose2
+from explore_slam.simulation.records import WALL
 from explore_slam.simulation.worlds.obstacles import Obstacles
 from explore_slam.simulation.worlds.world import World
 
-BISECTIONS = 6  # the way up to a contact is found to 1/64 of a step
-WALL = 'wall'
+BISECTIONS = 6  # the free part of an increment is found to 1/64 of it
 Poses = Mapping[str, Pose2]
 
 
 class Contacts:
-    """Contacts of vehicles, which are circles of one radius (m), in a world."""
+    """Collision checks for vehicles that are discs with one radius (m)."""
 
     def __init__(self, world: World, radius: float) -> None:
         self._world = world
@@ -22,19 +22,19 @@ class Contacts:
         self._radius = radius
 
     def check_poses(self, starts: Poses) -> None:
-        """Raise SimulationError for a pose outside of the world, in a wall or a vehicle."""
+        """Raise SimulationError for a pose outside the world, in a solid or in another vehicle."""
         radius = self._radius
         x0, y0, x1, y1 = self._world.bounds
         for index, (name, pose) in enumerate(starts.items()):
             where = f'pose of {name!r} ({pose.x:g}, {pose.y:g}, {pose.theta:g})'
             if not pose.is_finite() or not (x0 <= pose.x <= x1 and y0 <= pose.y <= y1):
                 raise SimulationError(
-                    f'{where} lies outside of world {self._world.name!r}, '
+                    f'{where} lies outside world {self._world.name!r}, '
                     f'expected x in {x0:g}..{x1:g} and y in {y0:g}..{y1:g} m'
                 )
-            room = self._obstacles.clearance(pose.x, pose.y)
-            if room < radius:
-                place = 'inside a wall' if room <= 0.0 else f'{room:.2f} m from a wall'
+            clearance = self._obstacles.clearance(pose.x, pose.y)
+            if clearance < radius:
+                place = 'inside a wall' if clearance <= 0.0 else f'{clearance:.2f} m from a wall'
                 raise SimulationError(f'{where} lies {place}, expected at least {radius:g} m')
             for other, there in list(starts.items())[:index]:
                 gap = _distance(pose, there)
@@ -44,13 +44,13 @@ class Contacts:
                         f'expected at least {2.0 * radius:g} m'
                     )
 
-    def in_the_way(self, pose: Pose2, wanted: Pose2, others: Poses) -> str:
-        """Return what stands between two poses, 'wall' or a vehicle, or an empty text.
+    def obstacle_between(self, pose: Pose2, wanted: Pose2, others: Poses) -> str:
+        """Return the obstacle of a motion between two poses: WALL, a vehicle's name, or ''.
 
-        What is already touched is in the way only of what comes nearer to it.
+        A vehicle that already touches an obstacle is stopped by it only when it comes closer.
         """
-        room = self._obstacles.clearance(wanted.x, wanted.y)
-        if room < self._radius and room < self._obstacles.clearance(pose.x, pose.y):
+        clearance = self._obstacles.clearance(wanted.x, wanted.y)
+        if clearance < self._radius and clearance < self._obstacles.clearance(pose.x, pose.y):
             return WALL
         for name, other in others.items():
             gap = _distance(wanted, other)
@@ -58,20 +58,20 @@ class Contacts:
                 return name
         return ''
 
-    def up_to_contact(self, pose: Pose2, increment: Pose2, others: Poses) -> Pose2:
-        """Return the increment with as much of its way as is free; turning always is."""
+    def shortened(self, pose: Pose2, increment: Pose2, others: Poses) -> Pose2:
+        """Return an increment with its translation shortened to the free part, same rotation."""
         free, blocked = 0.0, 1.0
         for _ in range(BISECTIONS):
             part = 0.5 * (free + blocked)
             tried = Pose2(part * increment.x, part * increment.y, increment.theta)
-            if self.in_the_way(pose, pose.compose(tried), others):
+            if self.obstacle_between(pose, pose.compose(tried), others):
                 blocked = part
             else:
                 free = part
         return Pose2(free * increment.x, free * increment.y, increment.theta)
 
-    def room(self, pose: Pose2, others: Poses) -> float:
-        """Return the free distance (m) between the body of a vehicle and the nearest thing."""
+    def clearance(self, pose: Pose2, others: Poses) -> float:
+        """Return the clearance (m) between a vehicle's body and the nearest obstacle."""
         gaps = [_distance(pose, other) - self._radius for other in others.values()]
         return min([self._obstacles.clearance(pose.x, pose.y), *gaps]) - self._radius
 

@@ -1,4 +1,4 @@
-"""The simulated Kinect: rendered colour and distance -> RGB-D frame with the noise of a Kinect."""
+"""The simulated Kinect: adds sensor noise to rendered colour and depth."""
 
 import math
 
@@ -10,17 +10,20 @@ from explore_slam.simulation.config import SimulatedKinectConfig
 
 
 def camera_intrinsics(config: SimulatedKinectConfig) -> Intrinsics:
-    """Return the pinhole of the simulated camera; pixel centres lie at whole numbers."""
+    """Return the pinhole parameters; pixel centres have integer coordinates."""
     width, height = config.simulated_image_width, config.simulated_image_height
     focal = 0.5 * width / math.tan(0.5 * math.radians(config.simulated_camera_angle))
     return Intrinsics(width, height, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1))
 
 
 class KinectSensor:
-    """Adds noise: colour evenly, depth growing with its square, quantised to mm (uint16).
+    """Noise of a Kinect v1: constant in colour, growing with the square of depth.
 
-    The normal deviates come from a bank that is read at a random place for each frame: a frame
-    needs over a million of them, drawing them afresh would cost more than rendering.
+    Depth noise after Khoshelham and Elberink (Sensors 12, 2012): the deviation is proportional to
+    the squared depth. Depth is rounded to mm (uint16); 0 marks invalid depth.
+
+    Normal deviates are taken from a precomputed bank at a random offset per frame: a frame needs
+    more than a million, and drawing them would take longer than rendering.
     """
 
     def __init__(self, config: SimulatedKinectConfig, rng: np.random.Generator) -> None:
@@ -36,7 +39,7 @@ class KinectSensor:
     def measure(
         self, stamp: float, color: NDArray[np.uint8], distance: NDArray[np.float32]
     ) -> RgbdFrame:
-        """Return the frame for colour (H, W, 3) and distance (H, W) m, both with row 0 lowest."""
+        """Return the frame for colour (H, W, 3) and depth (H, W) m, both bottom row first."""
         return RgbdFrame(
             stamp, self._colors(color[::-1]), self._depths(distance[::-1]), self.intrinsics
         )

@@ -1,4 +1,4 @@
-"""The simulated laser scanner: rays against walls, furniture and vehicle bodies."""
+"""The simulated laser scanner: rays cast against walls, furniture and vehicle bodies."""
 
 import math
 from typing import Any
@@ -7,18 +7,29 @@ import numpy as np
 
 from explore_slam.data import LaserScan
 from explore_slam.geometry import Pose2
+from explore_slam.mounts import LaserMountConfig
 from explore_slam.simulation.config import SimulatedLaserConfig
+from explore_slam.simulation.rendered.model import BODY, PAINTED, RenderedWorld
 from explore_slam.simulation.rendered.mujoco_import import mujoco
-from explore_slam.simulation.rendered.scene import BODY, PAINTED, Scene
 
-RANGE_MIN = 0.05  # m
+RANGE_MIN = 0.05  # m, least range in a scan
 
 
 class LaserScanner:
-    """Casts the beams of one vehicle's scanner."""
+    """The scanner of one vehicle.
 
-    def __init__(self, config: SimulatedLaserConfig, body: int, rng: np.random.Generator) -> None:
+    body: MuJoCo id of the vehicle's own body, which its beams ignore.
+    """
+
+    def __init__(
+        self,
+        config: SimulatedLaserConfig,
+        mount: LaserMountConfig,
+        body: int,
+        rng: np.random.Generator,
+    ) -> None:
         self._config = config
+        self._mount = mount.pose
         self._body = body
         self._rng = rng
         span, beams = math.radians(config.simulated_field_of_view), config.simulated_beams
@@ -30,17 +41,17 @@ class LaserScanner:
         self._groups = np.zeros(6, np.uint8)
         self._groups[[BODY, PAINTED]] = 1
 
-    def measure(self, stamp: float, pose: Pose2, scene: Scene, data: Any) -> LaserScan:
-        """Return the scan of a vehicle at its true pose; +inf where nothing is in range."""
+    def measure(self, stamp: float, pose: Pose2, world: RenderedWorld, data: Any) -> LaserScan:
+        """Return the scan of a vehicle at its true pose; +inf is no return (REP-117)."""
         config = self._config
-        mount = pose.compose(Pose2(config.simulated_laser_x, 0.0, 0.0))
+        mount = pose.compose(self._mount)
         directions = np.zeros((self._angles.size, 3))
         directions[:, 0] = np.cos(self._angles + mount.theta)
         directions[:, 1] = np.sin(self._angles + mount.theta)
         limit = config.simulated_scan_range
-        scene.show_near(mount.x, mount.y, limit)
+        world.show_near(mount.x, mount.y, limit)
         mujoco.mj_multiRay(
-            scene.model,
+            world.model,
             data,
             np.array([mount.x, mount.y, config.simulated_laser_z]),
             directions.ravel(),

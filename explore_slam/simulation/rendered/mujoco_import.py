@@ -1,4 +1,4 @@
-"""The one place that imports MuJoCo: off-screen EGL is chosen before, its absence is explained."""
+"""Import MuJoCo with off-screen rendering through EGL; explain what is missing where it fails."""
 
 import os
 import sys
@@ -13,9 +13,9 @@ if sys.platform.startswith('linux'):
 
 
 def rendering_error(error: BaseException) -> SimulationError:
-    """Return the error to raise where OpenGL cannot be used."""
+    """Return the SimulationError for an OpenGL failure, with the command that fixes it."""
     return SimulationError(
-        f'the camera images cannot be rendered: {" ".join(str(error).split())}; MuJoCo needs '
+        f'cannot render camera images: {" ".join(str(error).split())}; MuJoCo needs '
         f'OpenGL through EGL (MUJOCO_GL={os.environ.get("MUJOCO_GL")}): on Debian and Ubuntu '
         f'run "sudo apt-get install {GL_PACKAGES}"'
     )

@@ -1,4 +1,4 @@
-"""Renders what a simulated camera sees: one pass gives colour and depth."""
+"""Render the image of a simulated camera: one pass gives colour and depth."""
 
 import math
 from typing import Any
@@ -7,18 +7,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.errors import SimulationError
+from explore_slam.simulation.rendered.model import FLOOR, HIDDEN, Z_FAR, Z_NEAR, RenderedWorld
 from explore_slam.simulation.rendered.mujoco_import import mujoco, rendering_error
-from explore_slam.simulation.rendered.scene import FLOOR, HIDDEN, Z_FAR, Z_NEAR, Scene
 
-VIEW = 12.0  # m; what is farther away is left out of pictures
+VIEW = 12.0  # m; tiles farther away are not drawn: beyond 3.5 m depth is invalid
 
 
 class Renderer:
-    """Off-screen OpenGL of one model; use it from one thread only, close() frees it."""
+    """Off-screen OpenGL context for one model; use it from one thread only."""
 
-    def __init__(self, scene: Scene) -> None:
-        self._model = model = scene.model
-        self._walls = scene
+    def __init__(self, world: RenderedWorld) -> None:
+        """Create the OpenGL context; raises SimulationError where OpenGL is unavailable."""
+        self._model = model = world.model
+        self._world = world
         self.width = int(model.vis.global_.offwidth)
         self.height = int(model.vis.global_.offheight)
         self._context: Any = None
@@ -41,26 +42,26 @@ class Renderer:
         self._viewport = mujoco.MjrRect(0, 0, self.width, self.height)
 
     def render(self, data: Any, camera: int) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-        """Return colour (H, W, 3) and distance along the optical axis (H, W) m of a camera.
+        """Return colour (H, W, 3) and depth along the optical axis (H, W) m of a camera.
 
-        The row 0 is the lowest, as OpenGL has it.
+        Row 0 is the bottom row, as in OpenGL.
         """
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
         self._camera.fixedcamid = camera
         x, y, _ = data.cam_xpos[camera]
-        self._walls.show_near(float(x), float(y), VIEW)
+        self._world.show_near(float(x), float(y), VIEW)
         return self._draw(data)
 
     def render_from_above(
         self, data: Any, center: tuple[float, float], width: float
     ) -> NDArray[np.uint8]:
-        """Return a picture (H, W, 3) from above, about width (m) wide; row 0 on top."""
+        """Return a view from above (H, W, 3), about width (m) wide; row 0 at the top."""
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FREE
         self._camera.lookat[:] = (*center, 0.0)
         self._camera.azimuth, self._camera.elevation = 90.0, -89.9
         half_angle = math.radians(float(self._model.vis.global_.fovy)) / 2
         self._camera.distance = 0.5 * width * self.height / self.width / math.tan(half_angle)
-        self._walls.show_near(*center, math.inf)
+        self._world.show_near(*center, math.inf)
         depth_range = self._model.vis.map
         depth_range.zfar = max(Z_FAR, 2.0 * self._camera.distance)
         picture = self._draw(data)[0][::-1]
@@ -69,7 +70,7 @@ class Renderer:
 
     def _draw(self, data: Any) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
         if self._gl is None:
-            raise SimulationError('the renderer is closed')
+            raise SimulationError('the renderer is closed: no image can be rendered')
         self._gl.make_current()
         category = mujoco.mjtCatBit.mjCAT_ALL
         mujoco.mjv_updateScene(
@@ -83,7 +84,7 @@ class Renderer:
         return color, near * far / (near + depth * (far - near))
 
     def close(self) -> None:
-        """Free the OpenGL context; more calls do nothing."""
+        """Free the OpenGL context; further calls have no effect."""
         if self._context is not None:
             self._context.free()
         if self._gl is not None:

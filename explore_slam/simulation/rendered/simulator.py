@@ -1,4 +1,4 @@
-"""Vehicles in a world, without ROS: step by step, with the records their sensors would give."""
+"""The rendered simulator without ROS: advances vehicles tick by tick, returns sensor records."""
 
 import math
 from dataclasses import dataclass, field
@@ -17,24 +17,26 @@ from explore_slam.simulation.rendered.base import DifferentialDrive, WheelOdomet
 from explore_slam.simulation.rendered.contacts import Contacts
 from explore_slam.simulation.rendered.kinect import KinectSensor, camera_intrinsics
 from explore_slam.simulation.rendered.laser import LaserScanner
+from explore_slam.simulation.rendered.model import build_model
 from explore_slam.simulation.rendered.mujoco_import import mujoco
 from explore_slam.simulation.rendered.renderer import Renderer
-from explore_slam.simulation.rendered.scene import build_scene
+from explore_slam.simulation.worlds.loading import load_world
 from explore_slam.simulation.worlds.world import World
 
-CONTACT_RELEASE = 0.01  # m of room after which a new contact counts as another collision
+CONTACT_RELEASE = 0.01  # m of clearance after which a new contact is a new collision
+MODALITIES = 3  # odometry, laser, camera: one random stream each per vehicle
 
 
 @dataclass
 class _Schedule:
-    """When a sensor is due: rate (Hz; 0 is never) and the time of its first reading (s)."""
+    """When a sensor is due: rate (Hz; 0 is never) and time of the first reading (s)."""
 
     rate: float
     first: float
     taken: int = 0
 
     def due(self, now: float) -> bool:
-        """Tell whether a reading is due, and count it as taken."""
+        """Return whether a reading is due, and count it as taken."""
         if self.rate <= 0.0 or now + 1e-9 < self.first + self.taken / self.rate:
             return False
         # at most one reading per step, however high the rate
@@ -44,7 +46,7 @@ class _Schedule:
 
 @dataclass
 class _Vehicle:
-    """One simulated vehicle; `touching` names what it stands against."""
+    """One simulated vehicle; touching: the obstacle in contact, '' for none."""
 
     name: str
     pose: Pose2
@@ -58,14 +60,16 @@ class _Vehicle:
 
 @dataclass
 class _Log:
+    """Collisions since the start, and their number per vehicle."""
+
     collisions: list[Collision] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
 
 
 class Simulator:
-    """Simulated vehicles in a world; the same seed and commands give the same records.
+    """Simulated vehicles in a world; equal seeds and commands give equal records.
 
-    Use it from one thread (OpenGL) and close() it at the end, or use it as a context manager.
+    Use it from one thread (OpenGL). Call close() at the end, or use it as a context manager.
     """
 
     def __init__(
@@ -75,9 +79,14 @@ class Simulator:
         config: SimulationConfig | None = None,
         seed: int = 0,
     ) -> None:
-        """Put vehicles at their start poses; without any, those of the world file."""
+        """Place vehicles at their start poses.
+
+        world: a world, or the path of a world file or map_server map.
+        vehicles: name -> start pose in the world; default: those suggested by the world.
+        Raises SimulationError for poses that are not free.
+        """
         self.config = config or SimulationConfig()
-        self.world = world if isinstance(world, World) else World.load(world)
+        self.world = world if isinstance(world, World) else load_world(world)
         starts = dict(self.world.starts if vehicles is None else vehicles)
         if not starts:
             raise SimulationError(
@@ -85,54 +94,54 @@ class Simulator:
             )
         self._contacts = Contacts(self.world, self.config.base.simulated_radius)
         self._contacts.check_poses(starts)
-        self._scene = build_scene(self.world, list(starts), self.config)
-        self._model = self._scene.model
+        self._rendered = build_model(self.world, list(starts), self.config)
+        self._model = self._rendered.model
         self._data = mujoco.MjData(self._model)
         self._vehicles = self._make_vehicles(starts, seed)
         self._log = _Log(counts=dict.fromkeys(starts, 0))
         self._ticks = 0
         self._renderer: Renderer | None = None
         if self.config.kinect.simulated_camera_rate > 0.0:
-            self._renderer = Renderer(self._scene)
+            self._renderer = Renderer(self._rendered)
 
-    # -- what callers need ----------------------------------------------------------------------
+    # -- state ----------------------------------------------------------------------------------
 
     @property
     def vehicles(self) -> list[str]:
-        """Names of the vehicles in their order."""
+        """Names of the vehicles in the order of their start poses."""
         return list(self._vehicles)
 
     @property
     def time(self) -> float:
-        """Simulated seconds since the start."""
+        """Simulated time (s) since the start."""
         return self._ticks / self.config.tick_rate
 
     @property
     def intrinsics(self) -> Intrinsics:
-        """Pinhole of all the cameras."""
+        """Pinhole parameters of the cameras."""
         return camera_intrinsics(self.config.kinect)
 
     @property
     def collisions(self) -> dict[str, int]:
-        """How often each vehicle has driven against something."""
+        """Number of collisions of each vehicle."""
         return dict(self._log.counts)
 
     @property
     def collision_log(self) -> list[Collision]:
-        """Every collision with its time and what was hit."""
+        """All collisions in the order of their time."""
         return list(self._log.collisions)
 
     def true_pose(self, vehicle: str) -> Pose2:
-        """Return where a vehicle really is in the world."""
+        """Return the true pose of a vehicle in the world."""
         return self._find(vehicle).pose
 
     def velocity(self, vehicle: str) -> tuple[float, float]:
-        """Return the present speed (m/s) and turn rate (rad/s) of a vehicle."""
+        """Return the true speed (m/s) and turn rate (rad/s) of a vehicle."""
         drive = self._find(vehicle).drive
         return drive.linear, drive.angular
 
     def set_velocity(self, vehicle: str, linear: float, angular: float) -> None:
-        """Command a speed (m/s) and turn rate (rad/s); it holds until the next command."""
+        """Command speed (m/s) and turn rate (rad/s), valid until the next command."""
         if not (math.isfinite(linear) and math.isfinite(angular)):
             raise SimulationError(
                 f'{vehicle}: velocity command is ({linear}, {angular}), expected finite m/s, rad/s'
@@ -140,14 +149,14 @@ class Simulator:
         self._find(vehicle).drive.command(linear, angular)
 
     def place(self, vehicle: str, pose: Pose2) -> None:
-        """Lift a vehicle to another pose; its wheels do not notice (a kidnapped robot)."""
+        """Move a vehicle to another pose without odometry (kidnapped robot)."""
         others = {v.name: v.pose for v in self._vehicles.values() if v.name != vehicle}
         moved = self._find(vehicle)
         self._contacts.check_poses({**others, vehicle: pose})
         moved.pose, moved.touching = pose, ''
 
     def step(self) -> list[SimEvent]:
-        """Advance one tick and return what the sensors measured, in a fixed order."""
+        """Advance by one tick; return the records of its sensors in a fixed order."""
         self._ticks += 1
         seconds = 1.0 / self.config.tick_rate
         for vehicle in self._vehicles.values():
@@ -163,9 +172,11 @@ class Simulator:
         return events
 
     def picture_from_above(self, width: float | None = None) -> NDArray[np.uint8]:
-        """Return a picture (H, W, 3) uint8 of the whole world, or width (m) of its middle."""
+        """Return a view from above (H, W, 3) uint8, width (m) wide; default: the whole world."""
         if self._renderer is None:
-            raise SimulationError('simulated_camera_rate is 0: nothing is rendered')
+            raise SimulationError(
+                'simulated_camera_rate is 0, expected > 0: without a camera nothing is rendered'
+            )
         self._place_bodies()
         x0, y0, x1, y1 = self.world.bounds
         ratio = self._renderer.width / self._renderer.height
@@ -173,7 +184,7 @@ class Simulator:
         return self._renderer.render_from_above(self._data, ((x0 + x1) / 2, (y0 + y1) / 2), wide)
 
     def close(self) -> None:
-        """Free the renderer; more calls do nothing."""
+        """Free the renderer; further calls have no effect."""
         if self._renderer is not None:
             self._renderer.close()
 
@@ -200,10 +211,11 @@ class Simulator:
 
     def _make_vehicles(self, starts: dict[str, Pose2], seed: int) -> dict[str, _Vehicle]:
         config, made = self.config, {}
-        seeds = np.random.SeedSequence(seed).spawn(3 * len(starts))
+        seeds = np.random.SeedSequence(seed).spawn(MODALITIES * len(starts))
         for index, (name, pose) in enumerate(starts.items()):
-            rngs = [np.random.default_rng(s) for s in seeds[3 * index : 3 * index + 3]]
-            # cameras take turns, so that the load of rendering is spread
+            own = seeds[MODALITIES * index : MODALITIES * (index + 1)]
+            rngs = [np.random.default_rng(s) for s in own]
+            # the cameras are staggered, which spreads the load of rendering
             camera_rate = config.kinect.simulated_camera_rate
             shift = index / (len(starts) * camera_rate) if camera_rate > 0.0 else 0.0
             made[name] = _Vehicle(
@@ -211,7 +223,9 @@ class Simulator:
                 pose,
                 DifferentialDrive(config.base),
                 WheelOdometry(config.odometry, rngs[0]),
-                LaserScanner(config.laser, int(self._model.body(name).id), rngs[1]),
+                LaserScanner(
+                    config.laser, config.laser_mount, int(self._model.body(name).id), rngs[1]
+                ),
                 KinectSensor(config.kinect, rngs[2]) if camera_rate > 0.0 else None,
                 {
                     'odometry': _Schedule(config.odometry.simulated_odometry_rate, 0.0),
@@ -224,7 +238,7 @@ class Simulator:
     # -- one step -------------------------------------------------------------------------------
 
     def _drive(self, vehicle: _Vehicle, seconds: float) -> None:
-        """Move a vehicle as far as nothing is in the way; turning on the spot always works."""
+        """Move a vehicle over a time step, up to the next obstacle; rotation is never blocked."""
         increment = vehicle.drive.advance(seconds)
         if increment.x != 0.0 or increment.y != 0.0:
             increment = self._free_part(vehicle, increment)
@@ -232,12 +246,12 @@ class Simulator:
         vehicle.odometry.move(increment)
 
     def _free_part(self, vehicle: _Vehicle, increment: Pose2) -> Pose2:
-        """Return how much of an increment can be driven; note what ends it."""
+        """Return the free part of an increment; record a collision if there is a new one."""
         others = {v.name: v.pose for v in self._vehicles.values() if v is not vehicle}
         wanted = vehicle.pose.compose(increment)
-        obstacle = self._contacts.in_the_way(vehicle.pose, wanted, others)
+        obstacle = self._contacts.obstacle_between(vehicle.pose, wanted, others)
         if not obstacle:
-            if vehicle.touching and self._contacts.room(wanted, others) > CONTACT_RELEASE:
+            if vehicle.touching and self._contacts.clearance(wanted, others) > CONTACT_RELEASE:
                 vehicle.touching = ''
             return increment
         if vehicle.touching != obstacle:
@@ -245,9 +259,10 @@ class Simulator:
             self._log.collisions.append(Collision(self.time, vehicle.name, obstacle))
         vehicle.touching = obstacle
         vehicle.drive.stall()
-        return self._contacts.up_to_contact(vehicle.pose, increment, others)
+        return self._contacts.shortened(vehicle.pose, increment, others)
 
     def _place_bodies(self) -> None:
+        """Set the poses of all bodies and cameras in MuJoCo."""
         for index, vehicle in enumerate(self._vehicles.values()):
             half = 0.5 * vehicle.pose.theta
             self._data.mocap_pos[index] = (vehicle.pose.x, vehicle.pose.y, 0.0)
@@ -256,13 +271,14 @@ class Simulator:
         mujoco.mj_camlight(self._model, self._data)
 
     def _measure(self, vehicle: _Vehicle, due: set[str]) -> list[Record]:
+        """Return the records of the sensors that are due."""
         now, records = self.time, list[Record]()
         if 'odometry' in due:
             odometry, drive = vehicle.odometry, vehicle.drive
             records.append(OdometryReading(now, odometry.pose, odometry.covariance))
             records.append(TruePose(now, vehicle.pose, drive.linear, drive.angular))
         if 'laser' in due:
-            records.append(vehicle.laser.measure(now, vehicle.pose, self._scene, self._data))
+            records.append(vehicle.laser.measure(now, vehicle.pose, self._rendered, self._data))
         if 'kinect' in due and self._renderer is not None and vehicle.kinect is not None:
             camera = list(self._vehicles).index(vehicle.name)
             records.append(vehicle.kinect.measure(now, *self._renderer.render(self._data, camera)))

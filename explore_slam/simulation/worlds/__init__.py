@@ -1,1 +1,1 @@
-"""Worlds: files, maps, solids and painted surfaces."""
+"""Worlds: solids, painted surfaces and cells, read from world files or map_server maps."""

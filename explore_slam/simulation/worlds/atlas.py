@@ -1,4 +1,4 @@
-"""Puts the painted surfaces of a world side by side on few large textures."""
+"""Pack the painted surfaces of a world into a few large textures."""
 
 from typing import NamedTuple
 
@@ -7,10 +7,10 @@ import numpy as np
 from explore_slam.simulation.worlds.paint import paint_surface
 from explore_slam.simulation.worlds.posters import Image
 
-PAGE_SIZE = 4096  # pixels; every OpenGL in use offers that much
-MAX_PAGES = 2
-NARROW = 25  # pixels; what is less wide gets no patch of its own
-MARGIN = 2  # pixels between surfaces, so that a coarser mipmap does not mix them at once
+PAGE_SIZE = 4096  # pixels per side, which OpenGL implementations in use support
+MAX_PAGES = 2  # 100 MB of texture memory
+NARROW = 25  # pixels; narrower surfaces get no patch of their own
+MARGIN = 2  # pixels between surfaces, so that the first mipmap levels do not blend neighbours
 
 
 class Surface(NamedTuple):
@@ -22,7 +22,7 @@ class Surface(NamedTuple):
 
 
 class Patch(NamedTuple):
-    """Where a surface lies: page, and left, top, right, bottom in pixels of that page."""
+    """The place of a surface: page, and left, top, right, bottom in pixels of that page."""
 
     page: int
     left: int
@@ -39,10 +39,10 @@ class Atlas(NamedTuple):
 
 
 def build_atlas(surfaces: list[Surface], resolution: float, seed: int) -> Atlas:
-    """Paint the surfaces at a resolution (m per pixel).
+    """Paint all surfaces at a resolution (m per pixel).
 
-    Each surface has a generator of its own (seed and index). Narrow surfaces, and those left over
-    when all pages are full, show parts of wider ones of their style.
+    Each surface has its own random generator (seed, index). Narrow surfaces, and those that do
+    not fit on the pages, reuse parts of wider surfaces of the same style.
     """
     sizes = [_pixels(surface, resolution) for surface in surfaces]
     patches = _arrange(surfaces, sizes)
@@ -70,9 +70,9 @@ def _pixels(surface: Surface, resolution: float) -> tuple[int, int]:
 
 
 def _arrange(surfaces: list[Surface], sizes: list[tuple[int, int]]) -> list[tuple[Patch, bool]]:
-    """Return for each surface its patch and whether it is the one that paints it.
+    """Return for each surface its patch and whether the surface owns (paints) that patch.
 
-    Rows of patches, the highest first (the first-fit shelf method).
+    Next-fit shelf packing in order of decreasing height: shelves are filled from left to right.
     """
     widest = {surface.style: 0 for surface in surfaces}
     for surface, size in zip(surfaces, sizes, strict=True):
@@ -107,7 +107,7 @@ def _arrange(surfaces: list[Surface], sizes: list[tuple[int, int]]) -> list[tupl
 
 
 def _share(pool: list[Patch], columns: int, rows: int, index: int) -> Patch:
-    """Return a part of a patch in the pool that is as large as asked, if there is one."""
+    """Return a part with this size of some patch in the pool, smaller if none is large enough."""
     chosen = pool[index % len(pool)]
     if chosen.right - chosen.left < columns or chosen.bottom - chosen.top < rows:
         fitting = [p for p in pool if p.right - p.left >= columns and p.bottom - p.top >= rows]

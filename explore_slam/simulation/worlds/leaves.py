@@ -1,7 +1,8 @@
-"""Dead leaves: random shapes that cover each other, the texture model closest to natural pictures.
+"""Dead leaves textures: random shapes of power-law sizes that occlude each other.
 
-Corners of plain rectangles all have the same SIFT descriptor, and isolated dots too; a patch of
-overlapping shapes of all sizes has one that is found nowhere else.
+The model reproduces statistics of natural images (Lee, Mumford, Huang, "Occlusion models for
+natural images", IJCV 41, 2001). Corners of plain rectangles all have the same SIFT descriptor,
+and so do isolated dots; overlapping shapes of all sizes have distinctive ones.
 """
 
 import math
@@ -12,13 +13,15 @@ from numpy.typing import NDArray
 from explore_slam.compiled import kernel
 
 Gains = NDArray[np.float32]
-MEAN_COVER = 2.0  # area of a leaf of radius 1, about
-ELLIPSE, RECTANGLE, WEDGE = 0, 1, 2
+MEAN_COVER = 2.0  # area of a leaf of radius 1, roughly the mean over shapes and aspects
+LARGEST = 50.0  # pixels, radius of the largest leaf
+COVERS = 3.0  # total area of the leaves in multiples of the image: 95 % of it gets covered
+ELLIPSE, RECTANGLE, WEDGE = 0, 1, 2  # kinds of leaves
 
 
 @kernel
 def _paint(gains: Gains, leaves: NDArray[np.float64]) -> None:
-    """Paint leaves (N, 10) in their order: x, y, radius, cos, sin, aspect, kind, three gains."""
+    """Paint leaves (N, 10) in order: x, y, radius, cos, sin, aspect, kind, gain per channel."""
     rows, columns = gains.shape[0], gains.shape[1]
     for k in range(leaves.shape[0]):
         cx, cy, radius = leaves[k, 0], leaves[k, 1], leaves[k, 2]
@@ -28,9 +31,9 @@ def _paint(gains: Gains, leaves: NDArray[np.float64]) -> None:
             for x in range(max(0, int(cx - reach)), min(columns, int(cx + reach) + 2)):
                 u = cos * (x - cx) + sin * (y - cy)
                 v = cos * (y - cy) - sin * (x - cx)
-                if kind == 0:
+                if kind == ELLIPSE:
                     inside = u * u + (v / aspect) ** 2 < radius * radius
-                elif kind == 1:
+                elif kind == RECTANGLE:
                     inside = abs(u) < radius and abs(v) < aspect * radius
                 else:
                     inside = abs(u) < radius and abs(v) < 0.42 * aspect * (radius - u)
@@ -46,16 +49,16 @@ def leaf_gains(
     color: float = 0.1,
     smallest: float = 4.0,
 ) -> Gains:
-    """Return gains (H, W, 3) about 1: those of leaves that cover everything about thrice.
+    """Return multiplicative gains (H, W, 3) around 1, constant on each visible leaf.
 
-    contrast and color are the largest deviations from 1, of all channels together and of each.
-    Radii (pixels) follow the power law r^-3 of natural pictures, from the smallest to 50.
+    contrast, color: largest deviation from 1 of all channels together and of each one.
+    smallest: smallest radius (pixels); radii follow the power law r^-3 up to LARGEST.
     """
     rows, columns = shape
-    cover = 3.0 * rows * columns
+    cover = COVERS * rows * columns
     most = math.ceil(cover / (MEAN_COVER * smallest**2)) + 1
-    # inverse of the distribution function of r^-3 between smallest and 50
-    share = rng.random(most) * (1.0 - (smallest / 50.0) ** 2)
+    # inverse transform sampling of the density r^-3 between smallest and LARGEST
+    share = rng.random(most) * (1.0 - (smallest / LARGEST) ** 2)
     radii = smallest / np.sqrt(1.0 - share)
     count = int(np.searchsorted(np.cumsum(MEAN_COVER * radii**2), cover)) + 1
     leaves = np.empty((min(count, most), 10))

@@ -1,7 +1,7 @@
-"""A world raised from a map of map_server: what is not free becomes walls, merged to few boxes.
+"""Build a world from a map_server map: cells that are not free become walls of few boxes.
 
-What is solid is decided by GridWorld, so that planning studies and measures of coverage see the
-same walls. Only the rim of the solid parts is raised. The world has the frame of the map.
+GridWorld decides which cells are solid, so that planning studies and coverage use the same walls.
+Only the solid cells next to free ones are raised. The world keeps the frame of the map.
 """
 
 from pathlib import Path
@@ -11,28 +11,28 @@ from numpy.typing import NDArray
 
 from explore_slam.errors import MappingError, SimulationError
 from explore_slam.geometry import Pose2
-from explore_slam.simulation.grid.grid_world import GridWorld
-from explore_slam.simulation.grid.grid_world_kernels import FREE
+from explore_slam.simulation.worlds.grid_world import FREE, GridWorld
 from explore_slam.simulation.worlds.world import Block, Face, World
 
-WALL_HEIGHT = 2.2  # m
+WALL_HEIGHT = 2.2  # m, as in world files (world_file.py)
 WALL_STYLES = ('plaster', 'brick', 'concrete', 'panel')
-STYLE_AREA = 5.0  # m; walls within such squares are of one style
-START_RADIUS, MOST_STARTS = 0.35, 8  # m of room around a suggested start; how many
+STYLE_AREA = 5.0  # m; the walls within a square of this side share a style
+START_RADIUS = 0.35  # m of clearance at a suggested start: the body's 0.26 m and a margin
+MAX_STARTS = 8  # suggested start poses at most
 Mask = NDArray[np.bool_]
 
 
 def world_of_map(path: Path) -> World:
-    """Return the world of a map_server YAML file; SimulationError tells what is wrong with it."""
+    """Return the world of a map_server YAML file; raises SimulationError for a malformed one."""
     try:
-        grid = GridWorld.load(path)
+        grid = GridWorld.from_map(path)
     except MappingError as error:
-        raise SimulationError(f'no world can be made of a map: {error}') from error
+        raise SimulationError(f'cannot build a world from this map: {error}') from error
     free = grid.cells == FREE
     if not free.any():
         raise SimulationError(f'{path}: the map has no free cell, expected some to drive on')
     free = np.pad(free, 1)  # walls where free cells lie at the border of the map
-    walls = ~free & grown(free)
+    walls = ~free & dilated(free)
     cell = grid.resolution
     rows, columns = np.nonzero(walls)
     r0, r1 = int(rows.min()), int(rows.max()) + 1
@@ -49,8 +49,8 @@ def world_of_map(path: Path) -> World:
 
 
 def _starts(grid: GridWorld) -> dict[str, Pose2]:
-    """Suggest starts near each other, for as many vehicles as find room."""
-    for count in range(MOST_STARTS, 0, -1):
+    """Suggest start poses for as many vehicles as fit close together."""
+    for count in range(MAX_STARTS, 0, -1):
         try:
             poses = grid.start_poses(count, 0, START_RADIUS)
         except SimulationError:
@@ -59,8 +59,8 @@ def _starts(grid: GridWorld) -> dict[str, Pose2]:
     return {}
 
 
-def grown(mask: Mask) -> Mask:
-    """Return the cells that are set or have one of their eight neighbours set."""
+def dilated(mask: Mask) -> Mask:
+    """Dilate a mask by its eight neighbours."""
     wide = np.pad(mask, 1)
     result = np.zeros_like(mask)
     rows, columns = mask.shape
@@ -71,15 +71,15 @@ def grown(mask: Mask) -> Mask:
 
 
 def _runs(line: Mask) -> list[tuple[int, int]]:
-    """Return start and end of each run of set cells in a line."""
+    """Return start and end (exclusive) of each run of set cells in a line."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], line, [False]]).astype(np.int8)))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
 def merge_cells(mask: Mask) -> list[tuple[int, int, int, int]]:
-    """Return rectangles (row, column, end row, end column) that cover just the set cells.
+    """Return disjoint rectangles (row, column, end row, end column) that cover the set cells.
 
-    Runs along rows, joined over rows where a run stays the same.
+    Runs along rows are merged over consecutive rows in which a run is the same.
     """
     done: list[tuple[int, int, int, int]] = []
     growing: dict[tuple[int, int], int] = {}
@@ -108,10 +108,10 @@ def _block(
 
 
 def wall_faces(walls: Mask, free: Mask, origin: tuple[float, float], cell: float) -> list[Face]:
-    """Return the faces between wall and free cells, joined to straight pieces."""
+    """Return the faces between wall and free cells, merged into straight pieces."""
     faces: list[Face] = []
     for forward in (True, False):
-        # free cells on the side of smaller y (walked along +x), then on the other
+        # first the faces whose free side has the smaller y (directed along +x), then the others
         below, above = (free, walls) if forward else (walls, free)
         for row in range(1, walls.shape[0]):
             for start, end in _runs(below[row - 1] & above[row]):

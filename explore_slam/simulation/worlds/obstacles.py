@@ -1,4 +1,4 @@
-"""How much room a point has: distances to the solids of a world, seen from above."""
+"""Clearance of a point: distance to the nearest solid of a world, seen from above."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from explore_slam.simulation.worlds.world import World
 
 
 class Obstacles:
-    """The solids of a world as arrays; all of them stand on the floor."""
+    """The footprints of all solids of a world as arrays."""
 
     def __init__(self, world: World) -> None:
         blocks = np.array([block[:5] for block in world.blocks], dtype=np.float64).reshape(-1, 5)
@@ -17,7 +17,7 @@ class Obstacles:
         self._axes, self._radii = pillars[:, :2], pillars[:, 2]
 
     def clearance(self, x: float, y: float) -> float:
-        """Return the distance (m) from a point to the nearest solid; 0 or less is inside."""
+        """Return the signed distance (m) from a point to the nearest solid; negative inside."""
         nearest = np.inf
         if len(self._center):
             nearest = min(nearest, float(self._to_blocks(x, y).min()))
@@ -27,6 +27,7 @@ class Obstacles:
         return nearest
 
     def _to_blocks(self, x: float, y: float) -> Array:
+        """Return the signed distances (B,) m from a point to all rectangles."""
         dx, dy = x - self._center[:, 0], y - self._center[:, 1]
         u = np.abs(self._cos * dx + self._sin * dy) - self._half[:, 0]
         v = np.abs(self._cos * dy - self._sin * dx) - self._half[:, 1]

@@ -1,7 +1,9 @@
-"""Procedural surfaces with corners everywhere and never the same twice, for SIFT to see.
+"""Procedural surfaces rich in distinctive SIFT features.
 
-A style paints an image (H, W, 3) uint8, row 0 at the top, at a resolution in m per pixel. All
-of it comes from the generator given: the same generator paints the same surface.
+A painter of a style returns an image (H, W, 3) uint8, row 0 at the top, at a resolution in m per
+pixel. All randomness comes from the generator passed in: equal states paint equal surfaces.
+Sizes, colours and contrasts are free choices, judged by the number of features per view
+(test_simulator.py::test_most_views_are_rich_in_features).
 """
 
 from collections.abc import Callable
@@ -20,8 +22,8 @@ from explore_slam.simulation.worlds.posters import (
 
 Shape = tuple[int, int]
 Painter = Callable[[Shape, float, np.random.Generator], Image]
-LOWEST, HIGHEST = 0.06, 1.95  # posters hang between these heights (m)
-MOTTLE = 0.38  # contrast of leaves on walls and furniture
+LOWEST, HIGHEST = 0.06, 1.95  # m; posters hang between these heights
+MOTTLE = 0.38  # contrast of the dead leaves on walls and furniture
 
 
 def _flat(shape: Shape, color: Color) -> Image:
@@ -29,7 +31,7 @@ def _flat(shape: Shape, color: Color) -> Image:
 
 
 def _plain(red: float, green: float, blue: float) -> Painter:
-    """Return a painter of rendered walls of about one colour."""
+    """Return a painter of plastered walls of roughly one colour."""
 
     def paint(shape: Shape, _: float, rng: np.random.Generator) -> Image:
         color = np.array([red, green, blue], np.float32) * np.float32(rng.uniform(0.92, 1.08))
@@ -114,7 +116,7 @@ def _plant(shape: Shape, resolution: float, rng: np.random.Generator) -> Image:
 
 
 def _hang(image: Image, box: tuple[int, int, int, int], rng: np.random.Generator) -> None:
-    """Paint a poster into the box (left, top, width, height) of an image, cut at its border."""
+    """Paint a poster into the box (left, top, width, height) of an image, clipped to it."""
     left, top, width, height = box
     width, height = min(width, image.shape[1] - left), min(height, image.shape[0] - top)
     if width >= 8 and height >= 8:
@@ -122,7 +124,7 @@ def _hang(image: Image, box: tuple[int, int, int, int], rng: np.random.Generator
 
 
 def _with_posters(ground: Painter) -> Painter:
-    """Return a painter that hangs posters on a ground, in two rows of uneven places."""
+    """Return a painter that adds two rows of posters with irregular sizes and gaps."""
 
     def paint(shape: Shape, resolution: float, rng: np.random.Generator) -> Image:
         image = ground(shape, resolution, rng)
@@ -158,12 +160,12 @@ STYLES: dict[str, Painter] = {
 
 
 def paint_surface(style: str, shape: Shape, resolution: float, rng: np.random.Generator) -> Image:
-    """Return a surface (H, W, 3) uint8 of a style from STYLES, at a resolution in m per pixel."""
+    """Return a surface (H, W, 3) uint8 of a style in STYLES, at a resolution in m per pixel."""
     return STYLES[style](shape, resolution, rng)
 
 
 def paint_floor(shape: Shape, resolution: float, rng: np.random.Generator) -> Image:
-    """Return a carpet of tiles in slightly different greys."""
+    """Return carpet tiles (H, W, 3) uint8 in slightly different greys."""
     rows, columns = shape
     tile = max(4, round(0.5 / resolution))
     tones = rng.uniform(90, 112, (rows // tile + 1, columns // tile + 1, 1))

@@ -1,4 +1,4 @@
-"""What hangs on the walls: abstract pictures, mosaics, contour maps, notice boards; all random."""
+"""Random posters: abstract pictures, mosaics, contour maps, notice boards."""
 
 from collections.abc import Callable, Sequence
 
@@ -13,14 +13,14 @@ Shape = tuple[int, int]
 
 
 def random_color(rng: np.random.Generator) -> Color:
-    """Return a colour (3,) of 0..255, from dark to light."""
+    """Return a random colour (3,), channels in 15..240."""
     return rng.uniform(15, 240, 3).astype(np.float32)
 
 
 def fill(
     image: Image, left: int, top: int, width: int, height: int, color: ArrayLike | Sequence[int]
 ) -> None:
-    """Paint a rectangle, cut at the border of the image."""
+    """Paint a rectangle, clipped to the image."""
     area = image[max(0, top) : max(0, top + height), max(0, left) : max(0, left + width)]
     area[:] = np.clip(np.asarray(color), 0, 255).astype(np.uint8)
 
@@ -28,7 +28,7 @@ def fill(
 def mottled(
     image: NDArray[np.uint8] | Color, rng: np.random.Generator, contrast: float, color: float = 0.1
 ) -> Image:
-    """Return an image (H, W, 3), or one colour repeated, under leaves of other tones."""
+    """Return an image (H, W, 3) multiplied by dead leaves of this contrast."""
     gains = leaf_gains((image.shape[0], image.shape[1]), rng, contrast, color)
     gains *= image
     painted: Image = np.clip(gains, 0, 255, out=gains).astype(np.uint8)
@@ -36,7 +36,7 @@ def mottled(
 
 
 def smooth_noise(shape: Shape, cell: int, rng: np.random.Generator) -> Color:
-    """Return value noise (H, W) in 0..1 with features of about cell pixels."""
+    """Return value noise (H, W) in 0..1, interpolated between nodes `cell` pixels apart."""
     rows, columns = shape
     grid = rng.random((rows // cell + 2, columns // cell + 2), dtype=np.float32)
 
@@ -51,7 +51,7 @@ def smooth_noise(shape: Shape, cell: int, rng: np.random.Generator) -> Color:
 
 
 def _abstract(shape: Shape, rng: np.random.Generator) -> Image:
-    """Paint leaves of all colours."""
+    """Paint dead leaves of all colours."""
     ground = np.full((*shape, 3), rng.uniform(100, 150, 3), np.float32)
     return mottled(ground, rng, 0.8, 0.6)
 
@@ -66,7 +66,7 @@ def _mosaic(shape: Shape, rng: np.random.Generator) -> Image:
 
 
 def _contours(shape: Shape, rng: np.random.Generator) -> Image:
-    """Paint cloudy bands in a few colours with hard borders, like a contour map."""
+    """Paint level sets of noise in a few colours, like a contour map."""
     noise = smooth_noise(shape, 24, rng) + 0.5 * smooth_noise(shape, 9, rng)
     noise += 0.25 * smooth_noise(shape, 4, rng)
     levels = int(rng.integers(4, 9))
@@ -83,7 +83,7 @@ SHEETS: tuple[Callable[[Shape, np.random.Generator], Image], ...] = (
 
 
 def _board(shape: Shape, rng: np.random.Generator) -> Image:
-    """Paint a notice board: cork with sheets pinned all over it."""
+    """Paint a notice board: cork with sheets pinned on it."""
     rows, columns = shape
     image = mottled(np.full((rows, columns, 3), (168, 122, 74), np.uint8), rng, 0.3)
     for _ in range(int(rng.integers(6, 14))):

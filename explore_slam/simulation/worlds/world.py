@@ -1,21 +1,20 @@
-"""What a world consists of: solids for laser and collisions, faces for the camera, start poses."""
+"""A world: solids for laser and collisions, painted faces for the camera, start poses.
+
+Everything stands upright on the floor z = 0; lengths are metres, angles radians.
+"""
 
 import math
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from explore_slam.errors import SimulationError
 from explore_slam.geometry import Array, Pose2
-
-MAP_KEY = 'image'  # a YAML file with this key is a map of map_server, else it is a world
 
 
 class Block(NamedTuple):
-    """An upright box on the floor: centre and half sizes (m), heading of its x axis (rad)."""
+    """A box: centre and half sizes (m), heading of its x axis (rad), height (m)."""
 
     x: float
     y: float
@@ -26,7 +25,7 @@ class Block(NamedTuple):
 
 
 class Pillar(NamedTuple):
-    """An upright cylinder on the floor (m)."""
+    """A cylinder: centre, radius and height (m)."""
 
     x: float
     y: float
@@ -35,9 +34,9 @@ class Pillar(NamedTuple):
 
 
 class Face(NamedTuple):
-    """An upright rectangle on the floor from (x0, y0) to (x1, y1) (m), seen from its right side.
+    """A vertical rectangle from (x0, y0) to (x1, y1) (m), visible from its right side.
 
-    style names how it is painted (see paint.STYLES).
+    style: key of paint.STYLES.
     """
 
     x0: float
@@ -54,7 +53,7 @@ class Face(NamedTuple):
 
 
 class Top(NamedTuple):
-    """A level polygon, corners (P, 2) m against the clock, at a height (m)."""
+    """A horizontal polygon: counterclockwise corners (P, 2) m, at a height (m)."""
 
     corners: Array
     height: float
@@ -63,9 +62,11 @@ class Top(NamedTuple):
 
 @dataclass(frozen=True)
 class World:
-    """A world, in metres; bounds are x_min, y_min, x_max, y_max of all that is in it.
+    """Everything a simulator needs to know of a world.
 
-    starts: vehicle name -> start pose that the world suggests.
+    bounds: x_min, y_min, x_max, y_max (m) of everything in it.
+    starts: suggested start pose of each vehicle by name.
+    texture_seed, texture_resolution: seed of the painted surfaces; metres per texture pixel.
     """
 
     name: str
@@ -78,27 +79,10 @@ class World:
     texture_seed: int = 0
     texture_resolution: float = 0.006
 
-    @classmethod
-    def load(cls, path: Path | str) -> 'World':
-        """Read a world file or a map_server map (both YAML); else a SimulationError."""
-        from explore_slam.simulation.worlds.world_file import read_yaml, world_of_file
-
-        path = Path(path)
-        if path.suffix.lower() in {'.pgm', '.png', '.bmp'}:
-            raise SimulationError(
-                f'{path} is the picture of a map; name its YAML file, which holds the resolution'
-            )
-        content = read_yaml(path)
-        if MAP_KEY not in content:
-            return world_of_file(path, content)
-        from explore_slam.simulation.worlds.map_world import world_of_map
-
-        return world_of_map(path)
-
     def occupied(self, resolution: float) -> tuple[NDArray[np.bool_], tuple[float, float]]:
-        """Return what is solid as a bool grid (rows along y, columns along x) and its origin (m).
+        """Rasterize the solids: return cells (rows along y, columns along x) and the origin (m).
 
-        A cell is solid when its centre lies in a block or pillar.
+        A cell is solid if its centre lies in a block or pillar. resolution: side of a cell (m).
         """
         x_min, y_min, x_max, y_max = self.bounds
         columns = math.ceil((x_max - x_min) / resolution - 1e-9)
@@ -122,31 +106,14 @@ class World:
         return solid, (x_min, y_min)
 
 
-def world_path(name: str) -> Path:
-    """Return the file of a world: a path as it is, else a world of the package by its name."""
-    given = Path(name)
-    if given.suffix or given.exists():
-        return given
-    known: dict[str, Path] = {}
-    for parent in Path(__file__).resolve().parents:
-        for folder in (parent / 'config/worlds', parent / 'share/explore_slam/config/worlds'):
-            for path in sorted(folder.glob('*.yaml')):
-                known.setdefault(path.stem, path)
-    if name not in known:
-        raise SimulationError(
-            f'there is no world {name!r}: expected a YAML file or one of {sorted(known)}'
-        )
-    return known[name]
-
-
 def _window(axis: Array, center: float, reach: float) -> slice:
-    """Return the part of an ascending axis within reach of the centre."""
+    """Return the indices of an ascending axis within reach of the centre."""
     low, high = np.searchsorted(axis, [center - reach, center + reach])
     return slice(int(low), int(high))
 
 
 def block_corners(block: Block) -> Array:
-    """Return the corners (4, 2) m of a block against the clock."""
+    """Return the counterclockwise corners (4, 2) m of a block."""
     cos, sin = math.cos(block.yaw), math.sin(block.yaw)
     local = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (block.half_x, block.half_y)
     turned: Array = local @ np.array([[cos, sin], [-sin, cos]]) + (block.x, block.y)
@@ -154,16 +121,16 @@ def block_corners(block: Block) -> Array:
 
 
 def pillar_corners(pillar: Pillar, sides: int = 16) -> Array:
-    """Return the corners (sides, 2) m of the prism drawn for a pillar, against the clock."""
+    """Return the counterclockwise corners (sides, 2) m of the prism drawn for a pillar."""
     angles = 2.0 * np.pi * np.arange(sides) / sides
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     return circle * pillar.radius + (pillar.x, pillar.y)
 
 
 def prism_faces(corners: Array, height: float, style: str) -> tuple[list[Face], Top]:
-    """Return the side faces and the top of a prism over corners (P, 2) m against the clock."""
+    """Return side faces and top of the prism over counterclockwise corners (P, 2) m."""
     ends = np.roll(corners, -1, axis=0)
-    # walked against the clock the outside lies to the right
+    # the outside lies to the right of counterclockwise edges
     sides = [
         Face(float(a[0]), float(a[1]), float(b[0]), float(b[1]), height, style)
         for a, b in zip(corners, ends, strict=True)

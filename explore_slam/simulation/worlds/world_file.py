@@ -1,7 +1,7 @@
-"""World files: YAML that lists walls with doors, furniture and start poses; metres and radians.
+"""World files: YAML with walls, doors, furniture and start poses, in metres and radians.
 
-Every mistake is a SimulationError that names the file, the key, the value and what was expected.
-The format is told in config/worlds/office.yaml.
+Every error is a SimulationError that names the file, the key, the value and what was expected.
+The comments of config/worlds/office.yaml document the format.
 """
 
 import difflib
@@ -27,7 +27,8 @@ from explore_slam.simulation.worlds.world import (
     prism_faces,
 )
 
-# kind -> (size along x, along y, height) in m, style; round kinds: (radius, height)
+# kind -> ((size along x, along y, height) m, style); round kinds: ((radius, height) m, style).
+# Usual sizes of office furniture; a world file may give others with `size`.
 BOX_KINDS: dict[str, tuple[tuple[float, float, float], str]] = {
     'bookshelf': ((1.2, 0.35, 1.8), 'shelf'),
     'cabinet': ((0.8, 0.45, 1.2), 'cabinet'),
@@ -41,6 +42,8 @@ ROUND_KINDS: dict[str, tuple[tuple[float, float], str]] = {
     'bin': ((0.2, 0.6), 'crate'),
     'plant': ((0.3, 1.1), 'plant'),
 }
+_NARROWEST_DOOR = 0.6  # m; a vehicle of radius 0.26 m passes with 0.04 m to spare on each side
+_SHORTEST_WALL = 0.05  # m
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
@@ -48,7 +51,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     try:
         content = yaml.safe_load(path.read_text(encoding='utf-8'))
     except FileNotFoundError as error:
-        raise SimulationError(f'{path}: there is no such world file') from error
+        raise SimulationError(f'{path}: no such world file') from error
     except (OSError, UnicodeDecodeError) as error:
         raise SimulationError(f'{path} cannot be read: {error}') from error
     except yaml.YAMLError as error:
@@ -63,25 +66,25 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Entry:
-    """A value of the file and where it stands; reads what is below it or raises."""
+    """A value of a world file with its location, for error messages that name it."""
 
     path: Path
     where: str
     value: Any
 
     def fail(self, expected: str) -> SimulationError:
-        """Return the error that this value is not what was expected."""
+        """Return the error for a value that is not what was expected."""
         return SimulationError(f'{self.path}: {self.where} is {self.value!r}, expected {expected}')
 
     def child(self, key: str | int, default: Any = None) -> 'Entry':
-        """Return the value below a key or index."""
+        """Return the entry below a key or index."""
         if isinstance(key, int):
             return Entry(self.path, f'{self.where}[{key}]', self.value[key])
         where = f'{self.where}.{key}' if self.where else key
         return Entry(self.path, where, self.value.get(key, default))
 
     def mapping(self, required: set[str], optional: set[str]) -> 'Entry':
-        """Return this entry, checked to be a mapping with these keys."""
+        """Return this entry; raise unless it is a mapping with these keys."""
         if not isinstance(self.value, Mapping):
             raise self.fail(f'a mapping with the keys {sorted(required | optional)}')
         known = required | optional
@@ -90,7 +93,7 @@ class Entry:
                 near = difflib.get_close_matches(str(key), known, n=1)
                 hint = f"; did you mean '{near[0]}'?" if near else f', only {sorted(known)}'
                 raise SimulationError(
-                    f"{self.path}: {self.where or 'the world'} knows no key '{key}'{hint}"
+                    f"{self.path}: {self.where or 'the world'} has no key '{key}'{hint}"
                 )
         for key in sorted(required):
             if key not in self.value:
@@ -98,7 +101,7 @@ class Entry:
         return self
 
     def items(self) -> 'Iterator[Entry]':
-        """Yield the entries of a list; nothing at all counts as an empty one."""
+        """Yield the entries of a list; a missing value counts as an empty list."""
         if self.value is None:
             return
         if not isinstance(self.value, list):
@@ -123,7 +126,7 @@ class Entry:
         return [self.child(index).number(low, high) for index in range(count)]
 
     def choice(self, known: list[str]) -> str:
-        """Return one of the known words."""
+        """Return the value; raise unless it is one of the known words."""
         if self.value not in known:
             raise self.fail(f'one of {known}')
         return str(self.value)
@@ -131,7 +134,7 @@ class Entry:
 
 @dataclass
 class _Parts:
-    """What the reader has gathered so far."""
+    """The parts of a world read so far."""
 
     blocks: list[Block]
     pillars: list[Pillar]
@@ -152,7 +155,7 @@ class _Parts:
 
 
 def world_of_file(path: Path, content: dict[str, Any]) -> World:
-    """Return the world that the content of a world file describes."""
+    """Return the world described by the content of a world file."""
     root = Entry(path, '', content).mapping(
         {'size'}, {'name', 'walls', 'furniture', 'starts', 'textures'}
     )
@@ -184,14 +187,14 @@ def world_of_file(path: Path, content: dict[str, Any]) -> World:
 
 def _seed(entry: Entry) -> int:
     if not isinstance(entry.value, int) or isinstance(entry.value, bool) or entry.value < 0:
-        raise entry.fail('a whole number of at least 0')
+        raise entry.fail('an integer >= 0')
     return entry.value
 
 
 def _outer_walls(
     parts: _Parts, width: float, depth: float, height: float, t: float, style: str
 ) -> None:
-    """Add the four walls around [0, width] x [0, depth], painted inside only."""
+    """Add the four walls around [0, width] x [0, depth]; only their inner faces are painted."""
     corners = [(0.0, 0.0), (0.0, depth), (width, depth), (width, 0.0)]
     for a, b in zip(corners, [*corners[1:], corners[0]], strict=True):
         parts.faces.append(Face(*a, *b, height, style))
@@ -212,7 +215,7 @@ def _inner_wall(
     size: tuple[float, float],
     defaults: tuple[float, float, str],
 ) -> None:
-    """Add a straight wall, cut by its doors: [distance from its start to the door, width]."""
+    """Add a straight wall with openings for its doors: [distance from the wall's start, width]."""
     entry.mapping({'from', 'to'}, {'doors', 'style', 'height', 'thickness'})
     height = entry.child('height', defaults[0]).number(0.3, 10.0)
     thickness = entry.child('thickness', defaults[1]).number(0.02, 1.0)
@@ -220,17 +223,17 @@ def _inner_wall(
     x0, y0 = _point(entry.child('from'), size)
     x1, y1 = _point(entry.child('to'), size)
     length, yaw = math.hypot(x1 - x0, y1 - y0), math.atan2(y1 - y0, x1 - x0)
-    if length < 0.05:
-        raise entry.child('to').fail("a point at least 0.05 m away from 'from'")
+    if length < _SHORTEST_WALL:
+        raise entry.child('to').fail(f"a point at least {_SHORTEST_WALL} m from 'from'")
     start = 0.0
     for door in entry.child('doors').items():
         at, opening = door.numbers('distance width', 0.0, length)
         if at < start or at + opening > length + 1e-9:
             raise door.fail(
-                f'a door between {start:g} and {length:g} m along the wall, doors in rising order'
+                f'a door between {start:g} and {length:g} m along the wall, in ascending order'
             )
-        if opening < 0.6:
-            raise door.fail('a width of at least 0.6 m, else no vehicle passes')
+        if opening < _NARROWEST_DOOR:
+            raise door.fail(f'a width of at least {_NARROWEST_DOOR} m for vehicles to pass')
         _wall_piece(parts, (x0, y0, yaw), (start, at), (thickness, height), style)
         start = at + opening
     _wall_piece(parts, (x0, y0, yaw), (start, length), (thickness, height), style)

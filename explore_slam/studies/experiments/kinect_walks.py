@@ -17,7 +17,7 @@ from explore_slam.data import LandmarkObservations, RgbdFrame
 from explore_slam.errors import EvaluationError
 from explore_slam.geometry import Array, Pose2, wrap_angle
 from explore_slam.settings import with_values
-from explore_slam.simulation import SimulationConfig, Simulator, World
+from explore_slam.simulation import SimulationConfig, Simulator, load_world
 from explore_slam.studies.experiments.scenarios import (
     Noise,
     Scenario,
@@ -61,9 +61,8 @@ def record_walk(
         SimulationConfig(), {'simulated_scan_rate': 0.0, 'simulated_camera_rate': 2.0}
     )
     stops = []
-    with Simulator(World.load(world), {vehicle: planned[0]}, simulation, seed=1) as simulator:
-        settings = simulation.kinect
-        mount = CameraMount(settings.simulated_camera_x, 0.0, settings.simulated_camera_z)
+    with Simulator(load_world(world), {vehicle: planned[0]}, simulation, seed=1) as simulator:
+        mount = CameraMount.from_config(simulation.camera_mount)
         extractor = FeatureExtractor(config, mount)
         for goal in planned:
             _drive(simulator, vehicle, goal)

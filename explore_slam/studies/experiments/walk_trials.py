@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from explore_slam.settings import with_values
-from explore_slam.simulation.worlds.world import world_path
+from explore_slam.simulation import world_path
 from explore_slam.slam import FastSlamConfig
 from explore_slam.studies.experiments.kinect_walks import (
     Walk,

@@ -112,5 +112,5 @@ def test_tcp_serves_one_client_after_another():
                 client.settimeout(2.0)
                 client.sendall(text)
                 assert client.recv(10) == text
-        with pytest.raises(SimulationError, match=f'TCP port {number} cannot be had'):
+        with pytest.raises(SimulationError, match=f'TCP port {number}: cannot listen'):
             SerialLine(Echo(), tcp_port=number).start()

@@ -5,9 +5,9 @@ import numpy as np
 from explore_slam import simulation
 from explore_slam.data import Plan
 from explore_slam.geometry import Pose2
-from explore_slam.simulation.grid import grid_world_kernels as kernels
+from explore_slam.simulation.grid import kernels
 from explore_slam.simulation.grid.grid_simulator import GridSimulator
-from explore_slam.simulation.grid.grid_world import GridWorld
+from explore_slam.simulation.worlds.grid_world import GridWorld
 
 
 def signatures():

@@ -11,8 +11,14 @@ from hypothesis import strategies as st
 from explore_slam.data import Plan
 from explore_slam.errors import ConfigError, ExploreSlamError, SimulationError
 from explore_slam.geometry import Pose2
-from explore_slam.simulation.grid.grid_simulator import GridSimulator, GridSimulatorConfig
-from explore_slam.simulation.grid.grid_world import GridWorld
+from explore_slam.simulation.grid.grid_simulator import (
+    ARRIVAL_DISTANCE,
+    LOOKAHEAD,
+    GridSimulator,
+    GridSimulatorConfig,
+)
+from explore_slam.simulation.worlds.grid_world import GridWorld
+from explore_slam.simulation.worlds.loading import load_grid_world
 
 ROOM = ['##########', *['#........#'] * 6, '##########']  # 4 m x 3 m inside
 EXACT = GridSimulatorConfig(range_noise=0.0)
@@ -23,7 +29,7 @@ def plan(vehicle, *points, stamp=0.0):
 
 
 def drive(simulator, seconds):
-    for _ in range(round(seconds / simulator.config.tick)):
+    for _ in range(round(seconds / simulator.config.time_step)):
         simulator.step()
 
 
@@ -162,15 +168,15 @@ def test_a_vehicle_drives_its_plan_within_its_limits():
     while not simulator.is_idle('a') and simulator.time < 60:
         simulator.step()
         poses.append(simulator.true_pose('a'))
-        speeds.append(math.dist(poses[-1][:2], poses[-2][:2]) / config.tick)
-    assert math.dist(poses[-1][:2], (4.0, 3.0)) <= config.arrival_distance
+        speeds.append(math.dist(poses[-1][:2], poses[-2][:2]) / config.time_step)
+    assert math.dist(poses[-1][:2], (4.0, 3.0)) <= ARRIVAL_DISTANCE
     assert max(speeds) <= config.cruise_speed + 1e-9
-    assert max(np.diff(speeds)) <= config.acceleration * config.tick + 1e-9
-    turns = [abs(a.between(b).theta) / config.tick for a, b in itertools.pairwise(poses)]
+    assert max(np.diff(speeds)) <= config.acceleration * config.time_step + 1e-9
+    turns = [abs(a.between(b).theta) / config.time_step for a, b in itertools.pairwise(poses)]
     assert max(turns) <= config.turn_rate + 1e-9
     # pure pursuit cuts the corner at (4, 1) but never leaves the path by more than its lookahead
     off = [min(abs(p.y - 1.0) if p.x < 4.0 else 9.0, abs(p.x - 4.0)) for p in poses]
-    assert max(off) < config.pursuit_distance
+    assert max(off) < LOOKAHEAD
     assert simulator.travelled('a') == pytest.approx(5.0, abs=0.5)
     assert simulator.time == pytest.approx(math.pi / 1.0 + 5.0 / 0.5, abs=5.0)
     assert simulator.collisions == []
@@ -206,7 +212,7 @@ def test_glass_stops_a_vehicle_too():
 
 
 def test_contacts_with_walls_are_counted_where_nothing_brakes():
-    blind = GridSimulatorConfig(range_noise=0.0, wall_margin=0.0, braking=10.0, tick=0.5)
+    blind = GridSimulatorConfig(range_noise=0.0, braking=10.0, time_step=0.5)
     simulator = GridSimulator(
         GridWorld.from_drawing(['###', '# #', '###'], size=0.5),
         {'a': Pose2(0.75, 0.75, 0.3)},
@@ -215,7 +221,7 @@ def test_contacts_with_walls_are_counted_where_nothing_brakes():
     simulator._safe_speed = lambda _index: 1.0
     simulator.set_plan('a', plan('a', (0.75, 0.75), (3.0, 0.75)))
     drive(simulator, 10)
-    assert [contact.other for contact in simulator.collisions] == [None]
+    assert [contact.obstacle for contact in simulator.collisions] == ['wall']
     assert math.dist(simulator.true_pose('a')[:2], (0.75, 0.75)) < 0.3
 
 
@@ -243,7 +249,7 @@ def test_vehicles_sent_across_each_other_never_touch(seed):
 
 
 def test_known_pose_wanders_about_the_true_one():
-    noisy = GridSimulatorConfig(position_noise=0.05, heading_noise=0.02, noise_time=1.0)
+    noisy = GridSimulatorConfig(position_noise=0.05, heading_noise=0.02, error_time_constant=1.0)
     simulator = GridSimulator(
         GridWorld.from_drawing(ROOM), {'a': Pose2(2.0, 2.0, 0.0)}, noisy, seed=3
     )
@@ -290,7 +296,7 @@ def test_a_map_alone_and_with_its_yaml(tmp_path):
     values[15:, 20:] = 205
     values[10, 10] = 205  # a speck: a hole of the recording
     image = write_map(tmp_path, values)
-    alone = GridWorld.load(image)
+    alone = load_grid_world(image)
     assert (alone.resolution, alone.origin, alone.shape) == (0.05, (0.0, 0.0), (20, 30))
     expected = (values != 254)[::-1]
     expected[20 - 1 - 10, 10] = False
@@ -300,7 +306,7 @@ def test_a_map_alone_and_with_its_yaml(tmp_path):
         'image: map.pgm\nresolution: 0.1\norigin: [-1.0, 2.0, 0.0]\nnegate: 0\n'
         'occupied_thresh: 0.65\nfree_thresh: 0.196\n'
     )
-    named = GridWorld.load(facts)
+    named = load_grid_world(facts)
     assert named.resolution == 0.1
     assert named.origin == pytest.approx((-1.0, 2.0))
     np.testing.assert_array_equal(named.cells, alone.cells)
@@ -309,7 +315,7 @@ def test_a_map_alone_and_with_its_yaml(tmp_path):
 def test_a_world_file(tmp_path):
     path = tmp_path / 'hall.yaml'
     path.write_text('size: [6.0, 4.0]\nfurniture:\n  - {kind: crate, at: [3.0, 2.0]}\n')
-    world = GridWorld.load(path)
+    world = load_grid_world(path)
     row, col = world.to_cell(np.array([[3.0, 2.0]]))[0]
     assert world.cells[row, col] != 0
     row, col = world.to_cell(np.array([[1.0, 1.0]]))[0]
@@ -318,7 +324,7 @@ def test_a_world_file(tmp_path):
 
 
 def test_the_willow_map_is_one_large_place(recordings):
-    world = GridWorld.load(recordings('maps') / 'willow-full-0.05.pgm')
+    world = load_grid_world(recordings('maps') / 'willow-full-0.05.pgm')
     assert world.shape == (945, 1165)
     (pose,) = world.start_poses(1, 0, 0.26)
     area = world.reachable(np.array([pose[:2]]), 0.26).sum() * 0.05**2
@@ -332,15 +338,15 @@ def test_damaged_maps_are_refused(tmp_path, content):
     path = tmp_path / 'map.pgm'
     path.write_bytes(content)
     with pytest.raises(ExploreSlamError, match=r'map\.pgm'):
-        GridWorld.load(path)
+        load_grid_world(path)
 
 
 def test_bad_worlds_starts_and_settings_are_refused(tmp_path):
     with pytest.raises(ExploreSlamError, match=r'none\.pgm'):
-        GridWorld.load(tmp_path / 'none.pgm')
+        load_grid_world(tmp_path / 'none.pgm')
     with pytest.raises(SimulationError, match='same length'):
         GridWorld.from_drawing(['##', '#'])
-    with pytest.raises(SimulationError, match='signs'):
+    with pytest.raises(SimulationError, match='characters'):
         GridWorld.from_drawing(['#x#'])
     with pytest.raises(SimulationError, match='resolution'):
         GridWorld(np.zeros((2, 2), np.int8), 0.0)
@@ -351,7 +357,7 @@ def test_bad_worlds_starts_and_settings_are_refused(tmp_path):
         GridSimulator(world, {'a': Pose2(50.0, 1.0, 0.0)})
     with pytest.raises(SimulationError, match='in an obstacle'):
         GridSimulator(world, {'a': Pose2(0.1, 0.1, 0.0)})
-    with pytest.raises(SimulationError, match='upon another'):
+    with pytest.raises(SimulationError, match=r'0\.10 m from another'):
         GridSimulator(world, {'a': Pose2(1.0, 1.0, 0.0), 'b': Pose2(1.1, 1.0, 0.0)})
     with pytest.raises(SimulationError, match='0 vehicles'):
         GridSimulator(world, {})

@@ -10,7 +10,7 @@ SCRIPT = """
 from explore_slam.errors import SimulationError
 try:
     from explore_slam.simulation import Simulator
-    from explore_slam.simulation.worlds.world import world_path
+    from explore_slam.simulation import world_path
     Simulator(world_path('small'))
 except SimulationError as error:
     print(f'refused: {error}')

@@ -10,8 +10,7 @@ import pytest
 from explore_slam.data import LaserScan, OdometryReading, RgbdFrame
 from explore_slam.geometry import Pose2
 from explore_slam.settings import values_of, with_values
-from explore_slam.simulation import SimulationConfig, Simulator, World
-from explore_slam.simulation.worlds.world import world_path
+from explore_slam.simulation import SimulationConfig, Simulator, load_world, world_path
 
 BASE = {
     'simulated_image_width': 64, 'simulated_image_height': 48, 'simulated_camera_rate': 2.0,
@@ -33,7 +32,9 @@ OTHER = {
     'simulated_field_of_view': 90.0,
     'simulated_scan_range': 2.0,
     'simulated_scan_noise': 0.05,
-    'simulated_laser_x': 0.0,
+    'laser_x': 0.0,
+    'laser_y': 0.2,
+    'laser_yaw': 0.3,
     'simulated_laser_z': 0.1,
     'simulated_camera_rate': 4.0,
     'simulated_image_width': 80,
@@ -43,14 +44,18 @@ OTHER = {
     'simulated_max_depth': 2.0,
     'simulated_depth_noise': 0.02,
     'simulated_color_noise': 9.0,
-    'simulated_camera_x': 0.0,
-    'simulated_camera_z': 0.8,
+    'camera_x': 0.0,
+    'camera_y': 0.2,
+    'camera_z': 0.8,
+    'camera_roll': 0.2,
+    'camera_pitch': 0.2,
+    'camera_yaw': 0.3,
 }
 
 
 @pytest.fixture(scope='module')
 def world():
-    return dataclasses.replace(World.load(world_path('small')), texture_resolution=0.03)
+    return dataclasses.replace(load_world(world_path('small')), texture_resolution=0.03)
 
 
 def digest(world, values):

@@ -9,10 +9,15 @@ from explore_slam.data import LaserScan, OdometryReading, RgbdFrame
 from explore_slam.errors import SimulationError
 from explore_slam.geometry import Pose2, to_world
 from explore_slam.settings import with_values
-from explore_slam.simulation import SimulationConfig, Simulator, TruePose, World
+from explore_slam.simulation import (
+    SimulationConfig,
+    Simulator,
+    TruePose,
+    load_world,
+    world_path,
+)
 from explore_slam.simulation.config import SimulatedOdometryConfig
 from explore_slam.simulation.rendered.base import WheelOdometry
-from explore_slam.simulation.worlds.world import world_path
 
 BLIND = {'simulated_camera_rate': 0.0}
 SMALL = {'simulated_image_width': 160, 'simulated_image_height': 120}
@@ -24,7 +29,7 @@ def config(**values):
 
 @pytest.fixture(scope='module')
 def world():
-    return World.load(world_path('small'))
+    return load_world(world_path('small'))
 
 
 def run(simulator, seconds, kind=None):
@@ -228,7 +233,7 @@ def test_most_views_are_rich_in_features():
     from explore_slam.simulation.worlds.obstacles import Obstacles
     from explore_slam.vision import FeatureExtractor, VisionConfig
 
-    world, rng = World.load(world_path('office')), np.random.default_rng(0)
+    world, rng = load_world(world_path('office')), np.random.default_rng(0)
     room = Obstacles(world).clearance
     extractor = FeatureExtractor(with_values(VisionConfig(), {'feature_budget': 2000}))
     counts = []
@@ -278,8 +283,8 @@ def test_the_same_seed_gives_the_same_records(world):
     [
         ({'a': Pose2(3.2, 1.0, 0.0)}, "'a' (3.2, 1, 0) lies inside a wall"),
         ({'a': Pose2(1.0, 0.1, 0.0)}, '0.10 m from a wall, expected at least 0.26 m'),
-        ({'a': Pose2(9.0, 1.0, 0.0)}, "outside of world 'small', expected x in -0.1..6.1"),
-        ({'a': Pose2(math.nan, 1.0, 0.0)}, 'outside of world'),
+        ({'a': Pose2(9.0, 1.0, 0.0)}, "outside world 'small', expected x in -0.1..6.1"),
+        ({'a': Pose2(math.nan, 1.0, 0.0)}, 'outside world'),
         ({'a': Pose2(1, 1, 0), 'b': Pose2(1.3, 1, 0)}, "lies 0.30 m from that of 'a'"),
         ({}, 'no start poses'),
     ],

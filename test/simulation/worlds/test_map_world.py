@@ -12,7 +12,7 @@ from explore_slam.data import LaserScan
 from explore_slam.errors import SimulationError
 from explore_slam.geometry import Pose2
 from explore_slam.settings import with_values
-from explore_slam.simulation import SimulationConfig, Simulator, World
+from explore_slam.simulation import SimulationConfig, Simulator, load_world
 from explore_slam.simulation.worlds.map_world import merge_cells, wall_faces
 
 LASER_ONLY = with_values(
@@ -78,7 +78,7 @@ def test_every_border_of_a_wall_has_a_face_that_looks_at_the_free_side(walls):
 
 
 def test_walls_stand_where_the_map_has_them(tmp_path):
-    world = World.load(write_map(tmp_path, room()))
+    world = load_world(write_map(tmp_path, room()))
     # lower row of the picture is the lowest y; the right side is closed by a wall outside
     assert world.bounds == pytest.approx((-1.0, 2.0, 3.1, 5.0))
     with Simulator(world, {'a': Pose2(0.0, 3.05, 0.0)}, LASER_ONLY) as simulator:
@@ -92,7 +92,7 @@ def test_walls_stand_where_the_map_has_them(tmp_path):
 
 
 def test_unknown_areas_are_solid_and_starts_are_suggested(tmp_path):
-    world = World.load(write_map(tmp_path, room()))
+    world = load_world(write_map(tmp_path, room()))
     solid, (x0, y0) = world.occupied(0.1)
     column, row = int((2.05 - x0) / 0.1), int((2.75 - y0) / 0.1)
     assert solid[row, column]
@@ -112,17 +112,17 @@ def test_unknown_areas_are_solid_and_starts_are_suggested(tmp_path):
 )
 def test_a_broken_map_is_named(tmp_path, entries, words):
     with pytest.raises(SimulationError, match=words):
-        World.load(write_map(tmp_path, room(), **entries))
+        load_world(write_map(tmp_path, room(), **entries))
 
 
 def test_a_map_without_free_cells_and_a_truncated_picture(tmp_path):
     with pytest.raises(SimulationError, match='no free cell'):
-        World.load(write_map(tmp_path, np.zeros((5, 5))))
+        load_world(write_map(tmp_path, np.zeros((5, 5))))
     path = write_map(tmp_path, room())
     picture = tmp_path / 'map.pgm'
     picture.write_bytes(picture.read_bytes()[:200])
     with pytest.raises(SimulationError, match='truncated'):
-        World.load(path)
+        load_world(path)
 
 
 @pytest.mark.data
@@ -133,7 +133,7 @@ def test_willow_garage_loads_and_its_laser_sees_walls(recordings, tmp_path):
         f'image: {picture}\nresolution: 0.05\norigin: [0.0, 0.0, 0.0]\nnegate: 0\n'
         'occupied_thresh: 0.65\nfree_thresh: 0.196\n'
     )
-    world = World.load(path)
+    world = load_world(path)
     assert len(world.starts) == 8
     with Simulator(world, config=LASER_ONLY) as simulator:
         scans = [e.record for e in simulator.step() if isinstance(e.record, LaserScan)]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from explore_slam.simulation.worlds.world import world_path
+from explore_slam.simulation import world_path
 from explore_slam.studies.experiments.kinect_walks import Walk, record_walk
 
 

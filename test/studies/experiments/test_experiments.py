@@ -9,7 +9,7 @@ import pytest
 from explore_slam.cli import experiment
 from explore_slam.errors import EvaluationError
 from explore_slam.settings import with_values
-from explore_slam.simulation.worlds.world import world_path
+from explore_slam.simulation import world_path
 from explore_slam.studies.experiments import experiment1, experiment2, experiment3, experiment4
 from explore_slam.studies.experiments.filter_study import filter_config, run_filter
 from explore_slam.studies.experiments.kinect_walks import record_walk

@@ -6,7 +6,7 @@ import pytest
 from explore_slam.data import LandmarkObservations
 from explore_slam.errors import EvaluationError
 from explore_slam.geometry import Pose2
-from explore_slam.simulation.worlds.world import world_path
+from explore_slam.simulation import world_path
 from explore_slam.studies.experiments.kinect_walks import (
     Stop,
     Walk,

@@ -1,7 +1,7 @@
-"""A flat world of cells for planning studies: walls, glass, clearance, what can be reached.
+"""A world of square cells: walls, glass, clearance, reachable cells, start poses.
 
-Row = y index, col = x index, row 0 at the lowest y. Made of a map_server map (PGM with or
-without YAML), of a drawing, or of arrays.
+Row = y index, col = x index, row 0 at the lowest y. Made from a map_server map (PGM with or
+without YAML), from the solids of a world, from a drawing, or from arrays.
 """
 
 import math
@@ -18,12 +18,14 @@ from explore_slam.errors import SimulationError
 from explore_slam.geometry import Array, Pose2
 from explore_slam.mapping import load_map, read_pgm
 from explore_slam.mapping.map_files import FREE_THRESHOLD, OCCUPIED_THRESHOLD
-from explore_slam.simulation.grid.grid_world_kernels import FREE, GLASS, SOLID
-from explore_slam.simulation.worlds.world import MAP_KEY, World
-from explore_slam.simulation.worlds.world_file import read_yaml
+from explore_slam.simulation.worlds.world import World
 
 Mask = NDArray[np.bool_]
 
+# values of a cell; glass stops a vehicle but returns no laser beam
+FREE, SOLID, GLASS = 0, 1, 2
+_LARGEST_SPECK = 10  # cells; larger unknown areas may be rooms that nobody entered
+_START_WINDOW = 5.0  # m (per axis) around the first start pose, for those of the others
 _DRAWING = {' ': FREE, '.': FREE, '#': SOLID, 'g': GLASS}
 
 
@@ -46,21 +48,18 @@ class GridWorld:
             raise SimulationError(f'grid world: origin is {self.origin}, expected finite metres')
 
     @classmethod
-    def load(cls, path: Path, resolution: float = 0.05) -> 'GridWorld':
-        """Read a map_server map (YAML, or PGM alone) or a world file (YAML), by what it holds."""
-        if path.suffix.lower() in ('.yaml', '.yml') and MAP_KEY not in read_yaml(path):
-            world = World.load(path)
-            solid, origin = world.occupied(resolution)
-            return cls(np.where(solid, SOLID, FREE).astype(np.int8), resolution, origin)
-        return cls.from_map(path, resolution)
+    def from_world(cls, world: World, resolution: float = 0.05) -> 'GridWorld':
+        """Rasterize the solids of a world into cells with this side (m)."""
+        solid, origin = world.occupied(resolution)
+        return cls(np.where(solid, SOLID, FREE).astype(np.int8), resolution, origin)
 
     @classmethod
     def from_map(cls, path: Path, resolution: float = 0.05) -> 'GridWorld':
         """Read a map_server map: a YAML with its image, or a PGM alone with this resolution (m).
 
-        Free is what map_server calls free, with its usual thresholds for a PGM alone; all else is
-        solid, except specks of unknown of up to ten cells without an occupied one: those are
-        holes of the recording, not things.
+        Cells that map_server calls free are free (its default thresholds for a PGM alone), all
+        others are solid. Exception: isolated specks of unknown cells without an occupied one are
+        gaps in the recording, not objects, and count as free.
         """
         if path.suffix in ('.yaml', '.yml'):
             grid = load_map(path)
@@ -70,26 +69,29 @@ class GridWorld:
             shade = 1.0 - read_pgm(path)[::-1] / 255.0
             free, occupied = shade < FREE_THRESHOLD, shade > OCCUPIED_THRESHOLD
             origin = (0.0, 0.0)
-        solid = ~(free | _specks(~free, occupied, largest=10))
+        solid = ~(free | _specks(~free, occupied, _LARGEST_SPECK))
         return cls(np.where(solid, SOLID, FREE).astype(np.int8), resolution, origin)
 
     @classmethod
     def from_drawing(
         cls, rows: Sequence[str], size: float = 0.5, resolution: float = 0.05
     ) -> 'GridWorld':
-        """Make a world of lines of text, the top one first: '#' wall, 'g' glass, ' ' or '.' free.
+        """Make a world from lines of text, top line first: '#' wall, 'g' glass, ' ' or '.' free.
 
-        Each sign is a square of `size` metres.
+        Each character is a square with sides of `size` metres.
         """
         if not rows or len({len(row) for row in rows}) != 1:
             raise SimulationError('grid world: a drawing needs rows, all of the same length')
         unknown = set(''.join(rows)) - set(_DRAWING)
         if unknown:
             raise SimulationError(
-                f'grid world: signs {sorted(unknown)} in the drawing, expected {list(_DRAWING)}'
+                f'grid world: characters {sorted(unknown)} in the drawing, '
+                f'expected {list(_DRAWING)}'
             )
         times = round(size / resolution)
-        small = np.array([[_DRAWING[sign] for sign in row] for row in rows], np.int8)[::-1]
+        small = np.array([[_DRAWING[character] for character in row] for row in rows], np.int8)[
+            ::-1
+        ]
         return cls(np.kron(small, np.ones((times, times), np.int8)), resolution)
 
     @property
@@ -99,7 +101,7 @@ class GridWorld:
 
     @cached_property
     def clearance(self) -> NDArray[np.float32]:
-        """Distance (H, W) m of each cell's center from the edge of the nearest obstacle."""
+        """Distance (H, W) m from each cell's centre to the edge of the nearest obstacle."""
         framed = np.pad(self.cells == FREE, 1)
         distance = ndimage.distance_transform_edt(framed)[1:-1, 1:-1]
         metres: NDArray[np.float32] = np.maximum(distance - 0.5, 0.0).astype(np.float32)
@@ -107,26 +109,26 @@ class GridWorld:
         return metres
 
     def to_cell(self, points: ArrayLike) -> NDArray[np.intp]:
-        """Return cells (N, 2) row, col of points (N, 2) m."""
+        """Return the cells (N, 2), row and col, of points (N, 2) m."""
         shifted = (np.asarray(points, dtype=np.float64)[:, :2] - self.origin) / self.resolution
         return np.floor(shifted[:, ::-1]).astype(np.intp)
 
     def to_point(self, cells: ArrayLike) -> Array:
-        """Return the centers (N, 2) m of cells (N, 2) row, col."""
+        """Return the centres (N, 2) m of cells (N, 2), row and col."""
         centers = (np.asarray(cells, dtype=np.float64)[:, ::-1] + 0.5) * self.resolution
         moved: Array = centers + self.origin
         return moved
 
     def is_inside(self, point: ArrayLike) -> bool:
-        """Tell whether a point (2,) lies in the world."""
+        """Return whether a point (2,) m lies in the world."""
         row, col = self.to_cell(np.asarray(point)[None, :2])[0]
         return bool(0 <= row < self.shape[0] and 0 <= col < self.shape[1])
 
     def reachable(self, starts: ArrayLike, radius: float) -> Mask:
         """Return the free cells (H, W) that a disc of this radius (m) can cover.
 
-        starts (V, 2) m is where discs begin. A start that is itself too tight reaches
-        what the disc covers there and no more.
+        starts: (V, 2) m, initial centres of discs. A disc that does not fit at its start covers
+        only the cells around that start.
         """
         labels, _ = ndimage.label(self.clearance >= radius)
         centers = np.zeros(self.shape, np.bool_)
@@ -145,10 +147,12 @@ class GridWorld:
     def start_poses(
         self, count: int, seed: int, radius: float, spacing: float = 0.9
     ) -> list[Pose2]:
-        """Draw start poses near each other: the first anywhere roomy in the largest free part.
+        """Draw start poses of a team that are close together.
 
-        The others stand at least `spacing` (m) from each other, as near to the first as can be;
-        the poses of fewer vehicles are the first ones of more vehicles.
+        The first is drawn from the cells of the largest connected free area that leave room for
+        a radius (m) and two cells. The others are as close to the first as possible, at least
+        `spacing` (m) from each other. For one seed, the poses of a small team are the first poses
+        of a larger one.
         """
         rng = np.random.default_rng(seed)
         roomy, parts = ndimage.label(self.clearance >= radius + 2.0 * self.resolution)
@@ -156,10 +160,10 @@ class GridWorld:
             raise SimulationError(f'grid world: no place has room for a radius of {radius} m')
         sizes = np.bincount(roomy.ravel())
         sizes[0] = 0
-        home = np.argwhere(roomy == sizes.argmax())
-        first = home[rng.integers(len(home))]
-        window = np.abs(home - first).max(axis=1) <= 5.0 / self.resolution
-        near = self._joined(home[window], first)
+        largest = np.argwhere(roomy == sizes.argmax())
+        first = largest[rng.integers(len(largest))]
+        window = np.abs(largest - first).max(axis=1) <= _START_WINDOW / self.resolution
+        near = self._connected(largest[window], first)
         order = np.argsort(np.hypot(*(near - first).T), kind='stable')
         points = self.to_point(near[order])
         chosen = [points[0]]
@@ -176,19 +180,19 @@ class GridWorld:
             Pose2(float(x), float(y), float(rng.uniform(-math.pi, math.pi))) for x, y in chosen
         ]
 
-    def _joined(self, cells: NDArray[np.intp], first: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return those of the cells (N, 2) that hang together with the first one."""
+    def _connected(self, cells: NDArray[np.intp], first: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return those of the cells (N, 2) that are 4-connected with the first one."""
         low = cells.min(axis=0)
         local = np.zeros(cells.max(axis=0) - low + 1, np.bool_)
         local[tuple((cells - low).T)] = True
         labels, _ = ndimage.label(local)
         kept = labels[tuple((cells - low).T)] == labels[tuple(first - low)]
-        joined: NDArray[np.intp] = cells[kept]
-        return joined
+        connected: NDArray[np.intp] = cells[kept]
+        return connected
 
 
 def _specks(solid: Mask, occupied: Mask, largest: int) -> Mask:
-    """Return the parts (8-connected) of at most `largest` cells without an occupied cell."""
+    """Return the 8-connected components of at most `largest` cells, none of them occupied."""
     labels, count = ndimage.label(solid, np.ones((3, 3)))
     sizes = np.bincount(labels.ravel(), minlength=count + 1)
     touched = np.bincount(labels[occupied], minlength=count + 1) > 0

@@ -1,7 +1,7 @@
-"""World and vehicles -> a MuJoCo model: painted meshes that both camera and laser see.
+"""Build the MuJoCo model of a world and its vehicles: painted meshes for camera and laser.
 
-A world is cut into square tiles, one mesh per tile and texture: what is far away can then be left
-out of a picture. MuJoCo keeps a tree of the triangles of a mesh, so rays stay cheap.
+A world is divided into square tiles with one mesh per tile and texture, so that distant tiles can
+be hidden. MuJoCo keeps a bounding volume hierarchy per mesh, which makes ray casting cheap.
 """
 
 import math
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from explore_slam.errors import SimulationError
 from explore_slam.geometry import Array, rotation_matrix
+from explore_slam.mounts import CameraMountConfig
 from explore_slam.simulation.config import SimulationConfig
 from explore_slam.simulation.rendered.mujoco_import import mujoco
 from explore_slam.simulation.worlds.atlas import PAGE_SIZE, Atlas, Patch, Surface, build_atlas
@@ -22,38 +23,46 @@ from explore_slam.simulation.worlds.posters import Image
 from explore_slam.simulation.worlds.world import Face, World
 
 PAINTED, BODY, DECORATION, FLOOR, HIDDEN = 0, 1, 2, 3, 4  # groups of MuJoCo geoms
-TILE = 8.0  # m
-Z_NEAR, Z_FAR = 0.1, 40.0  # m
+TILE = 8.0  # m; as wide as the range of the laser
+Z_NEAR, Z_FAR = 0.1, 40.0  # m; clipping planes of the camera
+FLOOR_RESOLUTION = 0.01  # m per pixel, coarser where the floor would exceed FLOOR_PIXELS per side
 FLOOR_PIXELS = 4096
+# of the drawn vehicle, in m
+BODY_INSET = 0.02  # the body is smaller than the circle of collisions
+BODY_BOTTOM = 0.04  # height of the body's lower edge
+LASER_MARGIN = 0.04  # the body ends above the scan plane, so that other lasers see it
 COLORS = (
     (0.75, 0.10, 0.10), (0.10, 0.25, 0.75), (0.10, 0.55, 0.15),
     (0.80, 0.60, 0.05), (0.50, 0.10, 0.60), (0.05, 0.55, 0.60),
 )  # fmt: skip
 
 
-class Scene(NamedTuple):
-    """The MjModel and its tiles of walls: ids (G,) of geoms, circles (G, 3) x, y, radius (m)."""
+class RenderedWorld(NamedTuple):
+    """The MjModel, and the tiles of its walls.
+
+    tiles: (G,) geom ids. circles: (G, 3) bounding circle of each tile: x, y, radius (m).
+    """
 
     model: Any
     tiles: NDArray[np.intp]
     circles: Array
 
     def show_near(self, x: float, y: float, reach: float) -> None:
-        """Let pictures and rays see only the tiles that come within reach (m) of a point."""
+        """Hide the tiles from camera and laser that lie beyond reach (m) of a point (x, y)."""
         gaps = np.hypot(self.circles[:, 0] - x, self.circles[:, 1] - y) - self.circles[:, 2]
         self.model.geom_group[self.tiles] = np.where(gaps <= reach, PAINTED, HIDDEN)
 
 
 @dataclass
 class _Mesh:
-    """Triangles that share a texture: vertices, texture coordinates (0..1), corner indices."""
+    """Triangles with one texture: vertices, texture coordinates (0..1), vertex indices."""
 
     vertices: list[Sequence[float]]
     coordinates: list[Sequence[float]]
     triangles: list[tuple[int, int, int]]
 
     def add(self, corners: Sequence[Sequence[float]], uv: Sequence[Sequence[float]]) -> None:
-        """Add a convex polygon, corners against the clock as seen from where it shows."""
+        """Add a convex polygon with corners counterclockwise as seen from its visible side."""
         first = len(self.vertices)
         self.vertices.extend(corners)
         self.coordinates.extend(uv)
@@ -61,8 +70,11 @@ class _Mesh:
             self.triangles.append((first, first + k, first + k + 1))
 
 
-def build_scene(world: World, vehicles: Sequence[str], config: SimulationConfig) -> Scene:
-    """Return the scene: one mocap body and camera per vehicle, in the order of the names."""
+def build_model(world: World, vehicles: Sequence[str], config: SimulationConfig) -> RenderedWorld:
+    """Build the model, with one mocap body and one camera per vehicle in the order given.
+
+    Raises SimulationError where MuJoCo rejects the model.
+    """
     spec = mujoco.MjSpec()
     kinect = config.kinect
     visual = spec.visual
@@ -70,7 +82,7 @@ def build_scene(world: World, vehicles: Sequence[str], config: SimulationConfig)
     visual.global_.offheight = kinect.simulated_image_height
     visual.quality.offsamples = 0
     visual.quality.shadowsize = 0
-    visual.headlight.active = 0  # surfaces shine by themselves: cheap, and the same from all sides
+    visual.headlight.active = 0  # emissive materials instead: cheap, same from all directions
     visual.map.znear, visual.map.zfar = Z_NEAR, Z_FAR
     spec.stat.extent = 1.0
     spec.stat.center = [0.0, 0.0, 0.0]
@@ -84,11 +96,11 @@ def build_scene(world: World, vehicles: Sequence[str], config: SimulationConfig)
         model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         raise SimulationError(
-            f'world {world.name!r}: MuJoCo cannot build it: {" ".join(str(error).split())}'
+            f'world {world.name!r}: MuJoCo cannot compile it: {" ".join(str(error).split())}'
         ) from error
     geoms = [int(model.geom(name).id) for name in tiles]
     circles = np.array(list(tiles.values()), dtype=np.float64).reshape(-1, 3)
-    return Scene(model, np.array(geoms, dtype=np.intp), circles)
+    return RenderedWorld(model, np.array(geoms, dtype=np.intp), circles)
 
 
 def _material(spec: Any, name: str, image: Image) -> None:
@@ -124,7 +136,7 @@ def _add_mesh(spec: Any, name: str, mesh: _Mesh, material: str, group: int) -> N
 
 
 def _pieces(face: Face, longest: float) -> list[Face]:
-    """Return the face cut into parts that fit on a page."""
+    """Divide a face into parts of at most this length (m)."""
     count = max(1, math.ceil(face.length / longest))
     x = np.linspace(face.x0, face.x1, count + 1).tolist()
     y = np.linspace(face.y0, face.y1, count + 1).tolist()
@@ -132,11 +144,11 @@ def _pieces(face: Face, longest: float) -> list[Face]:
 
 
 def _add_walls(spec: Any, world: World, painted: bool) -> dict[str, tuple[float, float, float]]:
-    """Add faces and tops, one geom per tile and texture page; return its name -> circle (m)."""
+    """Add one geom per tile and texture page; return geom name -> bounding circle (m)."""
     longest = min(TILE, 0.5 * PAGE_SIZE * world.texture_resolution)
     faces = [piece for face in world.faces for piece in _pieces(face, longest)]
     surfaces = [Surface(face.style, face.length, face.height) for face in faces]
-    surfaces += [Surface('wood', 0.5, 0.5)]  # all tops: they are hardly seen but from above
+    surfaces += [Surface('wood', 0.5, 0.5)]  # shared by all tops, which the cameras hardly see
     nowhere = Atlas([np.zeros((1, 1, 3), np.uint8)], [Patch(0, 0, 0, 1, 1)] * len(surfaces))
     atlas = nowhere
     if painted:
@@ -183,13 +195,13 @@ def _add_tops(meshes: dict[tuple[int, int, int], _Mesh], world: World, atlas: At
 def _mesh_at(
     meshes: dict[tuple[int, int, int], _Mesh], page: int, point: tuple[float, float]
 ) -> _Mesh:
-    """Return the mesh of a page for the tile around a point."""
+    """Return the mesh for a page and the tile that contains a point."""
     key = (page, math.floor(point[1] / TILE), math.floor(point[0] / TILE))
     return meshes.setdefault(key, _Mesh([], [], []))
 
 
 def _texture_box(patch: Patch, page: Image) -> tuple[float, float, float, float]:
-    """Return u and v of left, top, right, bottom: half a pixel inside, v from the top down."""
+    """Return u or v of left, top, right, bottom, half a pixel inside; v grows downwards."""
     rows, columns = page.shape[:2]
     return (
         (patch.left + 0.5) / columns,
@@ -201,7 +213,7 @@ def _texture_box(patch: Patch, page: Image) -> tuple[float, float, float, float]
 
 def _add_floor(spec: Any, world: World) -> None:
     x0, y0, x1, y1 = world.bounds
-    resolution = max(0.01, (x1 - x0) / FLOOR_PIXELS, (y1 - y0) / FLOOR_PIXELS)
+    resolution = max(FLOOR_RESOLUTION, (x1 - x0) / FLOOR_PIXELS, (y1 - y0) / FLOOR_PIXELS)
     shape = (math.ceil((y1 - y0) / resolution), math.ceil((x1 - x0) / resolution))
     rng = np.random.default_rng((world.texture_seed, 2**31))
     _material(spec, 'floor', paint_floor(shape, resolution, rng))
@@ -214,19 +226,26 @@ def _add_floor(spec: Any, world: World) -> None:
 def _add_vehicle(
     spec: Any, name: str, color: tuple[float, float, float], config: SimulationConfig
 ) -> None:
-    """Add the body, high enough for other lasers to see, with a camera on a short post."""
-    radius, kinect = config.base.simulated_radius - 0.02, config.kinect
+    """Add a cylindrical body, visible to other lasers, with a camera on a post."""
+    radius, kinect = config.base.simulated_radius - BODY_INSET, config.kinect
     body = spec.worldbody.add_body(name=name, mocap=True)
-    x, z = kinect.simulated_camera_x, kinect.simulated_camera_z
-    high = max(0.15, config.laser.simulated_laser_z + 0.04)
+    mount = config.camera_mount
+    x, y, z = mount.camera_x, mount.camera_y, mount.camera_z
+    high = max(0.15, config.laser.simulated_laser_z + LASER_MARGIN)
     cylinder, box = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_BOX
     dark, pale = (0.08, 0.08, 0.09), (0.85, 0.85, 0.85)
     parts = [
-        (cylinder, (radius, (high - 0.04) / 2, 0.0), (0.0, 0.0, (high + 0.04) / 2), color, BODY),
+        (
+            cylinder,
+            (radius, (high - BODY_BOTTOM) / 2, 0.0),
+            (0.0, 0.0, (high + BODY_BOTTOM) / 2),
+            color,
+            BODY,
+        ),
         (cylinder, (radius + 0.003, 0.02, 0.0), (0.0, 0.0, 0.12), pale, DECORATION),
         (cylinder, (radius - 0.01, 0.005, 0.0), (0.0, 0.0, high), dark, DECORATION),
-        (box, (0.01, 0.01, 0.5 * z), (x - 0.05, 0.0, 0.5 * z), dark, DECORATION),
-        (box, (0.03, 0.14, 0.02), (x - 0.04, 0.0, z), dark, DECORATION),
+        (box, (0.01, 0.01, 0.5 * z), (x - 0.05, y, 0.5 * z), dark, DECORATION),
+        (box, (0.03, 0.14, 0.02), (x - 0.04, y, z), dark, DECORATION),
     ]
     for kind, size, position, rgb, group in parts:
         name_of = f'paint_{rgb}'
@@ -243,13 +262,14 @@ def _add_vehicle(
         )
     tangent = math.tan(math.radians(kinect.simulated_camera_angle) / 2)
     ratio = kinect.simulated_image_height / kinect.simulated_image_width
-    camera = body.add_camera(name=f'{name}/camera', pos=[x, 0.0, z], quat=_camera_quaternion())
+    camera = body.add_camera(name=f'{name}/camera', pos=[x, y, z], quat=_camera_quaternion(mount))
     camera.fovy = math.degrees(2 * math.atan(tangent * ratio))
 
 
-def _camera_quaternion() -> list[float]:
-    """Return w, x, y, z of a camera of MuJoCo (looks along -z, y up) that looks along x."""
-    turned: Array = rotation_matrix(math.pi / 2, 0.0, -math.pi / 2)
+def _camera_quaternion(mount: CameraMountConfig) -> list[float]:
+    """Return the quaternion w, x, y, z of a MuJoCo camera (view -z, up y) for a mount."""
+    body = rotation_matrix(mount.camera_roll, mount.camera_pitch, mount.camera_yaw)
+    turned: Array = body @ rotation_matrix(math.pi / 2, 0.0, -math.pi / 2)
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, turned.ravel())
     return [float(value) for value in quaternion]

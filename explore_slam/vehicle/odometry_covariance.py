@@ -1,4 +1,4 @@
-"""Covariance of the odometry pose, compounded reading by reading."""
+"""Covariance of the odometry pose, propagated from reading to reading."""
 
 import math
 
@@ -7,27 +7,29 @@ import numpy as np
 from explore_slam.geometry import Array, Pose2
 from explore_slam.vehicle.driver_config import BaseNoiseConfig
 
+_SIDEWAYS = 0.1  # variance across the direction of travel relative to that along it: wheels slip
+
 
 class OdometryCovariance:
-    """Grows with what was driven: variance proportional to distance and turn.
+    """Covariance of the pose error, with variances proportional to distance and rotation.
 
-    Kept in the frame of the vehicle's present pose (error of the pose as seen from it), where a
-    heading error moves positions sideways only when more is driven.
+    It is kept in the vehicle frame, where a heading error turns into a position error only as the
+    vehicle drives on.
     """
 
     def __init__(self, config: BaseNoiseConfig) -> None:
         self._config = config
         self._covariance = np.zeros((3, 3))
 
-    def drive(self, increment: Pose2) -> None:
-        """Take the increment (vehicle frame) of one reading."""
+    def propagate(self, increment: Pose2) -> None:
+        """Propagate by the increment between two readings (vehicle frame)."""
         c = self._config
         distance = math.hypot(increment.x, increment.y)
         turn = abs(increment.theta)
         if distance == 0.0 and turn == 0.0:
             return
         cosine, sine = math.cos(increment.theta), math.sin(increment.theta)
-        # error e = truth ⊖ estimate in the vehicle frame: e' = Ad(u^-1) e + noise
+        # the error transforms with the adjoint of the inverse increment: e' = Ad(u⁻¹) e + noise
         f = np.array(
             [
                 [cosine, sine, cosine * -increment.y + sine * increment.x],
@@ -38,7 +40,7 @@ class OdometryCovariance:
         noise = np.diag(
             [
                 c.base_distance_variance * distance,
-                0.1 * c.base_distance_variance * distance,
+                _SIDEWAYS * c.base_distance_variance * distance,
                 c.base_heading_variance_turn * turn + c.base_heading_variance_distance * distance,
             ]
         )
