@@ -37,10 +37,10 @@ def digest(belief: TeamBelief) -> str:
             sha.update(np.ascontiguousarray(filter_.particle_poses(vehicle)).tobytes())
             sha.update(np.ascontiguousarray(filter_.weights(vehicle)).tobytes())
         sha.update(np.ascontiguousarray(filter_.best_path()).tobytes())
-        items = filter_.map.items()
-        sha.update(filter_.map.ids[items].tobytes())
-        for begin in range(0, len(items), 500):
-            rows = filter_.map.rows.read(items[begin : begin + 500])
+        entries = filter_.map.entries()
+        sha.update(filter_.map.ids[entries].tobytes())
+        for begin in range(0, len(entries), 500):
+            rows = filter_.map.rows.read(entries[begin : begin + 500])
             sha.update(np.ascontiguousarray(rows).tobytes())
     return sha.hexdigest()
 

@@ -24,13 +24,10 @@ from explore_slam.geometry import Pose2, to_world
 from explore_slam.recording.tum_format import read_associations
 from explore_slam.settings import with_values
 from explore_slam.slam import FastSlam, FastSlamConfig, warm_up
-from explore_slam.slam.descriptors.index import (
-    BruteForceIndex,
-    DescriptorIndex,
-    Descriptors,
-    KdTreeIndex,
-)
+from explore_slam.slam.descriptors.index import BruteForceIndex, DescriptorIndex
 from explore_slam.slam.descriptors.kd_forest import KdForestIndex
+from explore_slam.slam.descriptors.kd_tree import KdTreeIndex
+from explore_slam.slam.descriptors.kinds import Vectors
 
 STEP = Pose2(0.1, 0.0, 0.05)
 NOISE = np.diag([0.01, 0.005, 0.01]) ** 2
@@ -171,13 +168,13 @@ def fill(slam: FastSlam, landmarks: int, random: np.random.Generator) -> None:
     particles = slam.config.particles
     while len(slam.map) < landmarks:
         count = min(500, landmarks - len(slam.map))
-        slots = slam.map.rows.new_slots(count)
-        data = slam.map.rows.present_data
+        addresses = slam.map.rows.allocate(count)
+        data = slam.map.rows.workspace
         points = random.uniform(20.0, 120.0, (count, 3))
-        data[slots] = 0.0
-        data[slots, :3] = points[:, :, None]
-        data[slots, 3] = data[slots, 6] = data[slots, 8] = 0.01
-        slam.map.add(slots, like_sift(random, count), 0, points, slam.groups.of(0).home)
+        data[addresses] = 0.0
+        data[addresses, :3] = points[:, :, None]
+        data[addresses, 3] = data[addresses, 6] = data[addresses, 8] = 0.01
+        slam.map.add(addresses, like_sift(random, count), 0, points, slam.groups.of(0).tree)
         for _ in range(4):
             weights = random.exponential(size=particles)
             slam.resample_now(weights / weights.sum())
@@ -264,20 +261,20 @@ def show_memory() -> None:
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     for _ in range(500):
         count = 200
-        slots = slam.map.rows.new_slots(count)
-        data = slam.map.rows.present_data
+        addresses = slam.map.rows.allocate(count)
+        data = slam.map.rows.workspace
         points = random.uniform(-50.0, 50.0, (count, 3))
-        data[slots] = 0.01
-        data[slots, :3] = points[:, :, None]
-        slam.map.add(slots, like_sift(random, count), 0, points, slam.groups.of(0).home)
+        data[addresses] = 0.01
+        data[addresses, :3] = points[:, :, None]
+        slam.map.add(addresses, like_sift(random, count), 0, points, slam.groups.of(0).tree)
         weights = random.exponential(size=1000)
         slam.resample_now(weights / weights.sum())
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     rows = slam.map.rows
     print(
         f'{len(slam.map)} landmarks, 1000 particles, 500 resamplings: rows '
-        f'{rows.rows_held() / len(slam.map):.1f} per landmark, slabs {rows.memory() / 2**20:.0f} '
-        f'MiB; process: peak {peak:.0f} MiB, of it {before:.0f} MiB before (limit: 1024)'
+        f'{rows.rows_stored() / len(slam.map):.1f} per landmark, '
+        f'slabs {rows.memory() / 2**20:.0f} MiB; process: peak {peak:.0f} MiB, of it {before:.0f} MiB before (limit: 1024)'
     )
 
 
@@ -298,7 +295,7 @@ class FlannIndex:
         return np.array([[match.trainIdx for match in row] for row in found])
 
 
-def lookup(index: DescriptorIndex, rows: Descriptors, queries: Descriptors, batch: int) -> str:
+def lookup(index: DescriptorIndex, rows: Vectors, queries: Vectors, batch: int) -> str:
     """Fill an index in batches; return recall of the nearest neighbor and times as text."""
 
     def build() -> None:
@@ -313,7 +310,7 @@ def lookup(index: DescriptorIndex, rows: Descriptors, queries: Descriptors, batc
     return f'recall {recall:.3f}, 200 queries cpu {spent[1]:.1f} ms, building cpu {built:.0f} ms'
 
 
-def recall_of(found: NDArray[np.int64], rows: Descriptors, queries: Descriptors) -> float:
+def recall_of(found: NDArray[np.int64], rows: Vectors, queries: Vectors) -> float:
     """Return the fraction of queries whose nearest neighbor was found."""
     brute = BruteForceIndex()
     brute.add(np.arange(len(rows)), rows)
@@ -328,10 +325,12 @@ def compare_index() -> None:
         queries = rows[random.choice(landmarks, 200)] + 0.03 * random.standard_normal((200, 128))
         queries = (queries / np.linalg.norm(queries, axis=1, keepdims=True)).astype(np.float32)
         print(f'{landmarks} landmarks')
-        print('  forest:', lookup(KdForestIndex(), rows, queries, 200), flush=True)
-        print('  brute force:', lookup(BruteForceIndex(), rows, queries, landmarks), flush=True)
+        print('  forest:', lookup(KdForestIndex(128), rows, queries, 200), flush=True)
+        print('  brute force:', lookup(BruteForceIndex(128), rows, queries, landmarks), flush=True)
         if landmarks <= 10_000:
-            print('  scipy kd-tree:', lookup(KdTreeIndex(), rows, queries, landmarks), flush=True)
+            print(
+                '  scipy kd-tree:', lookup(KdTreeIndex(128), rows, queries, landmarks), flush=True
+            )
         flann = FlannIndex(rows)
         spent = median([timed(lambda f=flann, q=queries: f.query(q, 1)) for _ in range(5)])
         recall = recall_of(flann.query(queries, 1), rows, queries)

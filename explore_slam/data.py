@@ -1,7 +1,7 @@
-"""The records that travel between rooms: frozen, checked when made, arrays with shape and unit.
+"""The records that travel between packages: immutable, and checked at construction.
 
 Stamps are seconds (float, ROS time). Vehicle frame: x forward, y left, z up (REP-103).
-A malformed record is refused with a DataError that names the field and the value.
+A malformed record raises a DataError that names the field and the value.
 """
 
 import math
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from explore_slam.errors import DataError
 from explore_slam.geometry import Array, Pose2
 
-DESCRIPTOR_LENGTH = 128
+DESCRIPTOR_LENGTH = 128  # numbers of a SIFT descriptor
 
 
 def _check_stamp(record: object, stamp: float) -> None:
@@ -35,12 +35,14 @@ def _check_shape(record: object, name: str, array: NDArray[Any], shape: tuple[in
 def _check_finite(record: object, name: str, array: NDArray[Any]) -> None:
     if not np.isfinite(array).all():
         bad = int(np.count_nonzero(~np.isfinite(array)))
-        raise DataError(f'{type(record).__name__}: {name} holds {bad} values that are not finite')
+        raise DataError(
+            f'{type(record).__name__}: {name} contains {bad} values that are not finite'
+        )
 
 
 @dataclass(frozen=True)
 class OdometryReading:
-    """Pose of the vehicle in its odometry frame, covariance (3, 3) where the base has one."""
+    """Pose of the vehicle in its odometry frame; covariance (3, 3) if the base reports one."""
 
     stamp: float
     pose: Pose2
@@ -56,10 +58,10 @@ class OdometryReading:
 
 @dataclass(frozen=True)
 class LaserScan:
-    """One sweep: ranges (B,) m, beam i at angle_min + i * angle_increment in the laser frame.
+    """One sweep: ranges (B,) m; beam i points to angle_min + i * angle_increment (rad).
 
-    REP-117: -inf is too close, NaN invalid, +inf no return; values outside
-    [range_min, range_max] are no measurement.
+    Angles are in the laser frame. REP-117: -inf is too close, NaN invalid, +inf no return; values
+    outside [range_min, range_max] are no measurements.
     """
 
     stamp: float
@@ -73,7 +75,7 @@ class LaserScan:
         _check_stamp(self, self.stamp)
         if self.ranges.ndim != 1 or self.ranges.size == 0:
             raise DataError(
-                f'LaserScan: ranges has shape {self.ranges.shape}, expected one beam or more'
+                f'LaserScan: ranges has shape {self.ranges.shape}, expected at least one beam'
             )
         if not (math.isfinite(self.angle_min) and math.isfinite(self.angle_increment)):
             raise DataError(
@@ -99,7 +101,7 @@ class LaserScan:
 class Intrinsics:
     """Pinhole camera: image size (pixels), focal lengths and principal point (pixels).
 
-    distortion: plumb_bob k1, k2, p1, p2, k3 of an image that is not rectified; () where it is.
+    distortion: plumb_bob k1, k2, p1, p2, k3 of an unrectified image, () if it is rectified.
     """
 
     width: int
@@ -155,22 +157,27 @@ class RgbdFrame:
 
 @dataclass(frozen=True)
 class LandmarkObservations:
-    """K landmarks seen at once, in the vehicle frame at the stamp.
+    """K landmarks observed at once, in the vehicle frame at the stamp.
 
-    positions (K, 3) m, covariances (K, 3, 3) m², descriptors (K, 128) float32 of unit length.
+    positions (K, 3) m, covariances (K, 3, 3) m², descriptors (K, D): SIFT (K, 128) float32 of unit
+    length; other kinds as in slam.descriptors.kinds.
     """
 
     stamp: float
     positions: Array
     covariances: Array
-    descriptors: NDArray[np.float32]
+    descriptors: NDArray[Any]
 
     def __post_init__(self) -> None:
         _check_stamp(self, self.stamp)
         count = len(self.positions)
         _check_shape(self, 'positions', self.positions, (count, 3))
         _check_shape(self, 'covariances', self.covariances, (count, 3, 3))
-        _check_shape(self, 'descriptors', self.descriptors, (count, DESCRIPTOR_LENGTH))
+        if self.descriptors.ndim != 2 or len(self.descriptors) != count:
+            raise DataError(
+                f'LandmarkObservations: descriptors has shape {self.descriptors.shape}, '
+                f'expected ({count}, length)'
+            )
         for name in ('positions', 'covariances', 'descriptors'):
             _check_finite(self, name, getattr(self, name))
 
@@ -179,7 +186,7 @@ class LandmarkObservations:
 
     @classmethod
     def empty(cls, stamp: float) -> 'LandmarkObservations':
-        """Make a record without any landmark."""
+        """Return a record without any landmark."""
         return cls(
             stamp,
             np.empty((0, 3)),
@@ -210,7 +217,7 @@ class InterRobotObservation:
 
 @dataclass(frozen=True)
 class Plan:
-    """A path for one vehicle in the map frame: waypoints (W, 2) m, the last one is the goal."""
+    """Path of one vehicle in the map frame: waypoints (W, 2) m, the last of which is the goal."""
 
     stamp: float
     vehicle: str
@@ -224,7 +231,7 @@ class Plan:
 
 
 class VehicleState(Enum):
-    """What a vehicle is doing, as the agent sees it."""
+    """Activity of a vehicle as known to the agent."""
 
     WAITING = 'waiting'
     DRIVING = 'driving'
@@ -238,7 +245,7 @@ class VehicleState(Enum):
 
 @dataclass(frozen=True)
 class VehicleStatus:
-    """One vehicle at one time: pose and covariance (3, 3) in the map, state, goal."""
+    """State of one vehicle: pose and covariance (3, 3) in the map, activity, goal."""
 
     stamp: float
     vehicle: str

@@ -1,12 +1,12 @@
-"""Every error that the package raises on purpose: one root, one subclass per room."""
+"""The errors that the package raises on purpose: one root, one subclass per package."""
 
 
 class ExploreSlamError(Exception):
-    """Root of all errors; a message names the input, the value and what was expected."""
+    """Root of all errors; messages name the input, the value and what was expected."""
 
 
 class ConfigError(ExploreSlamError):
-    """A setting is unknown, of the wrong type or out of its range."""
+    """A setting is unknown, of the wrong type or out of range."""
 
 
 class DataError(ExploreSlamError):
@@ -18,7 +18,7 @@ class VisionError(ExploreSlamError):
 
 
 class SlamError(ExploreSlamError):
-    """The belief refuses an input; its state is unchanged."""
+    """The filter rejects an input, or a saved state is unusable; the filter is unchanged."""
 
 
 class MappingError(ExploreSlamError):
@@ -30,19 +30,19 @@ class ExplorationError(ExploreSlamError):
 
 
 class AgentError(ExploreSlamError):
-    """The agent refuses an input or a request."""
+    """The agent rejects an input or a request."""
 
 
 class VehicleError(ExploreSlamError):
-    """A base, laser, camera or its cable does not do what was asked."""
+    """A base, laser, camera or their connection does not work as commanded."""
 
 
 class SimulationError(ExploreSlamError):
-    """A world, a simulated vehicle or the renderer cannot be made."""
+    """A world, a simulated vehicle or the renderer cannot be created."""
 
 
 class RecordingError(ExploreSlamError):
-    """A bag or a data set is missing, truncated or lacks what is needed."""
+    """A bag or a data set is missing, truncated or incomplete."""
 
 
 class EvaluationError(ExploreSlamError):

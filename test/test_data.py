@@ -1,4 +1,4 @@
-"""Records refuse what is malformed and name it."""
+"""Malformed records raise an error that names the field and the value."""
 
 import math
 
@@ -39,9 +39,9 @@ RANGES = np.ones(3, np.float32)
         (lambda: RgbdFrame(1.0, RGB, DEPTH.astype(np.int32), CAMERA), 'depth is of type int32'),
         (
             lambda: LandmarkObservations(
-                1.0, np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros((1, 64), np.float32)
+                1.0, np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros((2, 128), np.float32)
             ),
-            r'descriptors has shape \(1, 64\), expected \(1, 128\)',
+            r'descriptors has shape \(2, 128\), expected \(1, length\)',
         ),
         (
             lambda: LandmarkObservations(
@@ -50,7 +50,7 @@ RANGES = np.ones(3, np.float32)
                 np.zeros((1, 3, 3)),
                 np.zeros((1, 128), np.float32),
             ),
-            'positions holds 3 values that are not finite',
+            'positions contains 3 values that are not finite',
         ),
         (
             lambda: InterRobotObservation(1.0, 'r', np.zeros(3), np.eye(2)),

@@ -1,4 +1,4 @@
-"""The belief: FastSLAM over several vehicles and one landmark map."""
+"""SLAM: FastSLAM over several vehicles and one landmark map."""
 
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.fast_slam import FastSlam
@@ -21,7 +21,7 @@ __all__ = [
 
 
 def warm_up() -> None:
-    """Compile all kernels of the room (seconds the first time, then read from the cache)."""
+    """Compile all kernels of the package, or load them from the cache on disk."""
     import numpy as np
 
     from explore_slam.data import InterRobotObservation, LandmarkObservations
@@ -35,21 +35,22 @@ def warm_up() -> None:
     count = 10
     positions = random.uniform(1.0, 3.0, (count, 3))
     covariances = np.tile(0.01 * np.eye(3), (count, 1, 1))
-    seen = LandmarkObservations(0.0, positions, covariances, np.eye(count, 128, dtype=np.float32))
+    descriptors = np.eye(count, 128, dtype=np.float32)
+    observations = LandmarkObservations(0.0, positions, covariances, descriptors)
     still, noise = Pose2(0.0, 0.0, 0.0), 1e-4 * np.eye(3)
     starts = {'a': still, 'b': Pose2(1.0, 0.0, 0.0)}
+    measured = InterRobotObservation(0.0, 'b', np.array([1.0, 0.0]), 0.01 * np.eye(2))
     for engine in ('fastslam2', 'paper'):
         slam = FastSlam(starts, FastSlamConfig(particles=16, engine=engine))
         for _ in range(3):
             slam.predict('a', still, noise)
-            slam.update('a', seen)
+            slam.update('a', observations)
             slam.add_keyframe('a', 0.0)
-            sighting = InterRobotObservation(0.0, 'b', np.array([1.0, 0.0]), 0.01 * np.eye(2))
-            slam.update_inter_robot('a', [sighting])
+            slam.update_inter_robot('a', [measured])
             for _ in range(8):
                 weights = random.exponential(size=16) ** 3
                 slam.resample_now(weights / weights.sum())
         slam.best_path()
         slam.landmarks()
-        slam.map.index.query(seen.descriptors, 1.0, 8)
-        slam.map.remove(slam.map.items()[:1])
+        slam.map.index.query(descriptors, 1.0, 8)
+        slam.map.remove(slam.map.entries()[:1])

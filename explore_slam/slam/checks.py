@@ -1,4 +1,4 @@
-"""What the belief refuses, with the reason; nothing is changed before these have passed."""
+"""Checks of what the filter is given; they all pass before anything is changed."""
 
 import math
 
@@ -7,36 +7,43 @@ import numpy as np
 from explore_slam.data import InterRobotObservation, LandmarkObservations
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Array, Pose2
+from explore_slam.slam.descriptors.kinds import DescriptorKind
 
-NORM_TOLERANCE = 0.01
+# Relative to the largest entry of a matrix: beyond rounding, so that it is a mistake.
+_ASYMMETRY = 1e-6
+_NEGATIVE = 1e-9  # least eigenvalue of a covariance that may be singular
+_SINGULAR = 1e-10  # least eigenvalue of a covariance that must be inverted
+_TINY = 1e-300
 
 
 def check_pose(what: str, pose: Pose2) -> Pose2:
-    """Return the pose as Pose2, or refuse one that is not three finite numbers."""
+    """Return the pose; SlamError unless it has three finite numbers."""
     if len(pose) != 3 or not all(math.isfinite(value) for value in pose):
         raise SlamError(f'{what} is {tuple(pose)}, expected finite x, y, theta')
     return Pose2(float(pose[0]), float(pose[1]), float(pose[2]))
 
 
 def check_motion_covariance(what: str, covariance: Array) -> Array:
-    """Return a covariance (3, 3) that is finite, symmetric and not negative (zero is allowed)."""
+    """Return a covariance (3, 3); SlamError unless it is positive semidefinite."""
     matrix = np.asarray(covariance, np.float64)
     if matrix.shape != (3, 3):
         raise SlamError(f'{what} has shape {matrix.shape}, expected (3, 3)')
     if not np.isfinite(matrix).all():
         raise SlamError(f'{what} is {matrix.tolist()}, expected finite values')
-    scale = max(float(np.abs(matrix).max()), 1e-300)
-    if np.abs(matrix - matrix.T).max() > 1e-6 * scale:
+    scale = max(float(np.abs(matrix).max()), _TINY)
+    if np.abs(matrix - matrix.T).max() > _ASYMMETRY * scale:
         raise SlamError(f'{what} is {matrix.tolist()}, expected a symmetric matrix')
     matrix = 0.5 * (matrix + matrix.T)
     least = float(np.linalg.eigvalsh(matrix)[0])
-    if least < -1e-9 * scale:
+    if least < -_NEGATIVE * scale:
         raise SlamError(f'{what} has the eigenvalue {least:.3g}, expected none below 0')
     return matrix
 
 
-def check_observations(observations: LandmarkObservations, maximum: int) -> None:
-    """Refuse no observations, too many, and covariances or descriptors that cannot be used."""
+def check_observations(
+    observations: LandmarkObservations, kind: DescriptorKind, maximum: int
+) -> None:
+    """Raise SlamError for no or too many observations, bad covariances and bad descriptors."""
     count = len(observations)
     if count == 0:
         raise SlamError('observations: there are 0, expected 1 or more')
@@ -46,49 +53,44 @@ def check_observations(observations: LandmarkObservations, maximum: int) -> None
         )
     for name in ('positions', 'covariances', 'descriptors'):
         if not np.isfinite(getattr(observations, name)).all():
-            raise SlamError(f'observations: {name} hold values that are not finite')
+            raise SlamError(f'observations: {name} contain values that are not finite')
     R = observations.covariances
     scale = np.abs(R).max(axis=(1, 2))
     skew = np.abs(R - R.transpose(0, 2, 1)).max(axis=(1, 2))
-    bad = np.flatnonzero(skew > 1e-6 * scale)
+    bad = np.flatnonzero(skew > _ASYMMETRY * scale)
     if len(bad):
         raise SlamError(
             f'observations: covariance {bad[0]} is {R[bad[0]].tolist()}, not symmetric'
         )
     least = np.linalg.eigvalsh(R)[:, 0]
-    bad = np.flatnonzero(least <= 1e-10 * np.maximum(scale, 1e-300))
+    bad = np.flatnonzero(least <= _SINGULAR * np.maximum(scale, _TINY))
     if len(bad):
         raise SlamError(
             f'observations: covariance {bad[0]} is {R[bad[0]].tolist()} with the least eigenvalue '
             f'{least[bad[0]]:.3g}, expected a positive definite matrix'
         )
-    norms = np.linalg.norm(observations.descriptors, axis=1)
-    bad = np.flatnonzero(np.abs(norms - 1.0) > NORM_TOLERANCE)
-    if len(bad):
-        raise SlamError(
-            f'observations: descriptor {bad[0]} has length {norms[bad[0]]:.4g}, expected 1'
-        )
+    kind.check(observations.descriptors)
 
 
-def check_sighting(seer: str, sighting: InterRobotObservation) -> None:
-    """Refuse a sighting of the seer itself, or whose covariance cannot be used."""
-    covariance = sighting.covariance
+def check_inter_robot(observer: str, observation: InterRobotObservation) -> None:
+    """Raise SlamError for an observation of the observer itself or with a bad covariance."""
+    covariance = observation.covariance
     least, most = np.linalg.eigvalsh(0.5 * (covariance + covariance.T))
-    if least <= 1e-10 * max(most, 1e-300):
+    if least <= _SINGULAR * max(most, _TINY):
         raise SlamError(
-            f'sighting of {sighting.vehicle!r}: covariance {covariance.tolist()} has the least '
-            f'eigenvalue {least:.3g}, expected a positive definite matrix'
+            f'observation of {observation.vehicle!r}: covariance {covariance.tolist()} has the '
+            f'least eigenvalue {least:.3g}, expected a positive definite matrix'
         )
-    if sighting.vehicle == seer:
-        raise SlamError(f'sighting: vehicle {seer!r} cannot see itself')
+    if observation.vehicle == observer:
+        raise SlamError(f'vehicle {observer!r} cannot observe itself')
 
 
-def check_turn(vehicle: str, stamp: float, last: float, *, moved: bool) -> None:
-    """Refuse an update at a stamp (s) before the last one, or before any motion was told."""
+def check_order(vehicle: str, stamp: float, last: float, *, predicted: bool) -> None:
+    """Raise SlamError for an update at a stamp (s) before the last one, or before any predict."""
     if stamp < last:
         raise SlamError(f'update({vehicle!r}): stamp {stamp} lies before the last one, {last}')
-    if not moved:
+    if not predicted:
         raise SlamError(
             f'update({vehicle!r}) at stamp {stamp} comes before any predict: '
-            'tell the motion since the start first, even if it is zero'
+            'predict the motion since the start first, even if it is zero'
         )

@@ -1,106 +1,116 @@
-"""Settings of the belief."""
+"""Settings of the filter."""
 
 from dataclasses import dataclass
 
 from explore_slam.settings import Section, section, setting
+from explore_slam.slam.descriptors.kinds import KINDS, kind_named
 from explore_slam.slam.particles.motion import OdometryNoise
 
 
 @dataclass(frozen=True)
 class AssociationConfig(Section):
-    """How observations find their landmarks."""
+    """Data association: which landmark an observation is."""
 
+    descriptor_kind: str = setting(
+        'sift', f'Kind of the landmark descriptors: {", ".join(KINDS)}', tier='basic'
+    )
     maximum_descriptor_distance: float = setting(
         0.4,
-        'Largest squared descriptor distance of a match (E0 of the paper)',
+        'Largest squared descriptor distance of a match (E0 of the paper), of unit vectors; for '
+        'binary descriptors 4 h / B at a Hamming distance of h of B bits',
         low=0.0,
         high=4.0,
     )
     minimum_association_probability: float = setting(
         0.9,
-        'Least quality exp(-d²/2) of a match in engine paper (P0 of the paper)',
+        'Engine paper: least association probability exp(-d²/2) of a match (P0 of the paper)',
         low=0.0,
         high=1.0,
     )
     association_gate: float = setting(
         8.0,
-        'Engine fastslam2: largest Mahalanobis distance between a match and its prediction',
+        'Engine fastslam2: largest Mahalanobis distance of a match',
         unit='sigma',
         low=1.0,
         high=20.0,
     )
     candidates_per_observation: int = setting(
-        4, 'Landmarks compared by position for one observation', low=1, high=32
+        4, 'Candidate landmarks of one observation that are compared by position', low=1, high=32
     )
     descriptor_index: str = setting(
         'forest',
-        'How descriptors are looked up: randomized kd-forest, exact kd-tree, or all of them',
+        'Search for similar descriptors: randomized kd-forest, exact kd-tree, or brute force',
         choices=('forest', 'kd_tree', 'brute_force'),
     )
-    forest_trees: int = setting(4, 'Trees of the randomized kd-forest', low=1, high=16)
     forest_checks: int = setting(
         256,
-        'Descriptors compared per query of the forest; landmarks near an observation are all '
-        'compared if they are no more than this',
+        'Descriptors compared per query of the kd-forest; also the largest number of landmarks '
+        'near an observation that are all compared',
         low=16,
         high=100_000,
     )
     maximum_observations: int = setting(
-        1000, 'Most observations taken in one update', low=1, high=10_000
+        1000, 'Largest number of observations in one update', low=1, high=10_000
     )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        kind_named(self.descriptor_kind)
 
 
 @dataclass(frozen=True)
 class ExistenceConfig(Section):
-    """When a landmark that is not seen again is forgotten."""
+    """When a landmark that is not observed again is removed. A match counts as evidence of 1."""
 
-    existence_hit: float = setting(
-        1.0, 'Evidence gained by a landmark when it is matched', low=0.0, high=10.0
-    )
     existence_miss: float = setting(
         0.2,
-        'Evidence lost by a landmark that is in view, not hidden, and not matched',
+        'Evidence lost by a landmark that is in view, not occluded, and not matched; a match '
+        'counts 1',
         low=0.0,
         high=10.0,
     )
     existence_limit: float = setting(
-        5.0, 'Most evidence a landmark can gather; it is removed below zero', low=1.0, high=100.0
+        5.0, 'Largest evidence of a landmark; it is removed below zero', low=1.0, high=100.0
     )
 
 
 @dataclass(frozen=True)
 class RelocalizationConfig(Section):
-    """How a vehicle that all particles misplace is found again."""
+    """Relocalization of a lost vehicle."""
 
     relocalization: bool = setting(
-        True, 'Relocate a vehicle whose matches disagree with its pose in all particles'
+        True,
+        'Search for the pose of a vehicle whose matches contradict it in nearly all particles',
+        tier='basic',
     )
     relocalization_matches: int = setting(
-        5, 'Least matches that must agree on the new pose', low=3, high=100
+        5, 'Least number of matches that must agree on the new pose', low=3, high=100
     )
     relocalization_window: int = setting(
-        12, 'Updates of a vehicle that are searched together for its new pose', low=1, high=200
+        12, 'Updates of a vehicle whose matches are used together', low=1, high=200
     )
 
 
 @dataclass(frozen=True)
 class FastSlamConfig(Section):
-    """Settings of the belief: particles, engine, maps, association, existence and recovery."""
+    """Settings of the filter."""
 
-    particles: int = setting(500, 'Particles of the filter', low=1, high=20_000)
+    particles: int = setting(500, 'Number of particles', low=1, high=20_000, tier='basic')
     engine: str = setting(
         'fastslam2',
-        'FastSLAM 2.0, or the method of the paper to the letter',
+        'FastSLAM 2.0, or the algorithm of the paper to the letter',
         choices=('fastslam2', 'paper'),
+        tier='basic',
     )
     maps: str = setting(
         'common',
-        'One landmark map for all vehicles, or one filter and map for each',
+        'One landmark map for all vehicles, or one filter and map per vehicle',
         choices=('common', 'dedicated'),
+        tier='basic',
     )
     insertion_policy: str = setting(
         'always',
-        'Where a vehicle adds landmarks: always, or only where no other vehicle has mapped',
+        'Where a vehicle inserts landmarks: always, or only where no other vehicle mapped first',
         choices=('always', 'unmapped_region'),
     )
     region_size: float = setting(
@@ -112,43 +122,50 @@ class FastSlamConfig(Section):
     )
     resampling_threshold: float = setting(
         0.5,
-        'Resample when the effective particles drop below this part of all (engine fastslam2)',
+        'Engine fastslam2: resample below this effective sample size, as part of all particles',
         low=0.0,
         high=1.0,
     )
     shrinkage_threshold: float = setting(
         0.05,
-        'Engine fastslam2: where an update would leave less than this part of the particles '
-        'effective, the landmarks in view are smoothed over the particles',
+        'Engine fastslam2: if an update left a smaller part of the particles effective, the '
+        'observed landmarks are shrunk towards their mean over the particles first',
         low=0.0,
         high=0.5,
     )
     outlier_threshold: float = setting(
         4.0,
-        'Engine fastslam2: residuals beyond this lose influence',
+        'Engine fastslam2: residual beyond which an observation loses weight',
         unit='sigma',
         low=1.0,
         high=20.0,
     )
     independent_observations: float = setting(
         20.0,
-        'Engine fastslam2: the observations of one update weigh like at most this many '
-        'independent ones, because features of one frame err together',
+        'Engine fastslam2: the observations of one update count as at most this many independent '
+        'ones, because the features of one frame share errors',
         low=1.0,
         high=1e6,
     )
     linearizable_heading: float = setting(
         0.1,
-        'Heading uncertainty above which headings are sampled before the rest is linearized',
+        'Heading uncertainty of the motion beyond which headings are sampled before the update is '
+        'linearized',
         unit='rad',
         low=0.01,
         high=1.0,
     )
     filter_threads: int = setting(
-        2, 'Threads that share the particles; the result does not depend on it', low=1, high=64
+        2,
+        'Threads among which the particles are divided; results do not depend on it',
+        low=1,
+        high=64,
+        tier='basic',
     )
     inter_robot_observations: bool = setting(
-        True, 'Use what vehicles see of each other (maps common only)'
+        True,
+        'Use relative positions that vehicles measure of each other (common maps only)',
+        tier='basic',
     )
     odometry_noise: OdometryNoise = section(OdometryNoise)
     association: AssociationConfig = section(AssociationConfig)

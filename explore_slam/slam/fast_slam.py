@@ -1,4 +1,4 @@
-"""The belief of one team: a joint particle filter over all vehicles and one landmark map."""
+"""The filter of one team: FastSLAM over the poses of all vehicles and one landmark map."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -11,9 +11,13 @@ from numpy.typing import NDArray
 from explore_slam.data import InterRobotObservation, LandmarkObservations
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Array, Pose2, compose, wrap_angles
-from explore_slam.slam import belief_state, checkpoint, checks
-from explore_slam.slam.association.candidates import Sighted, look_up
+from explore_slam.settings import values_of, with_values
+from explore_slam.slam import checks
+from explore_slam.slam.association.candidates import find_candidates
+from explore_slam.slam.association.state import AssociationState, CandidateSet
+from explore_slam.slam.checkpoint import Checkpointed, State, part, text_array, text_value, under
 from explore_slam.slam.config import FastSlamConfig
+from explore_slam.slam.descriptors.kinds import kind_named
 from explore_slam.slam.landmarks.landmark_map import LandmarkMap, Landmarks, make_index
 from explore_slam.slam.particles.group import Group, Groups
 from explore_slam.slam.particles.motion import PendingMotion, rotated
@@ -23,22 +27,26 @@ from explore_slam.slam.particles.resampling import (
     stratified_normals,
     systematic_ancestors,
 )
-from explore_slam.slam.relocalization import Recovery
-from explore_slam.slam.storage.ancestry import Genealogy, Index
+from explore_slam.slam.relocalization import Relocalizer
+from explore_slam.slam.storage.ancestry import AncestryTree, Index
 from explore_slam.slam.summary import UpdateSummary
-from explore_slam.slam.update import engines
-from explore_slam.slam.update.engines import Proposal
-from explore_slam.slam.update.inter_robot import sight
-from explore_slam.slam.update.map_management import MapKeeper, support
+from explore_slam.slam.update.engine import PoseProposal
+from explore_slam.slam.update.engines import make_engine
+from explore_slam.slam.update.fastslam2_engine import pair_likelihoods
+from explore_slam.slam.update.inter_robot import condition_on_observation
+from explore_slam.slam.update.landmark_update import update_associated
+from explore_slam.slam.update.map_management import MapManager
+
+_MAJORITY = 0.5  # part of the particles' weight that speaks for all of them
 
 
-class FastSlam(checkpoint.Checkpointed):
-    """One joint Rao-Blackwellized particle filter for several vehicles (sections III and IV).
+class FastSlam(Checkpointed):
+    """One Rao-Blackwellized particle filter for several vehicles (paper, sections III and IV).
 
-    Every particle holds a pose of every vehicle and one landmark map; vehicles that have nothing
-    in common yet have particles apart from each other (`group`). Motion is told with `predict`,
-    what is seen with `update`; all randomness comes from the seed.
-    A call that is refused (SlamError) leaves the state as it was.
+    Each particle holds the poses of all vehicles and one landmark map. Vehicles whose maps do not
+    overlap yet are filtered in separate groups; groups merge when one of their vehicles observes a
+    landmark of the other. Results depend only on the inputs and the seed.
+    A call that raises SlamError leaves the filter unchanged.
     """
 
     def __init__(
@@ -52,27 +60,31 @@ class FastSlam(checkpoint.Checkpointed):
             for name, pose in start_poses.items()
         ]
         self.vehicles = tuple(start_poses)
-        particles = self.config.particles
+        particles, association = self.config.particles, self.config.association
         self._numbers = {name: number for number, name in enumerate(self.vehicles)}
         self._poses = np.repeat(np.array(starts, np.float64)[:, None, :], particles, axis=1)
         self._pending = [PendingMotion() for _ in starts]
-        self._moved = [False] * len(starts)
+        self._predicted = [False] * len(starts)
         self._stamps = [-math.inf] * len(starts)
         self._random = np.random.default_rng(seed)
-        self.groups = Groups(len(starts), particles, joint=self.config.engine == 'paper')
-        self._contributed: set[int] = set()
-        self.map = LandmarkMap(particles, make_index(self.config.association))
+        self._engine = make_engine(self.config)
+        self.groups = Groups(len(starts), particles, joint=self._engine.joint)
+        kind = kind_named(association.descriptor_kind)
+        self.map = LandmarkMap(particles, kind, make_index(association))
         self.path = PathStore(particles)
-        self._keeper = MapKeeper(self.map, self.config)
-        self._recovery = [Recovery(self.config.relocalization) for _ in starts]
+        self._manager = MapManager(self.map, self._engine, self.config)
+        self._relocalizers = [Relocalizer(self.config.relocalization) for _ in starts]
 
     # -- motion ---------------------------------------------------------------------------------
 
     def predict(self, vehicle: str, increment: Pose2, covariance: Array | None = None) -> None:
-        """Tell a motion of a vehicle: increment in its own frame, covariance (3, 3) of it there.
+        """Propagate a vehicle by an odometry increment.
 
-        Without covariance the noise of the settings is taken. Motions are compounded and cost
-        next to nothing until the next update; zero covariance means exact.
+        Increments accumulate and are applied at the next update, so that calls are cheap.
+
+        increment: motion since the last call, in the vehicle frame (m, m, rad).
+        covariance: (3, 3) of the increment (m², rad²). Default: the configured odometry noise.
+        Zero: exact.
         """
         number = self._number(vehicle)
         step = checks.check_pose('increment', increment)
@@ -81,70 +93,80 @@ class FastSlam(checkpoint.Checkpointed):
         else:
             noise = checks.check_motion_covariance('covariance', covariance)
         self._pending[number].append(step, noise, self.config.linearizable_heading)
-        self._recovery[number].move(step)
-        self._moved[number] = True
+        self._relocalizers[number].predict(step)
+        self._predicted[number] = True
 
     def set_pose(self, vehicle: str, pose: Pose2, covariance: Array) -> None:
-        """Move a vehicle to a pose given by the user, covariance (3, 3) in the map frame."""
+        """Give a vehicle a known pose; covariance (3, 3) in the map frame (m², rad²)."""
         number = self._number(vehicle)
-        place = checks.check_pose('pose', pose)
+        known = checks.check_pose('pose', pose)
         spread = checks.check_motion_covariance('covariance', covariance)
-        self._poses[number] = np.asarray(place)
-        self._pending[number] = PendingMotion.of(rotated(spread, place.theta))
-        self._recovery[number].forget()
-        self._moved[number] = True
+        self._poses[number] = np.asarray(known)
+        self._pending[number] = PendingMotion.of(rotated(spread, known.theta))
+        self._relocalizers[number].reset()
+        self._predicted[number] = True
 
     def restart_clock(self, vehicle: str) -> None:
-        """Take stamps before the last one from now on: the clock of the vehicle jumped back."""
+        """Reset the vehicle's clock: its next update may have any stamp."""
         self._stamps[self._number(vehicle)] = -np.inf
 
-    # -- observation ----------------------------------------------------------------------------
+    # -- update ---------------------------------------------------------------------------------
 
     def update(self, vehicle: str, observations: LandmarkObservations) -> UpdateSummary:
-        """Take in what a vehicle sees at present; the first update needs a predict before it.
+        """Update with landmark observations of a vehicle at its current pose.
 
-        Raises SlamError, without any change, for no or too many observations, covariances that
-        are not positive definite, descriptors that are not of unit length, an unknown vehicle,
-        a stamp before the last one, and an update before the first predict.
+        The numbers of the steps are those of the paper's algorithm. Engine paper samples poses
+        (2.1) before the association and resamples (5) at the end, once all vehicles have updated;
+        engine fastslam2 resamples and samples after it, from the proposal given the observations.
+
+        Raises SlamError for no or too many observations, covariances that are not positive
+        definite, descriptors of another kind, an unknown vehicle, a stamp before the last one, and
+        an update before the first predict.
         """
         number = self._number(vehicle)
-        checks.check_observations(observations, self.config.association.maximum_observations)
-        last = self._stamps[number]
-        checks.check_turn(vehicle, observations.stamp, last, moved=self._moved[number])
-        if self.config.engine == 'paper' and number in self._contributed:
-            self._resample_round()
-        estimate, reach = self.estimate(vehicle), self._recovery[number].reach
-        sighted = look_up(self.map, observations, self.config.association, *estimate, reach)
-        with self._refusing(f'update({vehicle!r}) at stamp {observations.stamp}'):
-            poses, P = self._settled(number)
-            poses = self._meet(number, sighted, poses, P)
+        self._check(number, observations)
+        if self._engine.starts_new_round(number):
+            self._end_round()
+
+        # 2.2 candidate landmarks: similar descriptor, near where the observation is expected
+        estimate, reach = self.estimate(vehicle), self._relocalizers[number].reach
+        found = find_candidates(self.map, observations, self.config.association, *estimate, reach)
+        with self._rejecting(f'update({vehicle!r}) at stamp {observations.stamp}'):
+            poses, P = self._propagate(number)
+            poses = self._merge_groups(number, found, poses, P)
             group = self.groups.of(number)
-            sighted.stage(self.map.rows, group.home)
+            state = AssociationState(found, self.map.rows, group.tree)
+            # 2.1 sample (paper), 2.4 gate, 2.5 descriptor; Gaussian proposal of the pose
+            # (fastslam2)
             normals = stratified_normals(self._random, self.config.particles, 3)
-            proposal = engines.propose_poses(
-                sighted, self.map.rows, poses, P, normals, group.log_weights, self.config
-            )
+            proposal = self._propose(state, poses, P, normals, group.log_weights)
         self._stamps[number] = observations.stamp
-        group.weigh(proposal.log_weights)
-        effective = group.effective()
-        support_of = support(sighted.choice, group.weights(), sighted.candidates.shape[1])
-        resampled = self._follow_the_fit(group, sighted, proposal)
-        poses = proposal.sampled(normals)
+        # 2.6.2 importance weight
+        group.reweight(proposal.log_likelihoods)
+        effective, support = group.effective_particles(), state.support(group.weights())
+        # 5 resample (fastslam2)
+        resampled = self._resample_before_sampling(group, state, proposal)
+        # 2.1 sample (fastslam2)
+        poses = proposal.sample(normals)
         self._place(number, poses)
-        engines.update_matched(
-            sighted, self.map.rows.present_data, poses, self.config.filter_threads
-        )
+        # 2.6.1 update the associated landmarks
+        update_associated(state, poses, self.config.filter_threads)
+        # 4 best particle
         best = self.best_particle(vehicle)
-        matches = sighted.matches(best, self.map.ids)
-        inserted, removed = self._keeper.write(number, sighted, poses, support_of, best)
-        if self.config.engine == 'paper':
-            resampled = self._end_round(number)
-        lost, relocated = self._recover(number, sighted, support_of.sum(axis=1) > 0.5)
+        matches = state.ids_in(best, self.map.ids)
+        # 2.7.1 insert new landmarks; remove those that are not there
+        inserted, removed = self._manager.commit(number, state, poses, support, best)
+        # 5 resample (paper)
+        if self._engine.completes_round(number, self.vehicles):
+            self._end_round()
+            resampled = True
+        agreed = support.sum(axis=1) > _MAJORITY
+        lost, relocated = self._relocalize(number, found, agreed)
         return UpdateSummary(
             stamp=observations.stamp,
             vehicle=vehicle,
             observed=len(observations),
-            matched=int(np.count_nonzero((sighted.alike >= 0).any(axis=1))),
+            matched=int(np.count_nonzero(found.has_similar())),
             associated=int(np.count_nonzero(matches >= 0)),
             inserted=inserted,
             removed=removed,
@@ -156,172 +178,194 @@ class FastSlam(checkpoint.Checkpointed):
             together=tuple(self.vehicles[member] for member in group.vehicles),
         )
 
-    def _meet(self, number: int, sighted: Sighted, poses: Array, P: Array) -> Array:
-        """Join the groups whose landmarks a vehicle at predicted poses (M, 3) may see.
+    def _check(self, number: int, observations: LandmarkObservations) -> None:
+        most = self.config.association.maximum_observations
+        checks.check_observations(observations, self.map.kind, most)
+        checks.check_order(
+            self.vehicles[number],
+            observations.stamp,
+            self._stamps[number],
+            predicted=self._predicted[number],
+        )
 
-        Returns the predicted poses of the new group's particles.
+    def _propagate(self, number: int) -> tuple[Array, Array]:
+        """Return the predicted poses (M, 3) and their covariance (3, 3) in the vehicle frame."""
+        return self._pending[number].propagate(
+            self._poses[number].copy(), self.config.linearizable_heading, self._random
+        )
+
+    def _merge_groups(self, number: int, found: CandidateSet, poses: Array, P: Array) -> Array:
+        """Merge this vehicle's group with those whose landmarks it may observe from poses (M, 3).
+
+        Returns the predicted poses of the particles of the merged group.
         """
-        group, homes = self.groups.of(number), self.map.rows.homes(sighted.items)
-        others = [other for other in self.groups.on(set(homes)) if other is not group]
+        group, trees = self.groups.of(number), self.map.rows.trees_of(found.entries)
+        others = [other for other in self.groups.with_trees(set(trees)) if other is not group]
         if not others:
             return poses
-        rows = self.map.rows.read(sighted.items)
-        theirs = [np.array([home in other.genealogies for home in homes]) for other in others]
+        blocks = self.map.rows.read(found.entries)
+        theirs = [np.array([tree in other.trees for tree in trees]) for other in others]
 
         def likelihood(orders: Sequence[Index]) -> Array:
-            paired = engines.paired(sighted, rows, theirs, orders, poses, P, self.config)
-            return paired.log_weights
+            return pair_likelihoods(found, blocks, theirs, orders, poses, P, self.config)
 
-        return poses[self.groups.join(group, others, likelihood, self._poses, self._random)]
+        return poses[self.groups.merge(group, others, likelihood, self._poses, self._random)]
 
-    def _follow_the_fit(self, group: Group, sighted: Sighted, proposal: Proposal) -> bool:
-        """Resample if it is due, before poses are sampled: descendants then differ at once."""
-        if self.config.engine == 'paper' or not self._is_due(group):
+    def _propose(
+        self, state: AssociationState, poses: Array, P: Array, normals: Array, log_weights: Array
+    ) -> PoseProposal:
+        """Return the proposal of the engine; nothing is staged if its numbers overflow."""
+        proposal = self._engine.propose(state, poses, P, normals, log_weights)
+        if not proposal.is_finite():
+            state.discard()
+        return proposal.checked()
+
+    def _resample_before_sampling(
+        self, group: Group, state: AssociationState, proposal: PoseProposal
+    ) -> bool:
+        """Resample when the effective sample size is low; return whether that was so.
+
+        This happens before the poses are sampled from the proposal, so that copies of one particle
+        get different poses (auxiliary particle filter; Pitt and Shephard, 1999).
+        """
+        if not self._engine.resamples_before_sampling(group):
             return False
-        sighted.revert(self.map.rows)
+        state.discard()
         ancestors = self._resample(group, group.weights())
-        sighted.follow(ancestors, self.map.rows)
+        state.follow(ancestors)
         proposal.follow(ancestors)
         return True
 
-    def update_inter_robot(self, vehicle: str, sightings: Sequence[InterRobotObservation]) -> None:
-        """Take in where a vehicle sees other vehicles of the team, whose motion is told up to now.
+    def _place(self, number: int, poses: Array) -> None:
+        """Set the poses (M, 3) of a vehicle, which include all of its motion."""
+        poses[:, 2] = wrap_angles(poses[:, 2])
+        self._poses[number] = poses
+        self._pending[number] = PendingMotion()
 
-        Without effect where the setting inter_robot_observations is off.
+    def _relocalize(
+        self, number: int, found: CandidateSet, agreed: NDArray[np.bool_]
+    ) -> tuple[bool, bool]:
+        """Note what was matched; return whether the vehicle is lost, and whether it was found."""
+        relocalizer, R = self._relocalizers[number], found.observed.R
+        deviations = np.sqrt(0.5 * (R[:, 0] + R[:, 3]))
+        similar = np.where(found.is_distinctive[:, None], found.similar_ids, -1)
+        relocalizer.add(found.observed.z, deviations, similar, agreed)
+        wanted = self.config.relocalization.relocalization and self._engine.relocalizes
+        if not wanted or not relocalizer.is_lost:
+            return relocalizer.is_lost, False
+        positions = self.map.positions(relocalizer.similar_ids(), self._best_particles())
+        current = self.best_pose(self.vehicles[number])
+        pose = relocalizer.search(positions, current, self._random)
+        if pose is None:
+            return True, False
+        spread = np.array([pose.position_deviation] * 2 + [pose.heading_deviation])
+        self.set_pose(self.vehicles[number], pose.pose, np.diag(spread**2))
+        return True, True
+
+    # -- inter-robot observations ---------------------------------------------------------------
+
+    def update_inter_robot(
+        self, vehicle: str, observations: Sequence[InterRobotObservation]
+    ) -> None:
+        """Update with the positions at which a vehicle measured others of the team.
+
+        The motion of all of them must have been predicted up to now. Without effect if the setting
+        inter_robot_observations is off.
         """
         number = self._number(vehicle)
-        others = [self._number(sighting.vehicle) for sighting in sightings]
-        for sighting in sightings:
-            checks.check_sighting(vehicle, sighting)
+        targets = [self._number(observation.vehicle) for observation in observations]
+        for observation in observations:
+            checks.check_inter_robot(vehicle, observation)
         if not self.config.inter_robot_observations:
             return
-        for other, sighting in zip(others, sightings, strict=True):
-            with self._refusing(f'sighting of {sighting.vehicle!r} at stamp {sighting.stamp}'):
-                self._sight(number, other, sighting)
+        for target, observation in zip(targets, observations, strict=True):
+            what = f'observation of {observation.vehicle!r} at stamp {observation.stamp}'
+            with self._rejecting(what):
+                self._update_inter_robot(number, target, observation)
 
-    def _sight(self, number: int, other: int, sighting: InterRobotObservation) -> None:
-        motion, still = self._pending[other], np.zeros((self.config.particles, 3))
-        seer, seer_P = self._settled(number)
-        seen = compose(self._poses[other], np.asarray(motion.mean))
+    def _update_inter_robot(
+        self, number: int, target: int, observation: InterRobotObservation
+    ) -> None:
+        motion, zeros = self._pending[target], np.zeros((self.config.particles, 3))
+        poses, P = self._propagate(number)
+        target_poses = compose(self._poses[target], np.asarray(motion.mean))
 
-        def taken_in(seer: Array, seen: Array, normals: Array) -> tuple[Array, Array]:
-            return sight(
-                seer, seer_P, seen, motion.end_covariance(), sighting, self.config, normals,
-                self.groups.of(number).weights(),
+        def condition(poses: Array, theirs: Array, normals: Array) -> tuple[Array, Array]:
+            weights = self.groups.of(number).weights()
+            return condition_on_observation(
+                (poses, P), (theirs, motion.end_covariance()), observation, self.config, normals,
+                weights,
             )  # fmt: skip
 
         def likelihood(orders: Sequence[Index]) -> Array:
-            return taken_in(seer.copy(), seen[orders[0]], still)[0]
+            return condition(poses.copy(), target_poses[orders[0]], zeros)[0]
 
-        group, theirs = self.groups.of(number), self.groups.of(other)
-        if theirs is not group:
-            seer = seer[self.groups.join(group, [theirs], likelihood, self._poses, self._random)]
-            seen = compose(self._poses[other], np.asarray(motion.mean))
+        group, other = self.groups.of(number), self.groups.of(target)
+        if other is not group:
+            poses = poses[self.groups.merge(group, [other], likelihood, self._poses, self._random)]
+            target_poses = compose(self._poses[target], np.asarray(motion.mean))
             group = self.groups.of(number)
         normals = stratified_normals(self._random, self.config.particles, 3)
-        log_weights, left = taken_in(seer, seen, normals)
-        group.weigh(log_weights)
-        self._place(number, seer)
-        self._place(other, seen)
-        self._pending[other] = PendingMotion.of(left)
-        if self.config.engine == 'fastslam2' and self._is_due(group):
+        log_likelihoods, remaining = condition(poses, target_poses, normals)
+        group.reweight(log_likelihoods)
+        self._place(number, poses)
+        self._place(target, target_poses)
+        self._pending[target] = PendingMotion.of(remaining)
+        if self._engine.resamples_before_sampling(group):
             self._resample(group, group.weights())
 
     @contextmanager
-    def _refusing(self, what: str) -> Iterator[None]:
-        """Refuse a call whose numbers run out of range, and take its random numbers back."""
+    def _rejecting(self, what: str) -> Iterator[None]:
+        """Turn an overflow into a SlamError, and restore the random generator."""
         random = self._random.bit_generator.state
         try:
             yield
         except FloatingPointError as error:
             self._random.bit_generator.state = random
             raise SlamError(
-                f'{what}: covariances of motion and observations are out of proportion'
+                f'{what}: numbers overflow; the covariances of motion and observations differ by '
+                'too many orders of magnitude'
             ) from error
-
-    def _settled(self, number: int) -> tuple[Array, Array]:
-        """Return predicted poses (M, 3) and their covariance (3, 3) in the vehicle frame."""
-        return self._pending[number].move(
-            self._poses[number].copy(), self.config.linearizable_heading, self._random
-        )
-
-    def _place(self, number: int, poses: Array) -> None:
-        """Set the poses (M, 3) of a vehicle; its motion so far is in them."""
-        poses[:, 2] = wrap_angles(poses[:, 2])
-        self._poses[number] = poses
-        self._pending[number] = PendingMotion()
-
-    def _recover(
-        self, number: int, sighted: Sighted, agreed: NDArray[np.bool_]
-    ) -> tuple[bool, bool]:
-        """Note what was matched; relocate the vehicle if it is lost and can be found."""
-        recovery = self._recovery[number]
-        deviations = np.sqrt(0.5 * (sighted.R[:, 0] + sighted.R[:, 3]))
-        alike = np.where(sighted.telling[:, None], sighted.alike, -1)
-        recovery.note(sighted.z, deviations, alike, agreed)
-        wanted = self.config.relocalization.relocalization and self.config.engine == 'fastslam2'
-        if not wanted or not recovery.lost:
-            return recovery.lost, False
-        positions = self.map.places(recovery.matched_ids(), self._best_particles())
-        found = recovery.search(positions, self.best_pose(self.vehicles[number]), self._random)
-        if found is None:
-            return True, False
-        spread = np.array([found.position_deviation] * 2 + [found.heading_deviation])
-        self.set_pose(self.vehicles[number], found.pose, np.diag(spread**2))
-        return True, True
 
     # -- resampling -----------------------------------------------------------------------------
 
-    def _is_due(self, group: Group) -> bool:
-        return group.effective() < self.config.resampling_threshold * self.config.particles
-
-    def _end_round(self, number: int) -> bool:
-        """Engine paper: resample when all vehicles have weighed the particles."""
-        self._contributed.add(number)
-        if len(self._contributed) < len(self.vehicles):
-            return False
-        self._resample_round()
-        return True
-
-    def _resample_round(self) -> None:
-        """Engine paper: all vehicles have weighed the particles, w = Π w(i) (Eq. 7)."""
-        self._contributed.clear()
+    def _end_round(self) -> None:
+        """Engine paper: resample, because all vehicles have weighted the particles (Eq. 7)."""
         (group,) = self.groups.all
-        group.score = np.zeros(self.config.particles)
-        group.score[int(np.argmax(group.log_weights))] = 1.0
+        self._engine.end_round(group)
         self._resample(group, group.weights())
 
     def resample_now(self, weights: Array | None = None) -> None:
-        """Resample by the present weights, or by given normalized weights (M,)."""
+        """Resample all groups by their weights, or by given normalized weights (M,)."""
         for group in self.groups.all:
             self._resample(group, group.weights() if weights is None else weights)
 
     def _resample(self, group: Group, weights: Array) -> Index:
         ancestors = systematic_ancestors(weights, float(self._random.random()))
         self._poses[group.vehicles] = self._poses[group.vehicles][:, ancestors]
-        group.descend(ancestors)
+        group.resample(ancestors)
         return ancestors
 
     # -- estimates ------------------------------------------------------------------------------
 
     def best_particle(self, vehicle: str | None = None) -> int:
-        """Return the particle that is taken for the truth, for a vehicle (else for the first).
+        """Return the particle that is taken as the estimate, of a vehicle (else of the first).
 
-        Engine paper: the one of largest weight. Engine fastslam2: the one whose whole lineage
-        is likeliest, so that the best path does not jump without need.
+        Engine paper: the one of largest weight (step 4). Engine fastslam2: the one with the most
+        likely lineage, so that the best path seldom jumps.
         """
-        group = self._group(vehicle)
-        if self.config.engine == 'paper' and self._contributed:
-            return int(np.argmax(group.log_weights))
-        return group.best()
+        return self._engine.best_particle(self._group(vehicle))
 
-    def _best_particles(self) -> dict[Genealogy, int]:
-        if self.config.engine == 'paper':
-            return dict.fromkeys(self.groups.all[0].genealogies, self.best_particle())
-        return self.groups.best_particles()
+    def _best_particles(self) -> dict[AncestryTree, int]:
+        """Return the best particle of the group that each ancestry tree belongs to."""
+        return {
+            tree: self._engine.best_particle(group)
+            for group in self.groups.all
+            for tree in group.trees
+        }
 
     def estimate(self, vehicle: str) -> tuple[Pose2, Array]:
-        """Return mean and covariance (3, 3) of a pose in the map, motion told so far included."""
+        """Return mean and covariance (3, 3) of a pose in the map, predicted motion included."""
         number = self._number(vehicle)
         pending = self._pending[number]
         poses = compose(self._poses[number], np.asarray(pending.mean))
@@ -331,13 +375,13 @@ class FastSlam(checkpoint.Checkpointed):
         return mean, 0.5 * (spread + spread.T)
 
     def best_pose(self, vehicle: str) -> Pose2:
-        """Return the pose of a vehicle in the best particle, motion told so far included."""
+        """Return the pose of a vehicle in the best particle, predicted motion included."""
         number = self._number(vehicle)
         pose = Pose2.from_array(self._poses[number, self.best_particle(vehicle)])
         return pose.compose(self._pending[number].mean)
 
     def particle_poses(self, vehicle: str) -> Array:
-        """Return the poses (M, 3) of a vehicle in all particles, motion told so far included."""
+        """Return the poses (M, 3) of a vehicle in all particles, predicted motion included."""
         number = self._number(vehicle)
         return compose(self._poses[number], np.asarray(self._pending[number].mean))
 
@@ -346,8 +390,8 @@ class FastSlam(checkpoint.Checkpointed):
         return self._group(vehicle).weights()
 
     def effective_particles(self) -> float:
-        """Return the effective sample size, 1 … M: the least of all groups of vehicles."""
-        return min(group.effective() for group in self.groups.all)
+        """Return the effective sample size, 1 to M: the least of all groups of vehicles."""
+        return min(group.effective_particles() for group in self.groups.all)
 
     def landmarks(self) -> Landmarks:
         """Return the landmarks of the best particle."""
@@ -356,20 +400,20 @@ class FastSlam(checkpoint.Checkpointed):
     # -- path -----------------------------------------------------------------------------------
 
     def add_keyframe(self, vehicle: str, stamp: float) -> int:
-        """Append the present pose of a vehicle (in all particles) to the path.
+        """Append the current pose of a vehicle, in all particles, to the path.
 
         Returns its number, counted 0, 1, 2 … over all vehicles.
         """
         number = self._number(vehicle)
         if not math.isfinite(stamp):
             raise SlamError(f'add_keyframe({vehicle!r}): stamp is {stamp}, expected seconds')
-        home = self.groups.of(number).home
-        return self.path.append(number, stamp, self.particle_poses(vehicle), home)
+        tree = self.groups.of(number).tree
+        return self.path.append(number, stamp, self.particle_poses(vehicle), tree)
 
     def best_path(self) -> Array:
         """Return the poses (K, 3) of all keyframes along the lineage of the best particle.
 
-        While the lineage goes on, poses returned before come again bit by bit.
+        As long as the lineage continues, earlier poses are the same bit by bit at every call.
         """
         return self.path.of_particle(self._best_particles())
 
@@ -380,14 +424,57 @@ class FastSlam(checkpoint.Checkpointed):
 
     # -- state ----------------------------------------------------------------------------------
 
-    def state_dict(self) -> checkpoint.State:
+    def state_dict(self) -> State:
         """See Checkpointed."""
-        return belief_state.state_of(self)
+        about = {
+            'settings': values_of(self.config),
+            'vehicles': list(self.vehicles),
+            'random': self._random.bit_generator.state,
+        }
+        stores = [self.map.rows, self.path.rows]
+        state: State = {
+            'about': text_array(about),
+            'poses': self._poses,
+            'predicted': np.array(self._predicted),
+            'stamps': np.array(self._stamps),
+            **under('map', self.map.state_dict()),
+            **under('path', self.path.state_dict()),
+            **under('groups', self.groups.state_dict(stores)),
+            **under('engine', self._engine.state_dict()),
+            **under('manager', self._manager.state_dict()),
+        }
+        for number, pending in enumerate(self._pending):
+            state |= under(f'motion{number}', pending.state_dict())
+        for number, relocalizer in enumerate(self._relocalizers):
+            state |= under(f'relocalizer{number}', relocalizer.state_dict())
+        return {name: np.array(value) for name, value in state.items()}
 
     @classmethod
-    def from_state(cls, state: checkpoint.State) -> Self:
+    def from_state(cls, state: State) -> Self:
         """See Checkpointed."""
-        return belief_state.restored(cls, state)
+        try:
+            about = text_value(state['about'])
+            starts = dict.fromkeys(about['vehicles'], Pose2(0.0, 0.0, 0.0))
+            slam = cls(starts, with_values(FastSlamConfig(), about['settings']))
+            slam._restore(about['random'], state)
+        except (KeyError, ValueError, IndexError, TypeError) as error:
+            raise SlamError(f'the saved state of the filter is incomplete: {error!r}') from error
+        return slam
+
+    def _restore(self, random: dict[str, object], state: State) -> None:
+        self._random.bit_generator.state = random
+        self._poses = state['poses'].copy()
+        self._predicted = state['predicted'].tolist()
+        self._stamps = state['stamps'].tolist()
+        self.map.restore(part('map', state))
+        self.path.restore(part('path', state))
+        self.groups.restore(part('groups', state), [self.map.rows, self.path.rows])
+        self._engine.restore(part('engine', state))
+        self._manager.restore(part('manager', state))
+        for number, pending in enumerate(self._pending):
+            pending.restore(part(f'motion{number}', state))
+        for number, relocalizer in enumerate(self._relocalizers):
+            relocalizer.restore(part(f'relocalizer{number}', state))
 
     def _group(self, vehicle: str | None) -> Group:
         return self.groups.of(0 if vehicle is None else self._number(vehicle))

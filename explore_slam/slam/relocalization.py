@@ -1,86 +1,112 @@
-"""The way back for a vehicle that all particles misplace.
+"""Relocalization of a lost vehicle by RANSAC over its recent matches.
 
-What a vehicle matched lately is kept in its odometry frame. When most of these matches disagree
-with its pose in all particles, the pose is searched that most of them agree on: two matches of
-different landmarks make a pose, the others vote (RANSAC). Only poses that the vehicle can have
-reached since it last agreed are considered, so that a repeated texture elsewhere does not
-carry it away.
+The observations of the last updates that are similar to landmarks are kept in the odometry frame
+of the vehicle. When most of these matches contradict its pose in nearly all particles, the pose
+that
+most of them agree on is searched: two matches of different landmarks make a hypothesis, all others
+vote (RANSAC: Fischler and Bolles, 1981), and a rigid transformation is fitted to the inliers in
+closed form (Procrustes problem; Umeyama, 1991). Only poses that the vehicle can have reached since
+its pose was last confirmed are considered, so that repeated textures elsewhere do not mislead it.
 """
 
 import math
 from collections import deque
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.compiled import kernel
 from explore_slam.geometry import IDENTITY, Array, Pose2
+from explore_slam.slam.checkpoint import State, part, under
 from explore_slam.slam.config import RelocalizationConfig
+from explore_slam.slam.storage.row_format import Places
 
+# Hypotheses: with half of the matches right, each is right with probability 1/4, and all 300 fail
+# with a probability below 1e-37; with a tenth right, 5 % of searches fail.
 _TRIALS = 300
-_MOST_MATCHES = 400
-_DRIFT_PER_METRE = 0.05
+_MOST_MATCHES = 400  # newest matches considered, which bounds the time of a search
+_DRIFT_PER_METRE = 0.05  # standard deviation of odometry (m/m), generous for wheeled robots
+# The pose of a lost vehicle is searched within 1 m and 0.3 m per metre driven since its pose was
+# last confirmed: a collision or slipping wheels, but not another room.
 _BASE_REACH = 1.0
 _REACH_PER_METRE = 0.3
+_GATE = 3.0  # deviations (sigma) within which a match is an inlier
+_LEAST_DEVIATION = 0.03  # m: of a match, for what observation and landmark do not tell
+_LEAST_BASELINE = 0.3  # m between the landmarks of a hypothesis, so that its heading is determined
+_LEAST_LANDMARKS = 3  # different inlier landmarks: two can agree by chance
+# A vehicle is lost below this part of confirmed matches; half of an update's confirm its pose.
+_LOST_PART = 0.35
+_CONFIRMED_PART = 0.5
+# A pose is accepted if at least half of the matches agree on it, and 1.5 times as many as on the
+# current one.
+_ACCEPTED_PART = 0.5
+_ACCEPTED_GAIN = 1.5
+_LEAST_EXTENT = 0.1  # m: of the inliers, and the largest heading deviation (rad) they may give
+_LARGEST_HEADING_DEVIATION = 0.3
+
+
+class _Pairs(NamedTuple):
+    """Pairs (n,) of an observation and a landmark similar to it, newest first.
+
+    points (n, 2) of the observations in the odometry frame; landmarks (n, 2) in the map;
+    deviations (n,) m; owners (n,) ascending number of the observation; ids (n,) of the landmarks.
+    """
+
+    points: Array
+    landmarks: Array
+    deviations: Array
+    owners: Places
+    ids: Places
 
 
 @kernel
-def _votes(
-    frame: Array, points: Array, marks: Array, spreads: Array, owners: NDArray[np.int64]
-) -> int:  # pragma: no cover - compiled
-    """Return how many observations lie on a landmark that they are like.
-
-    frame (3,): the odometry frame in the map; owners (n,) ascending number of the observation.
-    """
+def _votes(frame: Array, pairs: _Pairs) -> int:  # pragma: no cover - compiled
+    """Return the number of inlier observations for a pose (3,) of the odometry frame."""
+    points, landmarks, owners = pairs.points, pairs.landmarks, pairs.owners
     c, s = math.cos(frame[2]), math.sin(frame[2])
     votes, last = 0, -1
     for n in range(len(points)):
-        x = frame[0] + c * points[n, 0] - s * points[n, 1] - marks[n, 0]
-        y = frame[1] + s * points[n, 0] + c * points[n, 1] - marks[n, 1]
-        if owners[n] != last and math.hypot(x, y) < 3.0 * spreads[n]:
+        x = frame[0] + c * points[n, 0] - s * points[n, 1] - landmarks[n, 0]
+        y = frame[1] + s * points[n, 0] + c * points[n, 1] - landmarks[n, 1]
+        if owners[n] != last and math.hypot(x, y) < _GATE * pairs.deviations[n]:
             votes += 1
             last = owners[n]
     return votes
 
 
 @kernel
-def _vote(
-    pairs: NDArray[np.int64],
-    points: Array,
-    marks: Array,
-    spreads: Array,
-    owners: NDArray[np.int64],
-    ids: NDArray[np.int64],
-    odometry: Array,
-    present: Array,
-    reach: float,
+def _best_hypothesis(
+    samples: Places, pairs: _Pairs, odometry: Array, current: Array, reach: float
 ) -> tuple[int, Array]:  # pragma: no cover - compiled
-    """Return the most votes, and the odometry frame (3,) in the map that has them.
+    """Return the most votes, and the pose (3,) of the odometry frame in the map that has them.
 
-    Each of pairs (T, 2) puts two points on two landmarks; frames that take the vehicle, at
-    odometry (3,) in its frame, farther than reach (m) from present (2,) are passed over.
+    Each of samples (T, 2) places two points on two landmarks. Poses that put the vehicle, at
+    odometry (3,) in its frame, farther than reach (m) from its current position (2,) are skipped.
     """
+    points, landmarks = pairs.points, pairs.landmarks
+    deviations, ids = pairs.deviations, pairs.ids
     most, best, frame = 0, np.zeros(3), np.zeros(3)
-    for t in range(len(pairs)):
-        a, b = pairs[t]
+    for t in range(len(samples)):
+        a, b = samples[t]
         px, py = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
-        mx, my = marks[b, 0] - marks[a, 0], marks[b, 1] - marks[a, 1]
+        mx, my = landmarks[b, 0] - landmarks[a, 0], landmarks[b, 1] - landmarks[a, 1]
         length, wanted = math.hypot(px, py), math.hypot(mx, my)
-        tolerance = 3.0 * math.hypot(spreads[a], spreads[b])
-        near = min(length, wanted) < max(0.3, tolerance)
+        tolerance = _GATE * math.hypot(deviations[a], deviations[b])
+        near = min(length, wanted) < max(_LEAST_BASELINE, tolerance)
         if ids[a] == ids[b] or near or abs(length - wanted) > tolerance:
             continue
         frame[2] = math.atan2(my, mx) - math.atan2(py, px)
         c, s = math.cos(frame[2]), math.sin(frame[2])
         x, y = 0.5 * (points[a] + points[b])
-        frame[0] = 0.5 * (marks[a, 0] + marks[b, 0]) - c * x + s * y
-        frame[1] = 0.5 * (marks[a, 1] + marks[b, 1]) - s * x - c * y
-        x = frame[0] + c * odometry[0] - s * odometry[1] - present[0]
-        y = frame[1] + s * odometry[0] + c * odometry[1] - present[1]
+        frame[0] = 0.5 * (landmarks[a, 0] + landmarks[b, 0]) - c * x + s * y
+        frame[1] = 0.5 * (landmarks[a, 1] + landmarks[b, 1]) - s * x - c * y
+        x = frame[0] + c * odometry[0] - s * odometry[1] - current[0]
+        y = frame[1] + s * odometry[0] + c * odometry[1] - current[1]
         if math.hypot(x, y) > reach:
             continue
-        votes = _votes(frame, points, marks, spreads, owners)
+        votes = _votes(frame, pairs)
         if votes > most:
             most = votes
             best[:] = frame
@@ -90,27 +116,37 @@ def _vote(
 def warm_up() -> None:
     """Compile the search, which otherwise happens when the first vehicle is lost."""
     two, ids = np.eye(2), np.arange(2)
-    _vote(ids[None], two, two, np.ones(2), ids, ids, np.zeros(3), np.zeros(2), 1.0)
+    pairs = _Pairs(two, two, np.ones(2), ids, ids)
+    _best_hypothesis(ids[None], pairs, np.zeros(3), np.zeros(2), 1.0)
 
 
 @dataclass(frozen=True)
 class Matches:
-    """Matched observations of one update.
+    """Observations of one update that are similar to landmarks.
 
-    points (n, 2) in the odometry frame; deviations (n,) m; alike (n, A) ids of the landmarks
-    that each is like, or -1; agreed (n,); way: driven until then (m).
+    points (n, 2) in the odometry frame; deviations (n,) m; similar_ids (n, A) of the landmarks, or
+    -1; agreed (n,): associated in most of the particles; distance: driven until then (m).
     """
 
     points: Array
     deviations: Array
-    alike: NDArray[np.int64]
+    similar_ids: Places
     agreed: NDArray[np.bool_]
-    way: float
+    distance: float
+
+    def state_dict(self) -> State:
+        """Return the arrays."""
+        return vars(self) | {'distance': np.array(self.distance)}
+
+    @classmethod
+    def from_state(cls, state: State) -> 'Matches':
+        """Return matches as saved."""
+        return cls(**(state | {'distance': float(state['distance'])}))
 
 
 @dataclass(frozen=True)
-class Relocation:
-    """Where a vehicle is, by its matches: pose in the map, deviations of position and heading."""
+class Relocalized:
+    """Pose of a vehicle by its matches, in the map, with deviations (m, rad)."""
 
     pose: Pose2
     position_deviation: float
@@ -118,143 +154,159 @@ class Relocation:
     inliers: int
 
 
-class Recovery:
-    """Matches of one vehicle over its last updates."""
+class Relocalizer:
+    """The recent matches of one vehicle, and the search for its pose."""
 
     def __init__(self, config: RelocalizationConfig) -> None:
         self.config = config
         self.odometry = IDENTITY
-        self.way = 0.0
+        self.distance = 0.0
+        self.distance_since_confirmed = 0.0
         self.updates: deque[Matches] = deque(maxlen=config.relocalization_window)
-        self.way_driven = 0.0
 
-    def move(self, increment: Pose2) -> None:
-        """Follow the motion told."""
+    def predict(self, increment: Pose2) -> None:
+        """Propagate the vehicle by an odometry increment."""
         self.odometry = self.odometry.compose(increment)
         length = math.hypot(increment.x, increment.y)
-        self.way += length
-        self.way_driven += length
+        self.distance_since_confirmed += length
+        self.distance += length
 
     @property
     def reach(self) -> float:
-        """How far (m) the vehicle may be from where the particles have it."""
-        return _BASE_REACH + _REACH_PER_METRE * self.way
+        """How far (m) the vehicle may be from its pose in the particles."""
+        return _BASE_REACH + _REACH_PER_METRE * self.distance_since_confirmed
 
-    def forget(self) -> None:
-        """Drop all matches: the vehicle has been placed anew."""
+    def reset(self) -> None:
+        """Drop all matches, because the vehicle has been given a new pose."""
         self.updates.clear()
-        self.way = 0.0
+        self.distance_since_confirmed = 0.0
 
-    def note(
-        self, z: Array, deviations: Array, alike: NDArray[np.int64], agreed: NDArray[np.bool_]
+    def add(
+        self, z: Array, deviations: Array, similar_ids: Places, agreed: NDArray[np.bool_]
     ) -> None:
-        """Take in the observations z (K, 3) of one update that are like landmarks nearby."""
-        matched = (alike >= 0).any(axis=1)
+        """Add the observations z (K, 3) of one update; see Matches for the others."""
+        matched = (similar_ids >= 0).any(axis=1)
         if not matched.any():
             return
         c, s = math.cos(self.odometry.theta), math.sin(self.odometry.theta)
         x = self.odometry.x + c * z[matched, 0] - s * z[matched, 1]
         y = self.odometry.y + s * z[matched, 0] + c * z[matched, 1]
-        points = np.stack([x, y], axis=1)
         self.updates.append(
-            Matches(points, deviations[matched], alike[matched], agreed[matched], self.way_driven)
+            Matches(
+                np.stack([x, y], axis=1),
+                deviations[matched],
+                similar_ids[matched],
+                agreed[matched],
+                self.distance,
+            )
         )
-        if np.count_nonzero(agreed[matched]) >= 0.5 * len(points):
-            self.way = 0.0
+        if np.count_nonzero(agreed[matched]) >= _CONFIRMED_PART * len(x):
+            self.distance_since_confirmed = 0.0
 
     @property
-    def lost(self) -> bool:
-        """Tell whether most of the matches disagree."""
+    def is_lost(self) -> bool:
+        """Whether most of the recent matches contradict the pose."""
         count = sum(len(update.points) for update in self.updates)
         agreed = sum(int(np.count_nonzero(update.agreed)) for update in self.updates)
-        return count >= self.config.relocalization_matches and agreed < 0.35 * count
+        return count >= self.config.relocalization_matches and agreed < _LOST_PART * count
 
-    def matched_ids(self) -> NDArray[np.int64]:
-        """Return the landmark ids that matches are like."""
-        ids = np.unique(np.concatenate([update.alike.ravel() for update in self.updates]))
+    def similar_ids(self) -> Places:
+        """Return the ids of all landmarks that recent observations are similar to."""
+        ids = np.unique(np.concatenate([update.similar_ids.ravel() for update in self.updates]))
         return ids[ids >= 0]
 
     def search(
-        self, positions: dict[int, Array], present: Pose2, random: np.random.Generator
-    ) -> Relocation | None:
-        """Return where most matches agree that the vehicle is, or None.
+        self, positions: dict[int, Array], current: Pose2, random: np.random.Generator
+    ) -> Relocalized | None:
+        """Return the pose that most matches agree on, None if there is no such pose.
 
-        positions: landmark id -> (3,) x, y and deviation in the best particle; present: the
-        pose of the vehicle there.
+        positions: landmark id -> (3,) x, y and deviation (m) in the best particle; current: pose
+        of the vehicle there.
         """
-        points, marks, spreads, owners, ids = self._pairs(positions)
-        if len(points) < self.config.relocalization_matches:
+        pairs = self._pairs(positions)
+        least = self.config.relocalization_matches
+        if len(pairs.points) < least:
             return None
         odometry = np.asarray(self.odometry, np.float64)
-        frame = np.asarray(present.compose(self.odometry.inverse()), np.float64)
-        votes_present = _votes(frame, points, marks, spreads, owners)
-        pairs = random.integers(0, len(points), (_TRIALS, 2))
-        goal = np.array([present.x, present.y])
-        votes, best = _vote(
-            pairs, points, marks, spreads, owners, ids, odometry, goal, self.reach
-        )  # fmt: skip
-        matches = int(owners.max()) + 1
-        if votes < max(self.config.relocalization_matches, 0.5 * matches, 1.5 * votes_present):
+        frame = np.asarray(current.compose(self.odometry.inverse()), np.float64)
+        current_votes = _votes(frame, pairs)
+        samples = random.integers(0, len(pairs.points), (_TRIALS, 2))
+        position = np.array([current.x, current.y])
+        votes, best = _best_hypothesis(samples, pairs, odometry, position, self.reach)
+        observations = int(pairs.owners.max()) + 1
+        if votes < max(least, _ACCEPTED_PART * observations, _ACCEPTED_GAIN * current_votes):
             return None
-        return self._refined(Pose2.from_array(best), points, marks, spreads, ids, votes)
+        return self._refine(Pose2.from_array(best), pairs, votes)
 
-    def _pairs(
-        self, positions: dict[int, Array]
-    ) -> tuple[Array, Array, Array, NDArray[np.int64], NDArray[np.int64]]:
-        points, marks, spreads, owners, ids = [], [], [], [], []
+    def _pairs(self, positions: dict[int, Array]) -> _Pairs:
+        points, landmarks, deviations, owners, ids = [], [], [], [], []
         owner = 0
         for update in reversed(self.updates):
-            drift = _DRIFT_PER_METRE * (self.way_driven - update.way)
-            for n, alike in enumerate(update.alike.tolist()):
-                known = [i for i in alike if i in positions]
+            drift = _DRIFT_PER_METRE * (self.distance - update.distance)
+            for n, similar in enumerate(update.similar_ids.tolist()):
+                known = [i for i in similar if i in positions]
                 for i in known:
                     points.append(update.points[n])
-                    marks.append(positions[i][:2])
-                    spreads.append(math.hypot(update.deviations[n], positions[i][2], drift, 0.03))
+                    landmarks.append(positions[i][:2])
+                    deviations.append(
+                        math.hypot(update.deviations[n], positions[i][2], drift, _LEAST_DEVIATION)
+                    )
                     owners.append(owner)
                     ids.append(i)
                 owner += bool(known)
             if len(points) > _MOST_MATCHES:
                 break
-        return (
+        return _Pairs(
             np.array(points).reshape(-1, 2),
-            np.array(marks).reshape(-1, 2),
-            np.array(spreads),
+            np.array(landmarks).reshape(-1, 2),
+            np.array(deviations),
             np.array(owners, np.int64),
             np.array(ids, np.int64),
         )
 
-    def _placed(self, turn: float, center: Array, goal: Array) -> Pose2:
-        """Return the vehicle pose if the odometry frame is turned, and center moved to goal."""
+    def _refine(self, frame: Pose2, pairs: _Pairs, votes: int) -> Relocalized | None:
+        """Fit the pose of the odometry frame to its inliers; None with too few landmarks."""
+        points, landmarks, deviations = pairs.points, pairs.landmarks, pairs.deviations
+        c, s = math.cos(frame.theta), math.sin(frame.theta)
+        x = frame.x + c * points[:, 0] - s * points[:, 1] - landmarks[:, 0]
+        y = frame.y + s * points[:, 0] + c * points[:, 1] - landmarks[:, 1]
+        inside = np.hypot(x, y) < _GATE * deviations
+        if len(np.unique(pairs.ids[inside])) < _LEAST_LANDMARKS:
+            return None
+        weights = 1.0 / deviations[inside] ** 2
+        weights /= weights.sum()
+        center, goal = weights @ points[inside], weights @ landmarks[inside]
+        p, m = points[inside] - center, landmarks[inside] - goal
+        dot = weights @ (p[:, 0] * m[:, 0] + p[:, 1] * m[:, 1])
+        cross = weights @ (p[:, 0] * m[:, 1] - p[:, 1] * m[:, 0])
+        fitted = self._pose_of_vehicle(math.atan2(cross, dot), center, goal)
+        deviation = float(np.sqrt(np.mean(deviations[inside] ** 2)))
+        extent = math.sqrt(float(weights @ (p**2).sum(axis=1)))
+        heading = min(deviation / max(extent, _LEAST_EXTENT), _LARGEST_HEADING_DEVIATION)
+        return Relocalized(fitted, deviation, heading, votes)
+
+    def _pose_of_vehicle(self, turn: float, center: Array, goal: Array) -> Pose2:
+        """Return the pose if the odometry frame is rotated, and its point center moved to goal."""
         c, s = math.cos(turn), math.sin(turn)
         frame = Pose2(
             goal[0] - c * center[0] + s * center[1], goal[1] - s * center[0] - c * center[1], turn
         )
         return frame.compose(self.odometry)
 
-    def _refined(
-        self,
-        frame: Pose2,
-        points: Array,
-        marks: Array,
-        spreads: Array,
-        ids: NDArray[np.int64],
-        votes: int,
-    ) -> Relocation | None:
-        """Fit the odometry frame to its inliers; None if they are fewer than three landmarks."""
-        c, s = math.cos(frame.theta), math.sin(frame.theta)
-        x = frame.x + c * points[:, 0] - s * points[:, 1] - marks[:, 0]
-        y = frame.y + s * points[:, 0] + c * points[:, 1] - marks[:, 1]
-        inside = np.hypot(x, y) < 3.0 * spreads
-        if len(np.unique(ids[inside])) < 3:
-            return None
-        weights = 1.0 / spreads[inside] ** 2
-        weights /= weights.sum()
-        center, goal = weights @ points[inside], weights @ marks[inside]
-        p, m = points[inside] - center, marks[inside] - goal
-        dot = weights @ (p[:, 0] * m[:, 0] + p[:, 1] * m[:, 1])
-        cross = weights @ (p[:, 0] * m[:, 1] - p[:, 1] * m[:, 0])
-        fitted = self._placed(math.atan2(cross, dot), center, goal)
-        spread = float(np.sqrt(np.mean(spreads[inside] ** 2)))
-        extent = math.sqrt(float(weights @ (p**2).sum(axis=1)))
-        return Relocation(fitted, spread, min(spread / max(extent, 0.1), 0.3), votes)
+    def state_dict(self) -> State:
+        """Return odometry and recent matches."""
+        state: State = {
+            'motion': np.array([*self.odometry, self.distance_since_confirmed, self.distance]),
+            'updates': np.array(len(self.updates)),
+        }
+        for number, update in enumerate(self.updates):
+            state |= under(str(number), update.state_dict())
+        return state
+
+    def restore(self, state: State) -> None:
+        """Restore odometry and recent matches."""
+        x, y, theta, self.distance_since_confirmed, self.distance = state['motion'].tolist()
+        self.odometry = Pose2(x, y, theta)
+        self.updates.clear()
+        for number in range(int(state['updates'])):
+            self.updates.append(Matches.from_state(part(str(number), state)))

@@ -1,4 +1,4 @@
-"""What an update reports."""
+"""The result of an update."""
 
 from dataclasses import dataclass
 
@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 class UpdateSummary:
     """What one update did.
 
-    observed: landmarks observed; matched: of these, with a like descriptor in the map;
-    associated: updated in the best particle; inserted: new landmarks; removed: forgotten ones;
-    effective_particles before a resampling; lost: matches disagree with the pose in nearly all
-    particles; relocated: the vehicle has been moved to where its matches say.
-    matches (observed,): id of the landmark that the best particle took each observation for, or
-    -1; ids as in the Landmarks of the vehicle. together: the vehicles, this one included, that
-    have landmarks in common so far, directly or through others.
+    observed: landmarks observed; matched: of these, with a similar descriptor in the map;
+    associated: updated in the best particle; inserted, removed: landmarks; effective_particles:
+    before a resampling; lost: the matches contradict the pose in nearly all particles; relocated:
+    the vehicle was given the pose that its matches agree on.
+    matches (observed,): id of the landmark that the best particle associated with each
+    observation, or -1; ids as in the Landmarks of the vehicle. together: the vehicles, this one
+    included, whose poses are correlated so far because they have observed landmarks in common or
+    each other.
     """
 
     stamp: float

@@ -1,4 +1,4 @@
-"""One interface for common and dedicated maps: a joint filter, or one filter per vehicle."""
+"""One interface for common and dedicated maps: a joint filter, or a filter per vehicle."""
 
 from collections.abc import Mapping, Sequence
 from typing import Self
@@ -8,15 +8,15 @@ import numpy as np
 from explore_slam.data import InterRobotObservation, LandmarkObservations
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Array, Pose2
-from explore_slam.slam import checkpoint
+from explore_slam.slam.checkpoint import Checkpointed, State, part, under
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.fast_slam import FastSlam
 from explore_slam.slam.landmarks.landmark_map import Landmarks
 from explore_slam.slam.summary import UpdateSummary
 
 
-class TeamBelief(checkpoint.Checkpointed):
-    """The interface of FastSlam; with `maps: dedicated` a filter and a map per vehicle."""
+class TeamBelief(Checkpointed):
+    """The interface of FastSlam; with `maps: dedicated`, one filter and map per vehicle."""
 
     def __init__(
         self, start_poses: Mapping[str, Pose2], config: FastSlamConfig | None = None, seed: int = 0
@@ -51,13 +51,13 @@ class TeamBelief(checkpoint.Checkpointed):
         """See FastSlam.update."""
         return self.filter_of(vehicle).update(vehicle, observations)
 
-    def update_inter_robot(self, vehicle: str, sightings: Sequence[InterRobotObservation]) -> None:
-        """See FastSlam.update_inter_robot; refused with dedicated maps."""
+    def update_inter_robot(
+        self, vehicle: str, observations: Sequence[InterRobotObservation]
+    ) -> None:
+        """See FastSlam.update_inter_robot; SlamError with dedicated maps."""
         if len(self.filters) > 1:
-            raise SlamError(
-                'update_inter_robot needs maps: common, this belief has maps: dedicated'
-            )
-        self.filters[0].update_inter_robot(vehicle, sightings)
+            raise SlamError('update_inter_robot needs maps: common, this team has maps: dedicated')
+        self.filters[0].update_inter_robot(vehicle, observations)
 
     def set_pose(self, vehicle: str, pose: Pose2, covariance: Array) -> None:
         """See FastSlam.set_pose."""
@@ -80,19 +80,19 @@ class TeamBelief(checkpoint.Checkpointed):
         return self.filter_of(vehicle).particle_poses(vehicle)
 
     def best_particle(self, vehicle: str | None = None) -> int:
-        """Return the best particle for a vehicle (else for the first)."""
+        """See FastSlam.best_particle."""
         name = self.vehicles[0] if vehicle is None else vehicle
         return self.filter_of(name).best_particle(name)
 
     def effective_particles(self) -> float:
-        """Return the effective sample size, the least of all filters."""
+        """Return the effective sample size, 1 to M: the least of all filters."""
         return min(item.effective_particles() for item in self.filters)
 
     def landmarks(self, vehicle: str | None = None) -> Landmarks:
         """Return the landmarks of the best particles: of one vehicle's map, or of all maps.
 
-        With dedicated maps the ids of all maps together are 'number in its filter × filters +
-        filter', so that they stay unique.
+        The ids of several maps together are `id in its map × number of maps + number of the map`,
+        so that they are unique.
         """
         if vehicle is not None or len(self.filters) == 1:
             name = self.vehicles[0] if vehicle is None else vehicle
@@ -109,7 +109,7 @@ class TeamBelief(checkpoint.Checkpointed):
         )
 
     def add_keyframe(self, vehicle: str, stamp: float) -> int:
-        """See FastSlam.add_keyframe; numbers run over all vehicles with dedicated maps too."""
+        """See FastSlam.add_keyframe; keyframes are numbered over all vehicles with any maps."""
         self.filter_of(vehicle).add_keyframe(vehicle, stamp)
         self._keyframes.append(self._filter_of[vehicle])
         return len(self._keyframes) - 1
@@ -128,25 +128,25 @@ class TeamBelief(checkpoint.Checkpointed):
         """See FastSlam.trajectory."""
         return self.filter_of(vehicle).trajectory(vehicle)
 
-    def state_dict(self) -> checkpoint.State:
+    def state_dict(self) -> State:
         """See Checkpointed."""
-        state: checkpoint.State = {
+        state: State = {
             'keyframes': np.array(self._keyframes, np.int64),
             'filters': np.array(len(self.filters)),
         }
         for number, item in enumerate(self.filters):
-            state |= checkpoint.under(f'filter{number}', item.state_dict())
+            state |= under(f'filter{number}', item.state_dict())
         return state
 
     @classmethod
-    def from_state(cls, state: checkpoint.State) -> Self:
+    def from_state(cls, state: State) -> Self:
         """See Checkpointed."""
         if 'filters' not in state or 'keyframes' not in state:
             raise SlamError(
-                'the state of the belief is not whole: filters or keyframes are absent'
+                'the saved state of the team is incomplete: filters or keyframes are missing'
             )
         filters = [
-            FastSlam.from_state(checkpoint.part(f'filter{number}', state))
+            FastSlam.from_state(part(f'filter{number}', state))
             for number in range(int(state['filters']))
         ]
         belief = cls.__new__(cls)

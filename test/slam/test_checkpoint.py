@@ -64,9 +64,9 @@ def test_team_belief_round_trips(make_world, drive_circles, tmp_path, maps):
     assert again.add_keyframe('b', 9.0) == 12
 
 
-def test_files_that_hold_no_belief_are_refused(make_slam, tmp_path):
+def test_files_without_a_saved_state_are_rejected(make_slam, tmp_path):
     path = tmp_path / 'belief.npz'
-    with pytest.raises(SlamError, match='no belief can be read'):
+    with pytest.raises(SlamError, match='no saved state can be read'):
         FastSlam.load(path)
     path.write_bytes(b'not a zip file')
     with pytest.raises(SlamError, match=r'belief\.npz'):
@@ -74,13 +74,13 @@ def test_files_that_hold_no_belief_are_refused(make_slam, tmp_path):
     make_slam({'a': Pose2(0.0, 0.0, 0.0)}).save(path)
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(SlamError, match='no belief can be read'):
+    with pytest.raises(SlamError, match='no saved state can be read'):
         FastSlam.load(path)
     np.savez(path, format=np.array(99))
-    with pytest.raises(SlamError, match='format of the belief is 99'):
+    with pytest.raises(SlamError, match='format of the saved state is 99'):
         FastSlam.load(path)
     np.savez(path, format=np.array(checkpoint.FORMAT), poses=np.zeros(3))
-    with pytest.raises(SlamError, match='not whole'):
+    with pytest.raises(SlamError, match='incomplete'):
         FastSlam.load(path)
     with pytest.raises(SlamError, match='cannot be written'):
         make_slam({'a': Pose2(0.0, 0.0, 0.0)}).save(tmp_path / 'absent' / 'belief.npz')

@@ -7,7 +7,7 @@ from explore_slam.data import LandmarkObservations
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Pose2
 from explore_slam.slam import FastSlamConfig
-from explore_slam.slam.relocalization import Recovery
+from explore_slam.slam.relocalization import Relocalizer
 
 STARTS = {'a': Pose2(1.0, 1.0, 0.0), 'b': Pose2(5.0, 4.0, 1.0)}
 
@@ -146,8 +146,8 @@ def test_engine_paper_never_searches_for_a_lost_vehicle(
     monkeypatch, make_world, make_slam, engine, searched
 ):
     searches = []
-    monkeypatch.setattr(Recovery, 'lost', property(lambda self: len(self.updates) > 0))
-    monkeypatch.setattr(Recovery, 'search', lambda *arguments: searches.append(arguments))
+    monkeypatch.setattr(Relocalizer, 'is_lost', property(lambda self: len(self.updates) > 0))
+    monkeypatch.setattr(Relocalizer, 'search', lambda *arguments: searches.append(arguments))
     world = make_world()
     slam = make_slam(world.start(a=STARTS['a']), engine=engine)
     slam.predict('a', Pose2(0.0, 0.0, 0.0), np.zeros((3, 3)))

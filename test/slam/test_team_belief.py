@@ -100,7 +100,7 @@ def test_sightings_are_checked():
     z = np.array([0.5, 0.5])
     with pytest.raises(SlamError, match="no vehicle 'x'"):
         belief.update_inter_robot('a', [InterRobotObservation(0.0, 'x', z, np.eye(2))])
-    with pytest.raises(SlamError, match='cannot see itself'):
+    with pytest.raises(SlamError, match='cannot observe itself'):
         belief.update_inter_robot('a', [InterRobotObservation(0.0, 'a', z, np.eye(2))])
     with pytest.raises(SlamError, match='positive definite'):
         belief.update_inter_robot('a', [InterRobotObservation(0.0, 'b', z, np.zeros((2, 2)))])

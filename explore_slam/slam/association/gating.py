@@ -1,44 +1,24 @@
-"""Association of engine paper: argmin of the descriptor distance among what is gated at P0.
+"""Association of engine paper: steps 2.2.2 to 2.5 of the paper's algorithm, per particle.
 
-Rows of landmarks are (slots, 9, M): mean x y z, then covariance xx xy xz yy yz zz in the map
-frame; a variance xx <= 0 says that the landmark does not exist in that particle. Symmetric 3 × 3
-matrices are six numbers in that order throughout.
+Each particle chooses, among the candidates whose association probability exp(-d²/2) is at least
+P0, the one of least descriptor distance E.
 """
 
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from explore_slam.compiled import kernel
 from explore_slam.geometry import Array
-
-Choice = NDArray[np.int16]
-Locals = NDArray[np.int64]
-Six = tuple[float, float, float, float, float, float]
-
-
-@kernel(inline='always')
-def seen_covariance(
-    c: float, s: float, xx: float, xy: float, xz: float, yy: float, yz: float, zz: float
-) -> Six:  # pragma: no cover - compiled
-    """Rotate a covariance of the map into the frame of a vehicle with heading cos c, sin s."""
-    cc, cs, ss = c * c, c * s, s * s
-    return (
-        cc * xx + 2.0 * cs * xy + ss * yy,
-        cs * (yy - xx) + (cc - ss) * xy,
-        c * xz + s * yz,
-        ss * xx - 2.0 * cs * xy + cc * yy,
-        c * yz - s * xz,
-        zz,
-    )
+from explore_slam.slam.association.state import Associations, CandidateRows, Observed
+from explore_slam.slam.storage.row_format import covariance_in_vehicle_frame
 
 
 @kernel
-def _squared_length(
+def _mahalanobis_squared(
     x: float, y: float, z: float, xx: float, xy: float, xz: float, yy: float, yz: float, zz: float
 ) -> float:  # pragma: no cover - compiled
-    """Return vᵀ S⁻¹ v."""
+    """Return νᵀ S⁻¹ ν of a residual (x, y, z) and its covariance."""
     a, b, d = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
     square = (
         a * x * x
@@ -51,25 +31,15 @@ def _squared_length(
 
 @kernel
 def associate(
-    slab: Array,
-    slots: Locals,
-    candidates: Locals,
-    distances: Array,
-    z: Array,
-    R: Array,
-    poses: Array,
-    gate: float,
-    choice: Choice,
-    quality: Array,
+    rows: CandidateRows, observed: Observed, poses: Array, gate: float, chosen: Associations
 ) -> None:  # pragma: no cover - compiled
-    """Fill choice (K, M) with the number of the candidate taken, or -1; quality (K, M) with d².
+    """Fill choice and mahalanobis_squared (K, M) for particles at sampled poses (M, 3).
 
-    Where none is taken, d² is that of the nearest candidate all the same, inf if there is none.
-
-    candidates (K, J) are places in slots, or -1; distances (K, J) descriptor distances E; z (K, 3)
-    and R (K, 6) in the vehicle frame; poses (M, 3) sampled. Each particle takes the candidate of
-    least E among those with d² <= gate, of equals the one of least d² (section III).
+    gate: largest d². Of equal descriptors the candidate of least d² is chosen. If none passes, d²
+    is that of the nearest candidate, inf if there is none.
     """
+    candidates, z, R = rows.candidates, observed.z, observed.R
+    choice, mahalanobis_squared = chosen.choice, chosen.mahalanobis_squared
     K, J = candidates.shape
     for m in range(len(poses)):
         px, py = poses[m, 0], poses[m, 1]
@@ -78,30 +48,30 @@ def associate(
             best = np.inf
             nearest = np.inf
             choice[k, m] = -1
-            quality[k, m] = np.inf
+            mahalanobis_squared[k, m] = np.inf
             for j in range(J):
-                local = candidates[k, j]
-                if local < 0:
+                place = candidates[k, j]
+                if place < 0:
                     continue
-                row = slab[slots[local]]
+                row = rows.rows[rows.addresses[place]]
                 if row[3, m] <= 0.0:
                     continue
                 dx, dy = row[0, m] - px, row[1, m] - py
-                sxx, sxy, sxz, syy, syz, szz = seen_covariance(
+                sxx, sxy, sxz, syy, syz, szz = covariance_in_vehicle_frame(
                     c, s, row[3, m], row[4, m], row[5, m], row[6, m], row[7, m], row[8, m]
                 )
-                square = _squared_length(
+                square = _mahalanobis_squared(
                     z[k, 0] - (c * dx + s * dy), z[k, 1] - (c * dy - s * dx), z[k, 2] - row[2, m],
                     sxx + R[k, 0], sxy + R[k, 1], sxz + R[k, 2], syy + R[k, 3], syz + R[k, 4],
                     szz + R[k, 5],
                 )  # fmt: skip
                 nearest = min(nearest, square)
-                score = distances[k, j]
-                if not square <= gate or score > best:
+                distance = rows.distances[k, j]
+                if not square <= gate or distance > best:
                     continue
-                if score < best or square < quality[k, m]:
-                    best = score
+                if distance < best or square < mahalanobis_squared[k, m]:
+                    best = distance
                     choice[k, m] = j
-                    quality[k, m] = square
+                    mahalanobis_squared[k, m] = square
             if choice[k, m] < 0:
-                quality[k, m] = nearest
+                mahalanobis_squared[k, m] = nearest

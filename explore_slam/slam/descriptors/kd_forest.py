@@ -1,45 +1,68 @@
 """Randomized kd-forest over descriptors that grows one descriptor at a time.
 
-Several kd-trees are searched together, nearest branches first, until a number of descriptors
-has been compared (Muja and Lowe, 2009). Leaves are buckets; a full bucket splits at the mean of
-one of its dimensions of largest variance, drawn at random from a fixed seed: nothing is ever
-rebuilt, and the same insertions give the same forest.
+Several kd-trees are searched together, nearest branches first, until a number of descriptors has
+been compared (Muja and Lowe, "Fast approximate nearest neighbors with automatic algorithm
+configuration", 2009). Leaves are buckets; a full bucket splits at the mean of one of its
+dimensions
+of largest variance, drawn at random from a fixed seed: nothing is ever rebuilt, and the same
+insertions give the same forest.
+
+Descriptors are compared in bytes first, a quarter of the memory traffic of the exact distance. The
+two halves of the bytes lie apart, each at the beginning of a cache line: most comparisons end
+after the first.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.compiled import kernel
-from explore_slam.data import DESCRIPTOR_LENGTH
-from explore_slam.slam.descriptors.index import ROUNDING, Descriptors, DescriptorTable, Ids
+from explore_slam.slam.checkpoint import State
+from explore_slam.slam.descriptors.index import ROUNDING, DescriptorTable, Distances, Ids
+from explore_slam.slam.descriptors.kinds import STEP, Vectors
 
-BUCKET = 16
-_HEAP = 4096
-_TOP = 5
+TREES = 4  # as Muja and Lowe (2009); recall by benchmarks/slam_speed.py index
+BUCKET = 16  # members per leaf
+_SPLIT_AMONG = 5  # dimensions of largest variance to draw from (as FLANN, Muja and Lowe, 2009)
+_HEAP = 4096  # branches remembered per query; far more than are visited
+_LINE = 64  # bytes of a cache line
+_LEAST_VARIANCE = 1e-12  # of a dimension to split at: above the rounding of float32
+# Steps per unit of the rounded descriptors, and how far their squared distance may exceed the
+# exact one before a landmark is ruled out: several standard deviations of the rounding error.
+_STEPS = 127.0
+_COARSE_MARGIN = 0.02
 
 Nodes = NDArray[np.int32]
 Values = NDArray[np.float32]
 Coarse = NDArray[np.int8]
 
-# Descriptors are compared in bytes first: an eighth of the memory traffic of the exact distance.
-_STEPS = 127.0
-_COARSE_MARGIN = 0.02
-# The halves lie apart, one cache line each: most comparisons end after the first.
-_HALF = DESCRIPTOR_LENGTH // 2
-_LINE = 64
+
+class Forest(NamedTuple):
+    """The arrays of a forest of T trees over n vectors, as the kernels see them.
+
+    table (n, D) vectors; coarse (2, n, D / 2) the same in bytes; nodes (T, N, 2): dimension and
+    first child of a node, or -1 and the bucket of a leaf; values (T, N) where a node splits;
+    buckets (B, 2 + BUCKET): number of members, next bucket of the leaf or -1, members.
+    """
+
+    table: Values
+    coarse: Coarse
+    nodes: Nodes
+    values: Values
+    buckets: Nodes
 
 
 @kernel(reassociate=True)
 def squared_distance(
     a: Values, b: Values, bound: np.float32
 ) -> np.float32:  # pragma: no cover - compiled
-    """Squared distance, left off at the first quarter that exceeds the bound."""
+    """Return the squared distance, or a part of it above the bound, in steps of STEP numbers."""
     total = np.float32(0.0)
-    for begin in (0, 32, 64, 96):
+    for begin in range(0, len(a), STEP):
         part = np.float32(0.0)
-        for i in range(begin, begin + 32):
+        for i in range(begin, begin + STEP):
             difference = a[i] - b[i]
             part += difference * difference
         total += part
@@ -52,12 +75,13 @@ def squared_distance(
 def _coarse_distance(
     a: Coarse, coarse: Coarse, item: int, bound: int
 ) -> np.int32:  # pragma: no cover - compiled
-    """Squared distance of rounded descriptors, left off at the half that exceeds the bound."""
+    """Return the squared distance of rounded descriptors, or its first half if above the bound."""
     total = np.int32(0)
+    size = coarse.shape[2]
     for half in (0, 1):
         b = coarse[half, item]
-        for i in range(_HALF):
-            difference = np.int32(a[half * _HALF + i]) - np.int32(b[i])
+        for i in range(size):
+            difference = np.int32(a[half * size + i]) - np.int32(b[i])
             total += difference * difference
         if total > bound:
             break
@@ -68,6 +92,7 @@ def _coarse_distance(
 def _find_leaf(
     nodes: Nodes, values: Values, tree: int, point: Values
 ) -> int:  # pragma: no cover - compiled
+    """Return the leaf that a vector belongs to."""
     node = 0
     while nodes[tree, node, 0] >= 0:
         side = 0 if point[nodes[tree, node, 0]] < values[tree, node] else 1
@@ -77,7 +102,7 @@ def _find_leaf(
 
 @kernel
 def _next_random(state: NDArray[np.uint64]) -> np.int64:  # pragma: no cover - compiled
-    """64-bit linear congruential generator (Knuth's MMIX); its upper bits."""
+    """Return the upper bits of a 64-bit linear congruential generator (Knuth's MMIX)."""
     state[0] = state[0] * np.uint64(6364136223846793005) + np.uint64(1442695040888963407)
     return np.int64(state[0] >> np.uint64(40))
 
@@ -88,21 +113,21 @@ def _split_dimension(
 ) -> tuple[int, float]:  # pragma: no cover - compiled
     """Return a dimension of large variance and its mean; dimension -1 where all are equal."""
     count = len(members)
-    mean = np.zeros(DESCRIPTOR_LENGTH, np.float32)
+    mean = np.zeros(table.shape[1], np.float32)
     for m in members:
         mean += table[m]
     mean /= np.float32(count)
-    variance = np.zeros(DESCRIPTOR_LENGTH, np.float32)
+    variance = np.zeros(table.shape[1], np.float32)
     for m in members:
         difference = table[m] - mean
         variance += difference * difference
-    top = np.empty(_TOP, np.int64)
-    for i in range(_TOP):
+    top = np.empty(_SPLIT_AMONG, np.int64)
+    for i in range(_SPLIT_AMONG):
         best = int(np.argmax(variance))
-        top[i] = best if variance[best] > 1e-12 else -1
+        top[i] = best if variance[best] > _LEAST_VARIANCE else -1
         variance[best] = 0.0
     usable = 0
-    while usable < _TOP and top[usable] >= 0:
+    while usable < _SPLIT_AMONG and top[usable] >= 0:
         usable += 1
     if usable == 0:
         return -1, 0.0
@@ -112,19 +137,10 @@ def _split_dimension(
 
 @kernel
 def _insert(
-    table: Values,
-    ids: Ids,
-    nodes: Nodes,
-    values: Values,
-    buckets: Nodes,
-    used: NDArray[np.int64],
-    state: NDArray[np.uint64],
+    forest: Forest, ids: Ids, used: NDArray[np.int64], state: NDArray[np.uint64]
 ) -> None:  # pragma: no cover - compiled
-    """Put ids into all trees. nodes (T, n, 2): dimension and first child, or -1 and bucket.
-
-    buckets (b, 2 + BUCKET): number of members, next bucket or -1, members.
-    used: nodes per tree, then buckets.
-    """
+    """Insert ids into all trees. used (T + 1,): nodes in use per tree, then buckets in use."""
+    table, nodes, values, buckets = forest.table, forest.nodes, forest.values, forest.buckets
     trees = len(nodes)
     for item in ids:
         for tree in range(trees):
@@ -149,9 +165,9 @@ def _insert(
                     buckets[other, 0] = 0
                     buckets[other, 1] = -1
                     for m in members:
-                        home = bucket if table[m, dimension] < value else other
-                        buckets[home, 2 + buckets[home, 0]] = m
-                        buckets[home, 0] += 1
+                        side = bucket if table[m, dimension] < value else other
+                        buckets[side, 2 + buckets[side, 0]] = m
+                        buckets[side, 0] += 1
                     bucket = bucket if table[item, dimension] < value else other
             while buckets[bucket, 0] == BUCKET:
                 if buckets[bucket, 1] < 0:
@@ -165,9 +181,9 @@ def _insert(
 
 
 @kernel
-def _remove(
-    table: Values, ids: Ids, nodes: Nodes, values: Values, buckets: Nodes
-) -> None:  # pragma: no cover - compiled
+def _remove(forest: Forest, ids: Ids) -> None:  # pragma: no cover - compiled
+    """Remove ids from all trees; the nodes stay."""
+    table, nodes, values, buckets = forest.table, forest.nodes, forest.values, forest.buckets
     for item in ids:
         for tree in range(len(nodes)):
             bucket = nodes[tree, _find_leaf(nodes, values, tree, table[item]), 1]
@@ -185,7 +201,7 @@ def _remove(
 def _push(
     keys: Values, places: Nodes, size: int, key: float, tree: int, node: int
 ) -> int:  # pragma: no cover - compiled
-    """Push on a binary heap; the nearest branch comes out first. A full heap takes no more."""
+    """Push a branch on the binary heap, nearest first, and return its size; ignored if full."""
     if size >= _HEAP:
         return size
     i = size
@@ -204,7 +220,7 @@ def _push(
 
 @kernel
 def _pop(keys: Values, places: Nodes, size: int) -> int:  # pragma: no cover - compiled
-    """Remove the first of the heap (read it before)."""
+    """Remove the first branch of the heap (read it before) and return the size."""
     size -= 1
     key = keys[size]
     tree, node = places[size, 0], places[size, 1]
@@ -228,25 +244,27 @@ def _pop(keys: Values, places: Nodes, size: int) -> int:  # pragma: no cover - c
 
 @kernel
 def _search(  # noqa: C901 - a kernel
-    table: Values,
-    coarse: Coarse,
+    forest: Forest,
     queries: Values,
-    nodes: Nodes,
-    values: Values,
-    buckets: Nodes,
     stamps: Nodes,
     radius: float,
     checks: int,
     ids: Ids,
     distances: Values,
 ) -> None:  # pragma: no cover - compiled
+    """Fill ids and distances (K, C) with the nearest to queries (K, D) within the radius.
+
+    stamps (n,): zeros, which receive the last query that a vector was compared with.
+    """
+    table, coarse, buckets = forest.table, forest.coarse, forest.buckets
+    nodes, values = forest.nodes, forest.values
     keys = np.empty(_HEAP, np.float32)
     places = np.empty((_HEAP, 2), np.int32)
     count = ids.shape[1]
-    rounded = np.empty(DESCRIPTOR_LENGTH, np.int8)
+    rounded = np.empty(queries.shape[1], np.int8)
     for q in range(len(queries)):
         query = queries[q]
-        for i in range(DESCRIPTOR_LENGTH):
+        for i in range(queries.shape[1]):
             rounded[i] = np.int8(round(query[i] * _STEPS))
         size = 0
         for tree in range(len(nodes)):
@@ -291,20 +309,28 @@ def _search(  # noqa: C901 - a kernel
 
 
 def _in_cache_lines(shape: tuple[int, ...]) -> Coarse:
-    """Return zeros that begin at a cache line."""
+    """Return zeros (bytes) that begin at a cache line."""
     size = math.prod(shape)
     memory = np.zeros(size + _LINE, np.int8)
     begin = -memory.ctypes.data % _LINE
     return memory[begin : begin + size].reshape(shape)
 
 
-class KdForestIndex(DescriptorTable):
-    """Randomized kd-forest: log N per query, recall near one; see DescriptorIndex."""
+_FOREST = ('nodes', 'values', 'buckets', 'used', 'state')
 
-    def __init__(self, trees: int = 4, checks: int = 256, seed: int = 1) -> None:
-        super().__init__()
+
+class KdForestIndex(DescriptorTable):
+    """Randomized kd-forest: log N per query, recall near one.
+
+    checks: vectors compared per query.
+    """
+
+    def __init__(
+        self, dimensions: int, checks: int = 256, trees: int = TREES, seed: int = 1
+    ) -> None:
+        super().__init__(dimensions)
         self.checks = checks
-        self.coarse = np.zeros((2, 0, _HALF), np.int8)
+        self.coarse = np.zeros((2, 0, dimensions // 2), np.int8)
         self.nodes = np.full((trees, 1, 2), -1, np.int32)
         self.values = np.zeros((trees, 1), np.float32)
         self.buckets = np.zeros((trees, 2 + BUCKET), np.int32)
@@ -313,10 +339,10 @@ class KdForestIndex(DescriptorTable):
         self.used = np.array([1] * trees + [trees], np.int64)
         self.state = np.array([seed], np.uint64)
 
-    def add(self, ids: Ids, descriptors: Descriptors) -> None:
+    def add(self, ids: Ids, vectors: Vectors) -> None:
         """See DescriptorIndex."""
-        self.store(ids, descriptors)
-        self.round_table(ids)
+        self.store(ids, vectors)
+        self._round(ids)
         trees = len(self.nodes)
         nodes = int(self.used[:trees].max()) + 2 * len(ids)
         if nodes > self.nodes.shape[1]:
@@ -327,34 +353,45 @@ class KdForestIndex(DescriptorTable):
         if buckets > len(self.buckets):
             extra = buckets + buckets // 2 - len(self.buckets)
             self.buckets = np.pad(self.buckets, ((0, extra), (0, 0)))
-        _insert(self.table, ids, self.nodes, self.values, self.buckets, self.used, self.state)
+        _insert(self._forest(), ids, self.used, self.state)
 
-    def round_table(self, ids: Ids) -> None:
-        """Set the rounded descriptors of ids from the exact ones."""
-        have = self.coarse.shape[1]
+    def _round(self, ids: Ids) -> None:
+        """Set the rounded vectors of ids from the exact ones."""
+        _, have, half = self.coarse.shape
         if have < len(self.table):
-            grown = _in_cache_lines((2, len(self.table), _HALF))
+            grown = _in_cache_lines((2, len(self.table), half))
             grown[:, :have] = self.coarse
             self.coarse = grown
         rounded = np.rint(self.table[ids] * _STEPS).astype(np.int8)
-        self.coarse[:, ids] = rounded.reshape(-1, 2, _HALF).transpose(1, 0, 2)
+        self.coarse[:, ids] = rounded.reshape(-1, 2, half).transpose(1, 0, 2)
 
     def remove(self, ids: Ids) -> None:
         """See DescriptorIndex."""
         self.alive[ids] = False
-        _remove(self.table, ids, self.nodes, self.values, self.buckets)
+        _remove(self._forest(), ids)
 
-    def query(
-        self, descriptors: Descriptors, radius: float, count: int
-    ) -> tuple[Ids, NDArray[np.float32]]:
+    def query(self, vectors: Vectors, radius: float, count: int) -> tuple[Ids, Distances]:
         """See DescriptorIndex; the nearest are found with a probability below one."""
-        ids = np.full((len(descriptors), count), -1, np.int64)
-        distances = np.full((len(descriptors), count), np.inf, np.float32)
-        if len(self.table) and len(descriptors):
+        ids = np.full((len(vectors), count), -1, np.int64)
+        distances = np.full((len(vectors), count), np.inf, np.float32)
+        if len(self.table) and len(vectors):
             stamps = np.zeros(len(self.table), np.int32)
-            queries = np.ascontiguousarray(descriptors, np.float32)
+            queries = np.ascontiguousarray(vectors, np.float32)
             _search(
-                self.table, self.coarse, queries, self.nodes, self.values, self.buckets, stamps,
-                radius + ROUNDING, self.checks, ids, distances,
-            )  # fmt: skip
+                self._forest(), queries, stamps, radius + ROUNDING, self.checks, ids, distances
+            )
         return ids, distances
+
+    def _forest(self) -> Forest:
+        return Forest(self.table, self.coarse, self.nodes, self.values, self.buckets)
+
+    def state_dict(self) -> State:
+        """See DescriptorIndex."""
+        return super().state_dict() | {name: getattr(self, name) for name in _FOREST}
+
+    def restore(self, state: State) -> None:
+        """See DescriptorIndex."""
+        super().restore(state)
+        for name in _FOREST:
+            setattr(self, name, state[name].copy())
+        self._round(np.arange(len(self.table)))

@@ -1,82 +1,113 @@
-"""Vehicles whose beliefs hang together, and their particles.
+"""Groups of vehicles whose poses are correlated, with the particles of each group.
 
-While two vehicles have seen no landmark in common and not each other, nothing that one of them
-sees says anything about the other: the joint posterior is the product of two, and each is held by
-particles of its own. What one vehicle sees then does not thin out the particles of the other.
-With the first thing in common the groups become one: many random pairs of particles are tried,
-samples of the product, and those that explain what is seen are kept. Landmarks and keyframes stay
-where they are; they hang on the genealogies of the groups, which go on together.
+While two vehicles have not observed a landmark in common nor each other, their posteriors are
+independent: the joint posterior is the product of two, and each is represented by particles of its
+own. What one vehicle observes then does not deplete the particles of the other. With the first
+observation in common the groups are merged: many random pairs of particles, which are samples of
+the product, are weighted by that observation, and the new particles are drawn from them. Landmarks
+and keyframes stay as they are; they belong to the ancestry trees of the groups, which the merged
+group keeps.
 """
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Self
 
 import numpy as np
 
 from explore_slam.geometry import Array
+from explore_slam.slam.checkpoint import State, part, under
 from explore_slam.slam.particles.resampling import (
     effective_particles,
     normalized,
     systematic_ancestors,
 )
-from explore_slam.slam.storage.ancestry import Genealogy, Index
-from explore_slam.slam.storage.row_store import RowStore
+from explore_slam.slam.storage.ancestry import AncestryTree, Index, LayoutOwner
 
-PAIRINGS = 16  # times as many pairs are tried as there are particles where groups join
+# Random pairs per particle that are weighted when groups merge: more pairs give better samples and
+# a longer update.
+PAIRINGS = 16
+
+# Log-likelihoods (M,) of the current observations if particle m of the first group is paired with
+# particle order[m] of each other group.
+PairLikelihood = Callable[[Sequence[Index]], Array]
 
 
 class Group:
-    """The particles of vehicles (numbers): weights, and what descends from whom.
+    """The particles of some vehicles (numbers): weights and ancestry.
 
-    New rows hang on the first of the genealogies; the others are of groups that have joined.
+    log_weights (M,) of the normalized weights; score (M,): log-likelihood of the whole lineage of
+    each particle, 0 for the best. New rows belong to the first of the trees; the others are those
+    of groups that have been merged into this one.
     """
 
     def __init__(
-        self, vehicles: list[int], particles: int, genealogies: list[Genealogy] | None = None
+        self, vehicles: list[int], particles: int, trees: list[AncestryTree] | None = None
     ) -> None:
         self.vehicles = vehicles
         self.log_weights = np.full(particles, -math.log(particles))
         self.score = np.zeros(particles)
-        self.genealogies = genealogies or [Genealogy(particles)]
+        self.trees = trees or [AncestryTree(particles)]
 
     @property
-    def home(self) -> Genealogy:
-        """The genealogy that new rows hang on."""
-        return self.genealogies[0]
+    def tree(self) -> AncestryTree:
+        """The ancestry tree that new rows belong to."""
+        return self.trees[0]
 
     def weights(self) -> Array:
         """Return the normalized weights (M,)."""
         return np.exp(self.log_weights)
 
-    def effective(self) -> float:
-        """Return the effective sample size, 1 … M."""
+    def effective_particles(self) -> float:
+        """Return the effective sample size, 1 to M."""
         return effective_particles(self.weights())
 
-    def weigh(self, log_weights: Array) -> None:
+    def reweight(self, log_likelihoods: Array) -> None:
         """Multiply the weights by likelihoods, given as logarithms (M,)."""
-        shifted = log_weights - log_weights.max()
+        shifted = log_likelihoods - log_likelihoods.max()
         self.score = self.score + shifted
         self.score -= self.score.max()
         self.log_weights, _ = normalized(self.log_weights + shifted)
 
-    def best(self) -> int:
-        """Return the particle whose whole lineage is likeliest, which seldom changes."""
+    def best_particle(self) -> int:
+        """Return the particle whose whole lineage is most likely; it seldom changes."""
         return int(np.argmax(self.score))
 
-    def descend(self, ancestors: Index) -> None:
-        """Replace the particles by descendants, equal in weight, of ancestors (M,)."""
+    def resample(self, ancestors: Index) -> None:
+        """Replace the particles by copies, of equal weight, of the ancestors (M,)."""
         self.score = self.score[ancestors]
         self.log_weights = np.full(len(ancestors), -math.log(len(ancestors)))
-        for genealogy in self.genealogies:
-            for layout in genealogy.resample(ancestors):
-                owner = layout.owner
-                assert isinstance(owner, RowStore)
-                owner.compact(layout)
-        self.genealogies[1:] = [item for item in self.genealogies[1:] if not item.is_empty()]
+        for tree in self.trees:
+            for layout in tree.resample(ancestors):
+                layout.owner.compact(layout)
+        self.trees[1:] = [tree for tree in self.trees[1:] if not tree.is_empty()]
+
+    def state_dict(self, stores: Sequence[LayoutOwner]) -> State:
+        """Return weights and ancestry; stores: all that keep rows for its trees."""
+        state: State = {
+            'vehicles': np.array(self.vehicles, np.int64),
+            'log_weights': self.log_weights,
+            'score': self.score,
+            'trees': np.array(len(self.trees)),
+        }
+        for number, tree in enumerate(self.trees):
+            state |= under(f'tree{number}', tree.state_dict(stores))
+        return state
+
+    @classmethod
+    def from_state(cls, state: State, stores: Sequence[LayoutOwner]) -> Self:
+        """Return a group as saved; the stores must have been restored before."""
+        particles = len(state['score'])
+        trees = [AncestryTree(particles) for _ in range(int(state['trees']))]
+        group = cls(state['vehicles'].tolist(), particles, trees)
+        group.log_weights, group.score = state['log_weights'].copy(), state['score'].copy()
+        for number, tree in enumerate(trees):
+            tree.restore(part(f'tree{number}', state), stores)
+        return group
 
 
 class Groups:
-    """All groups; every vehicle is in one of them, at first in its own unless they are joint."""
+    """All groups. Every vehicle is in one of them: at first in its own, or all in one if joint."""
 
     def __init__(self, vehicles: int, particles: int, *, joint: bool) -> None:
         numbers = range(vehicles)
@@ -87,52 +118,62 @@ class Groups:
         """Return the group of a vehicle (number)."""
         return next(group for group in self.all if vehicle in group.vehicles)
 
-    def on(self, homes: set[Genealogy]) -> list[Group]:
-        """Return the groups that these genealogies belong to."""
-        return [group for group in self.all if not homes.isdisjoint(group.genealogies)]
+    def with_trees(self, trees: set[AncestryTree]) -> list[Group]:
+        """Return the groups that any of these ancestry trees belongs to."""
+        return [group for group in self.all if not trees.isdisjoint(group.trees)]
 
-    def best_particles(self) -> dict[Genealogy, int]:
-        """Return the best particle of the group that each genealogy belongs to."""
-        return {home: group.best() for group in self.all for home in group.genealogies}
-
-    def join(
+    def merge(
         self,
         first: Group,
         others: list[Group],
-        likelihood: Callable[[Sequence[Index]], Array],
+        likelihood: PairLikelihood,
         poses: Array,
         random: np.random.Generator,
     ) -> Index:
-        """Make one group of several whose vehicles have met; return ancestors (M,) in the first.
+        """Merge groups into one and return the ancestors (M,) of its particles in the first.
 
-        likelihood gives the logarithms (M,) of how likely what is seen now is, if the first's
-        particles go with the particles (M,) of each other group that it is told. The new group
-        is drawn from some random pairs by that likelihood, and weighs it out again: what is seen
-        is still to be told. The poses (V, M, 3) of all vehicles follow in place.
+        The particles are drawn from random pairs in proportion to the likelihood of the current
+        observations. Their weights are the inverse of it, so that the observations are not used
+        twice by the update that follows. The poses (V, M, 3) of all vehicles are resampled in
+        place.
         """
         particles = len(first.score)
         orders = np.array(
             [[random.permutation(particles) for _ in others] for _ in range(PAIRINGS)], np.int32
         )
-        seen = np.array([likelihood(list(order)) for order in orders])
-        log_weights = seen + first.log_weights
+        likelihoods = np.array([likelihood(list(order)) for order in orders])
+        log_weights = likelihoods + first.log_weights
         for number, other in enumerate(others):
             log_weights += other.log_weights[orders[:, number]]
         _, weights = normalized(log_weights.T.ravel())
         chosen = systematic_ancestors(weights, float(random.random()), particles)
         ancestors, pairing = np.divmod(chosen, np.int32(PAIRINGS))
         parts = [first, *others]
-        for number, part in enumerate(parts):
+        for number, group in enumerate(parts):
             mine = orders[pairing, number - 1, ancestors] if number else ancestors
-            poses[part.vehicles] = poses[part.vehicles][:, mine]
-            part.descend(mine)
-        joined = Group(
-            sorted(vehicle for part in parts for vehicle in part.vehicles),
+            poses[group.vehicles] = poses[group.vehicles][:, mine]
+            group.resample(mine)
+        merged = Group(
+            sorted(vehicle for group in parts for vehicle in group.vehicles),
             particles,
-            [genealogy for part in parts for genealogy in part.genealogies],
+            [tree for group in parts for tree in group.trees],
         )
-        joined.score = np.sum([part.score for part in parts], axis=0)
-        joined.log_weights, _ = normalized(-seen[pairing, ancestors])
+        merged.score = np.sum([group.score for group in parts], axis=0)
+        merged.log_weights, _ = normalized(-likelihoods[pairing, ancestors])
         apart = [group for group in self.all if group not in parts]
-        self.all = sorted([joined, *apart], key=lambda group: group.vehicles[0])
+        self.all = sorted([merged, *apart], key=lambda group: group.vehicles[0])
         return ancestors
+
+    def state_dict(self, stores: Sequence[LayoutOwner]) -> State:
+        """Return all groups; stores: all that keep rows for their trees."""
+        state: State = {'count': np.array(len(self.all))}
+        for number, group in enumerate(self.all):
+            state |= under(str(number), group.state_dict(stores))
+        return state
+
+    def restore(self, state: State, stores: Sequence[LayoutOwner]) -> None:
+        """Restore all groups; the stores must have been restored before."""
+        self.all = [
+            Group.from_state(part(str(number), state), stores)
+            for number in range(int(state['count']))
+        ]

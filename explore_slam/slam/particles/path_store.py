@@ -1,10 +1,11 @@
-"""Poses of keyframes in all particles, kept along the lineages that are left."""
+"""Poses of keyframes in all particles, stored along the lineages that still exist."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.geometry import Array
-from explore_slam.slam.storage.ancestry import Genealogy
+from explore_slam.slam.checkpoint import State, part, under
+from explore_slam.slam.storage.ancestry import AncestryTree
 from explore_slam.slam.storage.row_store import ParticleOf, RowStore
 
 
@@ -19,12 +20,12 @@ class PathStore:
     def __len__(self) -> int:
         return len(self.stamps)
 
-    def append(self, vehicle: int, stamp: float, poses: Array, home: Genealogy) -> int:
+    def append(self, vehicle: int, stamp: float, poses: Array, tree: AncestryTree) -> int:
         """Store the poses (M, 3) of a keyframe and return its number."""
         number = len(self.stamps)
-        slots = self.rows.new_slots(1)
-        self.rows.present_data[slots[0]] = poses.T
-        self.rows.commit(np.array([number], np.int64), slots, home)
+        addresses = self.rows.allocate(1)
+        self.rows.workspace[addresses[0]] = poses.T
+        self.rows.commit(np.array([number], np.int64), addresses, tree)
         self.stamps.append(stamp)
         self.vehicles.append(vehicle)
         return number
@@ -36,3 +37,17 @@ class PathStore:
     def of_vehicle(self, vehicle: int) -> NDArray[np.int64]:
         """Return the numbers of the keyframes of one vehicle."""
         return np.flatnonzero(np.array(self.vehicles, np.int64) == vehicle)
+
+    def state_dict(self) -> State:
+        """Return all keyframes; ancestry trees save themselves."""
+        return {
+            'stamps': np.array(self.stamps, np.float64),
+            'vehicles': np.array(self.vehicles, np.int64),
+            **under('rows', self.rows.state_dict()),
+        }
+
+    def restore(self, state: State) -> None:
+        """Restore a store of the same number of particles."""
+        self.stamps = state['stamps'].tolist()
+        self.vehicles = state['vehicles'].tolist()
+        self.rows.restore(part('rows', state))

@@ -8,7 +8,10 @@ from scipy.special import ndtri
 
 from explore_slam.geometry import Array, Pose2, wrap_angles
 
-_KIN = 8  # particles in a row that share the strata of a draw
+# Consecutive particles that share the coarse strata: in the order of the number of copies that a
+# resampling makes of one particle.
+STRATUM_SIZE = 8
+_LEAST_PROBABILITY = 1e-12  # samples are cut at 7 sigma, so that none is infinite
 
 
 def normalized(log_weights: Array) -> tuple[Array, Array]:
@@ -20,12 +23,12 @@ def normalized(log_weights: Array) -> tuple[Array, Array]:
 
 
 def effective_particles(weights: Array) -> float:
-    """Return 1 / Σ w² of normalized weights (M,): between 1 and M."""
+    """Return the effective sample size 1 / Σ w² of normalized weights (M,), 1 to M (Liu, 1996)."""
     return float(1.0 / np.sum(weights * weights))
 
 
 def mean_and_covariance(poses: Array, weights: Array) -> tuple[Pose2, Array]:
-    """Return mean and covariance (3, 3) of poses (M, 3) of normalized weights (M,)."""
+    """Return mean and covariance (3, 3) of poses (M, 3) with normalized weights (M,)."""
     c, s = weights @ np.cos(poses[:, 2]), weights @ np.sin(poses[:, 2])
     mean = np.array([weights @ poses[:, 0], weights @ poses[:, 1], math.atan2(s, c)])
     off = poses - mean
@@ -34,32 +37,34 @@ def mean_and_covariance(poses: Array, weights: Array) -> tuple[Pose2, Array]:
 
 
 def stratified_normals(random: np.random.Generator, particles: int, dimensions: int) -> Array:
-    """Return standard normal samples (M, D), each dimension evenly covered: a Latin hypercube.
+    """Return standard normal samples (M, D) from a Latin hypercube (McKay et al., 1979).
 
-    So are any _KIN particles in a row, from coarse strata: particles that descend from one are
-    neighbours, and spread out. Less of the estimate's variance comes from the draw than with
-    independent samples.
+    Each dimension is covered evenly by all particles and, in coarse strata, by any STRATUM_SIZE
+    consecutive ones: the copies of one particle are neighbours, and spread out. Less of the
+    estimate's variance comes from sampling than with independent samples.
     """
-    groups = -(-particles // _KIN)
-    uniform = np.empty((groups * _KIN, dimensions))
-    coarse_first = np.tile(np.arange(_KIN), (groups, 1))
-    fine_first = np.tile(np.arange(groups), (_KIN, 1))
+    groups = -(-particles // STRATUM_SIZE)
+    uniform = np.empty((groups * STRATUM_SIZE, dimensions))
+    coarse_first = np.tile(np.arange(STRATUM_SIZE), (groups, 1))
+    fine_first = np.tile(np.arange(groups), (STRATUM_SIZE, 1))
     for dimension in range(dimensions):
         coarse = random.permuted(coarse_first, axis=1)
         fine = random.permuted(fine_first, axis=1)[coarse, np.arange(groups)[:, None]]
         uniform[:, dimension] = (coarse * groups + fine).ravel()
     uniform = (uniform + random.random(uniform.shape)) / len(uniform)
-    normals: Array = ndtri(np.clip(uniform[:particles], 1e-12, 1.0 - 1e-12))
+    normals: Array = ndtri(
+        np.clip(uniform[:particles], _LEAST_PROBABILITY, 1.0 - _LEAST_PROBABILITY)
+    )
     return normals
 
 
 def systematic_ancestors(
     weights: Array, offset: float, particles: int | None = None
 ) -> NDArray[np.int32]:
-    """Return the ancestor (M,) of each particle after systematic resampling, in ascending order.
+    """Return the ancestors (M,) of systematic resampling (Kitagawa, 1996), in ascending order.
 
-    offset is uniform in [0, 1). Without a number of particles there are as many as before. The
-    order keeps the descendants of one particle together.
+    offset is uniform in [0, 1); particles: their number, by default as many as before. The order
+    keeps the descendants of one particle together.
     """
     count = len(weights) if particles is None else particles
     edges = np.cumsum(weights)

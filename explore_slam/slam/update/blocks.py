@@ -1,48 +1,62 @@
-"""Particles in blocks: the scratch array of the kernels, and what several kernels do with it.
+"""Particles in blocks: the scratch array of the update kernels, and what they have in common.
 
-The numbers of a block of particles lie in one scratch array, a row per quantity and a column per
-particle: the compiler turns loops over columns into vector instructions, and the landmark rows of
-a block stay in the cache from the association to the update.
+BLOCK particles at a time are worked on in one scratch array `w` (SCRATCH, BLOCK): a row per
+quantity, a column per particle. The compiler turns loops over columns into vector instructions,
+and the landmark rows of a block stay in the cache from the association to the accumulation.
+
+    rows      contents (of each particle of the block)                        written by
+    PX … SIN  pose to linearize at: x, y, cos and sin of the heading          linearize
+    CD … D2   cos and sin of the turn, and δ, since the predicted pose        linearize
+    LM … + 8  row of the landmark (storage.row_format)                        load
+    ZX, ZY    expected observation; z needs no linearization                  expect
+    VX … VZ   innovation ν                                                    expect
+    S … + 5   covariance of the innovation, packed                            expect
+    W … + 5   its inverse, packed; DET its determinant                        invert
+    SQ        d²                                                              associate
+    MASK      1 if the particle has a landmark for the observation, else 0    load
+    ETA, LAMBDA   information vector η (3), matrix Λ (packed)                 accumulate
+    COST      Σ w d² + terms of unmatched observations; −2 ln likelihood      accumulate, solve
+    PRODUCT, WEIGHTS  Π |S| / |2R|, Π w: moved to COST before they overflow   accumulate
+    Q … + 5   posterior covariance of the pose error, packed                  solve
+    WEIGHT    robust weight w of the observation                              reweight
+    BEST, PICK    least score so far and its candidate                        associate
 """
 
 from explore_slam.compiled import kernel
 from explore_slam.geometry import Array
-from explore_slam.slam.association.gating import Choice, Locals
+from explore_slam.slam.association.state import CandidateRows, Observed
+from explore_slam.slam.storage.row_format import Choice
 
-BLOCK = 64
+BLOCK = 64  # particles: the scratch array (30 kB) fits into a first-level cache of 32 kB
 
-# Rows of the scratch array.
-PX, PY, COS, SIN = 0, 1, 2, 3  # pose at which to linearize
-CD, SD, D0, D1, D2 = 4, 5, 6, 7, 8  # cos, sin of its turn, and δ, since the prediction
-LM = 9  # landmark mean 9…11, covariance 12…17
-ZX, ZY, VX, VY, VZ = 18, 19, 20, 21, 22  # expected x, y; residual
-S = 23  # covariance of the residual, 23…28
-W = 29  # its inverse, 29…34
-DET = 35  # its determinant
-SQ = 36  # squared length of the residual
-MASK = 37  # 1 where the particle has a landmark for the observation, else 0
-ETA = 38  # η, 38…40
-LAMBDA = 41  # Λ: 00 01 02 11 12 22, 41…46
-COST = 47  # Σ w νᵀ S⁻¹ ν + what is unmatched
-PRODUCT, WEIGHTS = 48, 49  # Π |S| / |2R| and Π w, taken to COST before they run out of range
-Q = 50  # posterior covariance 00 01 02 11 12 22, 50…55
-WEIGHT = 56  # w
-BEST, PICK = 57, 58  # least score so far and its candidate
+PX, PY, COS, SIN = 0, 1, 2, 3
+CD, SD, D0, D1, D2 = 4, 5, 6, 7, 8
+LM = 9
+ZX, ZY, VX, VY, VZ = 18, 19, 20, 21, 22
+S = 23
+W = 29
+DET = 35
+SQ = 36
+MASK = 37
+ETA = 38
+LAMBDA = 41
+COST = 47
+PRODUCT, WEIGHTS = 48, 49
+Q = 50
+WEIGHT = 56
+BEST, PICK = 57, 58
 SCRATCH = 59
 
 
 @kernel(inline='always')
 def load(
-    w: Array,
-    slab: Array,
-    slots: Locals,
-    candidates: Locals,
-    choice: Choice,
-    k: int,
-    m0: int,
-    n: int,
+    w: Array, rows: CandidateRows, choice: Choice, k: int, m0: int, n: int
 ) -> bool:  # pragma: no cover - compiled
-    """Load the landmark that each particle has chosen for observation k, and the mask."""
+    """Load the landmark that each particle m0 … m0 + n chose for observation k, and the mask.
+
+    Returns whether any of them chose one.
+    """
+    slab, addresses, candidates = rows.rows, rows.addresses, rows.candidates
     first, having, taking = -1, 0, 0
     for i in range(n):
         first = max(first, choice[k, m0 + i])
@@ -52,7 +66,7 @@ def load(
         taking += 1 if j == first else 0
         w[MASK, i] = 1.0 if j >= 0 else 0.0
     if first >= 0:
-        row = slab[slots[candidates[k, first]]]
+        row = slab[addresses[candidates[k, first]]]
         for v in range(9):
             for i in range(n):
                 w[LM + v, i] = row[v, m0 + i]
@@ -61,13 +75,14 @@ def load(
                 j = choice[k, m0 + i]
                 if j >= 0:
                     for v in range(9):
-                        w[LM + v, i] = slab[slots[candidates[k, j]], v, m0 + i]
+                        w[LM + v, i] = slab[addresses[candidates[k, j]], v, m0 + i]
     return first >= 0
 
 
 @kernel(inline='always')
-def expect(w: Array, z: Array, R: Array, k: int) -> None:  # pragma: no cover - compiled
-    """Set expected observation, residual and S = Σ + R in the vehicle frame."""
+def expect(w: Array, observed: Observed, k: int) -> None:  # pragma: no cover - compiled
+    """Set expected observation k, innovation and S = Σ + R in the vehicle frame."""
+    z, R = observed.z, observed.R
     z0, z1, z2 = z[k, 0], z[k, 1], z[k, 2]
     r0, r1, r2, r3, r4, r5 = R[k, 0], R[k, 1], R[k, 2], R[k, 3], R[k, 4], R[k, 5]
     for i in range(BLOCK):
@@ -88,10 +103,10 @@ def expect(w: Array, z: Array, R: Array, k: int) -> None:  # pragma: no cover - 
 
 
 @kernel(inline='always')
-def measure(
+def mahalanobis_squared(
     w: Array, hxx: float, hxy: float, hyy: float, i: int
 ) -> tuple[float, float]:  # pragma: no cover - compiled
-    """Return νᵀ (S + h)⁻¹ ν and |S + h| of column i, h added to the x, y part of S."""
+    """Return νᵀ (S + h)⁻¹ ν and |S + h| of column i; h is added to the x, y part of S."""
     xx, xy, xz = w[S, i] + hxx, w[S + 1, i] + hxy, w[S + 2, i]
     yy, yz, zz = w[S + 3, i] + hyy, w[S + 4, i], w[S + 5, i]
     a, b, d = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy

@@ -1,4 +1,4 @@
-"""Small Gaussians of poses in compiled code: conditioning and sampling, 3 × 3."""
+"""Gaussians of pose errors in compiled code: conditioning and sampling, 3 × 3."""
 
 import math
 
@@ -7,12 +7,17 @@ import numpy as np
 from explore_slam.compiled import kernel
 from explore_slam.geometry import Array
 
+_LEAST_DEVIATION = 1e-12  # m or rad: directions below it count as exactly known
+
 
 @kernel
 def solve(
     P: Array, L: Array, eta: Array, delta: Array, posterior: Array
 ) -> tuple[float, float]:  # pragma: no cover - compiled
-    """Set posterior = P (I + L P)⁻¹ and delta = posterior η; return |I + L P| and ηᵀ delta."""
+    """Set posterior = P (I + L P)⁻¹ and delta = posterior η; return |I + L P| and ηᵀ delta.
+
+    P, L, posterior (3, 3); eta, delta (3,).
+    """
     A = np.empty((3, 3))
     for i in range(3):
         for j in range(3):
@@ -50,12 +55,12 @@ def solve(
 def sample_gaussian(
     posterior: Array, normal: Array, delta: Array
 ) -> None:  # pragma: no cover - compiled
-    """Add chol(posterior) · normal (3,) to delta (3,); directions without variance stay."""
+    """Add a sample of N(0, posterior) to delta (3,), made of standard normals (3,)."""
     l00 = math.sqrt(max(posterior[0, 0], 0.0))
-    l10 = posterior[1, 0] / l00 if l00 > 1e-12 else 0.0
-    l20 = posterior[2, 0] / l00 if l00 > 1e-12 else 0.0
+    l10 = posterior[1, 0] / l00 if l00 > _LEAST_DEVIATION else 0.0
+    l20 = posterior[2, 0] / l00 if l00 > _LEAST_DEVIATION else 0.0
     l11 = math.sqrt(max(posterior[1, 1] - l10 * l10, 0.0))
-    l21 = (posterior[2, 1] - l20 * l10) / l11 if l11 > 1e-12 else 0.0
+    l21 = (posterior[2, 1] - l20 * l10) / l11 if l11 > _LEAST_DEVIATION else 0.0
     l22 = math.sqrt(max(posterior[2, 2] - l20 * l20 - l21 * l21, 0.0))
     delta[0] += l00 * normal[0]
     delta[1] += l10 * normal[0] + l11 * normal[1]

@@ -1,11 +1,13 @@
-"""Vehicles that see each other: one relative position moves the poses of both.
+"""Inter-robot observations: one relative position corrects the poses of both vehicles.
 
-Only the seer's pose is sampled. What the seer sees, a position, is linear in the pose of the seen
+Only the pose of the observer is sampled. The measured position is linear in the pose of the
+observed
 vehicle, which therefore stays Gaussian given the sample: its heading, mostly unknown then, is not
-thinned out by resamplings until its own observations need it.
+depleted by resamplings until its own observations need it.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,10 +16,11 @@ from explore_slam.data import InterRobotObservation
 from explore_slam.geometry import Array
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.update.gaussian import sample_gaussian
+from explore_slam.slam.update.robust_weights import robust_cost
 
 
 @kernel
-def _conditioned(
+def _condition(
     P: Array, H: Array, W: Array, nu: Array, delta: Array, posterior: Array
 ) -> None:  # pragma: no cover - compiled
     """Set delta = P Hᵀ W ν and posterior = P − P Hᵀ W H P for H (2, 3), W (2, 2)."""
@@ -34,7 +37,7 @@ def _conditioned(
 
 
 @kernel
-def _innovation_covariance(H: Array, P: Array, S: Array) -> None:  # pragma: no cover - compiled
+def _add_projected(H: Array, P: Array, S: Array) -> None:  # pragma: no cover - compiled
     """Add H P Hᵀ to S (2, 2)."""
     for a in range(2):
         for b in range(2):
@@ -54,101 +57,116 @@ def _inverted(S: Array, W: Array) -> float:  # pragma: no cover - compiled
 
 @kernel
 def _move(pose: Array, delta: Array) -> None:  # pragma: no cover - compiled
+    """Move a pose (3,) by delta (3,) in its own frame."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     pose[0] += c * delta[0] - s * delta[1]
     pose[1] += s * delta[0] + c * delta[1]
     pose[2] += delta[2]
 
 
+class _Poses(NamedTuple):
+    """Poses (M, 3) of one vehicle, and their covariance P (3, 3) in their own frames."""
+
+    poses: Array
+    P: Array
+
+
+class _Measurement(NamedTuple):
+    """Position z (2,) m with covariance R (2, 2); largest d² (gate) and outlier threshold t²."""
+
+    z: Array
+    R: Array
+    gate: float
+    t2: float
+
+
 @kernel
-def _sight(
-    seer: Array,
-    seer_P: Array,
-    seen: Array,
-    seen_P: Array,
-    z: Array,
-    R: Array,
-    gate: float,
-    threshold: float,
+def _condition_poses(
+    observer: _Poses,
+    target: _Poses,
+    measurement: _Measurement,
     normals: Array,
     weights: Array,
-    log_weights: Array,
-    left_P: Array,
+    log_likelihoods: Array,
+    remaining: Array,
 ) -> None:  # pragma: no cover - compiled
-    """Move poses of seer and seen (M, 3 each), given that seen is at z (2,) from seer.
+    """Condition the poses of observer and target on the measured position of the target.
 
-    seer_P and seen_P (3, 3): covariances of the poses in their own frames, independent of each
-    other; R (2, 2); normals (M, 3). seer becomes samples, seen conditional means with the
-    covariance left_P (3, 3), the mean over the weights (M,) of the particles before.
-    A residual d beyond the threshold counts with R · d²/t², one beyond the gate is left out, and
-    weighs like one at the gate.
+    The errors of both are independent. The observer's poses become samples (normals (M, 3)), the
+    target's conditional means with the covariance `remaining` (3, 3), the mean over the weights
+    (M,) of the particles before. A residual d beyond the threshold has the covariance R d²/t²; one
+    beyond the gate is ignored, and costs as much as one at the gate.
     """
     Hi, Hj = np.zeros((2, 3)), np.zeros((2, 3))
     S, W = np.empty((2, 2)), np.empty((2, 2))
     nu, delta, posterior = np.empty(2), np.empty(3), np.empty((3, 3))
-    t2 = threshold * threshold
-    left_P[:] = 0.0
-    for m in range(len(seer)):
-        c, s = math.cos(seer[m, 2]), math.sin(seer[m, 2])
-        dx, dy = seen[m, 0] - seer[m, 0], seen[m, 1] - seer[m, 1]
+    z, R, t2 = measurement.z, measurement.R, measurement.t2
+    first, second = observer.poses, target.poses
+    remaining[:] = 0.0
+    for m in range(len(first)):
+        c, s = math.cos(first[m, 2]), math.sin(first[m, 2])
+        dx, dy = second[m, 0] - first[m, 0], second[m, 1] - first[m, 1]
         zx, zy = c * dx + s * dy, c * dy - s * dx
         Hi[0, 0], Hi[0, 2], Hi[1, 1], Hi[1, 2] = -1.0, zy, -1.0, -zx
-        turn = seen[m, 2] - seer[m, 2]
+        turn = second[m, 2] - first[m, 2]
         Hj[0, 0], Hj[0, 1] = math.cos(turn), -math.sin(turn)
         Hj[1, 0], Hj[1, 1] = math.sin(turn), math.cos(turn)
         nu[0], nu[1] = z[0] - zx, z[1] - zy
         S[:] = R
-        _innovation_covariance(Hi, seer_P, S)
-        _innovation_covariance(Hj, seen_P, S)
+        _add_projected(Hi, observer.P, S)
+        _add_projected(Hj, target.P, S)
         determinant = _inverted(S, W)
         square = W[0, 0] * nu[0] * nu[0] + 2.0 * W[0, 1] * nu[0] * nu[1] + W[1, 1] * nu[1] * nu[1]
-        scale = max(square / t2, 1.0)
-        bounded = min(square, t2 * (1.0 + math.log(scale)), t2 * (1.0 + math.log(gate / t2)))
-        log_weights[m] -= 0.5 * (bounded + math.log(determinant))
-        if square > gate:
+        cost = min(square, robust_cost(square, t2), robust_cost(measurement.gate, t2))
+        log_likelihoods[m] -= 0.5 * (cost + math.log(determinant))
+        if square > measurement.gate:
             delta[:] = 0.0
-            sample_gaussian(seer_P, normals[m], delta)
-            _move(seer[m], delta)
-            left_P += weights[m] * seen_P
+            sample_gaussian(observer.P, normals[m], delta)
+            _move(first[m], delta)
+            remaining += weights[m] * target.P
             continue
+        scale = max(square / t2, 1.0)
         S += (scale - 1.0) * R
         _inverted(S, W)
-        _conditioned(seer_P, Hi, W, nu, delta, posterior)
+        _condition(observer.P, Hi, W, nu, delta, posterior)
         sample_gaussian(posterior, normals[m], delta)
         for a in range(2):
             nu[a] -= Hi[a, 0] * delta[0] + Hi[a, 1] * delta[1] + Hi[a, 2] * delta[2]
-        _move(seer[m], delta)
+        _move(first[m], delta)
         S[:] = scale * R
-        _innovation_covariance(Hj, seen_P, S)
+        _add_projected(Hj, target.P, S)
         _inverted(S, W)
-        _conditioned(seen_P, Hj, W, nu, delta, posterior)
-        _move(seen[m], delta)
-        left_P += weights[m] * posterior
+        _condition(target.P, Hj, W, nu, delta, posterior)
+        _move(second[m], delta)
+        remaining += weights[m] * posterior
 
 
-def sight(
-    seer: Array,
-    seer_P: Array,
-    seen: Array,
-    seen_P: Array,
-    sighting: InterRobotObservation,
+def condition_on_observation(
+    observer: tuple[Array, Array],
+    target: tuple[Array, Array],
+    observation: InterRobotObservation,
     config: FastSlamConfig,
     normals: Array,
     weights: Array,
 ) -> tuple[Array, Array]:
-    """Move poses of seer and seen (M, 3 each) in place, given what the seer sees.
+    """Condition the poses of two vehicles, in place, on what the observer measured of the target.
 
-    seer_P, seen_P (3, 3) are their covariances in their own frames; the seer is sampled by
-    normals (M, 3). Returns the logarithms (M,) of the likelihoods, and the covariance (3, 3) that
-    seen has then, the mean over the weights (M,). FloatingPointError where a number is out of
-    range.
+    observer, target: poses (M, 3) and their covariance (3, 3) in their own frames; normals (M, 3)
+    for the sampled poses of the observer; weights (M,). Returns log-likelihoods (M,) and the
+    covariance (3, 3) that remains for the target. FloatingPointError if numbers overflow.
     """
-    log_weights, left = np.zeros(len(seer)), np.empty((3, 3))
-    _sight(
-        seer, seer_P, seen, seen_P, sighting.position, sighting.covariance,
-        config.association.association_gate**2, config.outlier_threshold, normals, weights,
-        log_weights, left,
+    log_likelihoods, remaining = np.zeros(len(weights)), np.empty((3, 3))
+    measurement = _Measurement(
+        observation.position,
+        observation.covariance,
+        config.association.association_gate**2,
+        config.outlier_threshold * config.outlier_threshold,
+    )
+    _condition_poses(
+        _Poses(*observer), _Poses(*target), measurement, normals, weights, log_likelihoods,
+        remaining,
     )  # fmt: skip
-    if not all(np.isfinite(part).all() for part in (seer, seen, left, log_weights)):
-        raise FloatingPointError('a sighting is not finite')
-    return log_weights, 0.5 * (left + left.T)
+    numbers = (observer[0], target[0], remaining, log_likelihoods)
+    if not all(np.isfinite(part).all() for part in numbers):
+        raise FloatingPointError('poses after an inter-robot observation are not finite')
+    return log_likelihoods, 0.5 * (remaining + remaining.T)

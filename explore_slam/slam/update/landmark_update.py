@@ -1,4 +1,7 @@
-"""Extended Kalman filters of landmarks, given the pose of each particle (closed form, 3 × 3)."""
+"""Extended Kalman filters of landmarks, given the pose of each particle (closed form, 3 × 3).
+
+Steps 2.6.1 (update) and 2.7.1 (insertion) of the paper's algorithm.
+"""
 
 import math
 
@@ -7,7 +10,13 @@ from numpy.typing import NDArray
 
 from explore_slam.compiled import kernel
 from explore_slam.geometry import Array
-from explore_slam.slam.association.gating import Choice, Locals, seen_covariance
+from explore_slam.slam.association.state import (
+    Associations,
+    AssociationState,
+    CandidateRows,
+    Observed,
+)
+from explore_slam.slam.storage.row_format import Choice, Places, covariance_in_vehicle_frame
 from explore_slam.slam.update.blocks import (
     BLOCK,
     COS,
@@ -26,12 +35,16 @@ from explore_slam.slam.update.blocks import (
     expect,
     invert,
     load,
-)  # fmt: skip
+)
+from explore_slam.slam.update.parallel import over_particles
+
+_LARGEST_VARIANCE = 1e300  # m²: beyond it numbers have overflown
+_LEAST_WEIGHT = 1e-12  # robust weights are not smaller, so that R / w stays finite
 
 
 @kernel(inline='always')
 def _correct(w: Array, R: Array, k: int) -> None:  # pragma: no cover - compiled
-    """Replace the landmark of each column by its posterior: K = A W, Σ⁺ = A − K A."""
+    """Replace the landmark of each column by its posterior: K = A S⁻¹, Σ⁺ = A − K A."""
     r0, r1, r2, r3, r4, r5 = R[k, 0], R[k, 1], R[k, 2], R[k, 3], R[k, 4], R[k, 5]
     for i in range(BLOCK):
         q = w[WEIGHT, i]
@@ -67,16 +80,10 @@ def _correct(w: Array, R: Array, k: int) -> None:  # pragma: no cover - compiled
 
 @kernel(inline='always')
 def _store(
-    w: Array,
-    slab: Array,
-    slots: Locals,
-    candidates: Locals,
-    choice: Choice,
-    k: int,
-    m0: int,
-    n: int,
+    w: Array, rows: CandidateRows, choice: Choice, k: int, m0: int, n: int
 ) -> None:  # pragma: no cover - compiled
-    """Write back the landmarks of columns that have one, unless numbers ran out of range."""
+    """Write back the landmarks of columns that have one, unless numbers overflowed."""
+    slab, addresses, candidates = rows.rows, rows.addresses, rows.candidates
     first, having, taking = -1, 0, 0
     for i in range(n):
         first = max(first, choice[k, m0 + i])
@@ -85,15 +92,15 @@ def _store(
         having += 1 if j >= 0 else 0
         taking += 1 if j == first else 0
         least = min(w[LM + 3, i], w[LM + 6, i], w[LM + 8, i])
-        w[MASK, i] = w[MASK, i] if least > 0.0 and least < 1e300 else 0.0
+        w[MASK, i] = w[MASK, i] if least > 0.0 and least < _LARGEST_VARIANCE else 0.0
     if taking < having:
         for i in range(n):
             if w[MASK, i] > 0.0:
-                slot = slots[candidates[k, choice[k, m0 + i]]]
+                address = addresses[candidates[k, choice[k, m0 + i]]]
                 for v in range(9):
-                    slab[slot, v, m0 + i] = w[LM + v, i]
+                    slab[address, v, m0 + i] = w[LM + v, i]
     elif first >= 0:
-        row = slab[slots[candidates[k, first]]]
+        row = slab[addresses[candidates[k, first]]]
         for v in range(9):
             for i in range(n):
                 row[v, m0 + i] = w[LM + v, i] if w[MASK, i] > 0.0 else row[v, m0 + i]
@@ -101,21 +108,18 @@ def _store(
 
 @kernel
 def update_landmarks(
-    slab: Array,
-    slots: Locals,
-    candidates: Locals,
-    choice: Choice,
-    z: Array,
-    R: Array,
-    influence: Array,
+    rows: CandidateRows,
+    observed: Observed,
+    chosen: Associations,
     poses: Array,
     begin: int,
     end: int,
 ) -> None:  # pragma: no cover - compiled
     """Update in place, in particles begin … end, the landmark chosen for each observation.
 
-    influence (K, M): an observation of weight w counts with the covariance R / w.
+    An observation of robust weight w has the covariance R / w.
     """
+    R, choice, robust_weight = observed.R, chosen.choice, chosen.robust_weight
     w = np.zeros((SCRATCH, BLOCK))
     for i in range(BLOCK):
         w[LM + 3, i] = w[LM + 6, i] = w[LM + 8, i] = 1.0
@@ -123,18 +127,18 @@ def update_landmarks(
     for i in range(end - begin):
         placed[0, i], placed[1, i] = poses[begin + i, 0], poses[begin + i, 1]
         placed[2, i], placed[3, i] = math.cos(poses[begin + i, 2]), math.sin(poses[begin + i, 2])
-    for k in range(len(candidates)):
+    for k in range(len(R)):
         r0, r1, r2, r3, r4, r5 = R[k, 0], R[k, 1], R[k, 2], R[k, 3], R[k, 4], R[k, 5]
         for m0 in range(begin, end, BLOCK):
             n = min(BLOCK, end - m0)
-            if not load(w, slab, slots, candidates, choice, k, m0, n):
+            if not load(w, rows, choice, k, m0, n):
                 continue
             for i in range(n):
                 w[PX, i], w[PY, i] = placed[0, m0 - begin + i], placed[1, m0 - begin + i]
                 w[COS, i], w[SIN, i] = placed[2, m0 - begin + i], placed[3, m0 - begin + i]
-            expect(w, z, R, k)
+            expect(w, observed, k)
             for i in range(n):
-                w[WEIGHT, i] = 1.0 / max(influence[k, m0 + i], 1e-12)
+                w[WEIGHT, i] = 1.0 / max(robust_weight[k, m0 + i], _LEAST_WEIGHT)
             for i in range(BLOCK):
                 more = w[WEIGHT, i] - 1.0
                 w[S, i] += more * r0
@@ -145,61 +149,51 @@ def update_landmarks(
                 w[S + 5, i] += more * r5
             invert(w)
             _correct(w, R, k)
-            _store(w, slab, slots, candidates, choice, k, m0, n)
+            _store(w, rows, choice, k, m0, n)
 
 
 @kernel(inline='always')
-def _write_seen(
-    row: Array, z: Array, R: Array, k: int, poses: Array, m: int
+def _initialize(
+    row: Array, observed: Observed, k: int, poses: Array, m: int
 ) -> None:  # pragma: no cover - compiled
-    """Write to a row the landmark of observation k, as particle m sees it."""
+    """Write the landmark of observation k, as particle m observes it, to a block (9, M)."""
+    z, R = observed.z, observed.R
     c, s = math.cos(poses[m, 2]), math.sin(poses[m, 2])
     row[0, m] = poses[m, 0] + c * z[k, 0] - s * z[k, 1]
     row[1, m] = poses[m, 1] + s * z[k, 0] + c * z[k, 1]
     row[2, m] = z[k, 2]
-    row[3, m], row[4, m], row[5, m], row[6, m], row[7, m], row[8, m] = seen_covariance(
+    row[3, m], row[4, m], row[5, m], row[6, m], row[7, m], row[8, m] = covariance_in_vehicle_frame(
         c, -s, R[k, 0], R[k, 1], R[k, 2], R[k, 3], R[k, 4], R[k, 5]
     )
 
 
 @kernel
 def insert_landmarks(
-    slab: Array,
-    slots: Locals,
-    z: Array,
-    R: Array,
-    where: NDArray[np.bool_],
-    poses: Array,
+    rows: Array, addresses: Places, observed: Observed, where: NDArray[np.bool_], poses: Array
 ) -> None:  # pragma: no cover - compiled
-    """Write landmarks (n slots) seen at z (n, 3), R (n, 6) in the particles where (n, M)."""
-    for k in range(len(slots)):
-        row = slab[slots[k]]
+    """Write new landmarks, one per observation, to addresses (n,) in particles where (n, M)."""
+    for k in range(len(addresses)):
+        row = rows[addresses[k]]
         for m in range(len(poses)):
             if where[k, m]:
-                _write_seen(row, z, R, k, poses, m)
+                _initialize(row, observed, k, poses, m)
 
 
 @kernel
 def fill_absent(
-    slab: Array,
-    slots: Locals,
-    candidates: Locals,
-    z: Array,
-    R: Array,
-    poses: Array,
-    wanted: NDArray[np.bool_],
+    rows: CandidateRows, observed: Observed, poses: Array, wanted: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:  # pragma: no cover - compiled
-    """Give an observation without landmark the place of a like landmark that the particle lacks.
+    """Initialize candidates in particles that lack them, instead of inserting new landmarks.
 
-    wanted (K, M) tells where a new landmark is to be made; what is filled is taken out of it,
-    so that one feature does not become a landmark number for every set of particles.
-    slots (L,), candidates (K, J), z (K, 3), R (K, 6) as in `association`; poses (M, 3).
-    Returns (L,): which landmarks were filled somewhere.
+    One feature would otherwise become another landmark for every set of particles. wanted (K, M):
+    where an observation needs a new landmark; what is filled is removed from it. Returns (L,)
+    which landmarks were initialized in any particle.
     """
+    candidates, addresses = rows.candidates, rows.addresses
     K, J = candidates.shape
     M = len(poses)
-    used = np.zeros((len(slots), M), np.bool_)
-    filled = np.zeros(len(slots), np.bool_)
+    used = np.zeros((len(addresses), M), np.bool_)
+    filled = np.zeros(len(addresses), np.bool_)
     for k in range(K):
         if not wanted[k].any():
             continue
@@ -207,11 +201,21 @@ def fill_absent(
             place = candidates[k, j]
             if place < 0:
                 continue
-            row = slab[slots[place]]
+            row = rows.rows[addresses[place]]
             for m in range(M):
                 if wanted[k, m] and row[3, m] <= 0.0 and not used[place, m]:
-                    _write_seen(row, z, R, k, poses, m)
+                    _initialize(row, observed, k, poses, m)
                     used[place, m] = True
                     wanted[k, m] = False
                     filled[place] = True
     return filled
+
+
+def update_associated(state: AssociationState, poses: Array, threads: int) -> None:
+    """Update the Kalman filters of all associated landmarks, given sampled poses (M, 3)."""
+    rows, observed, chosen = state.rows(), state.found.observed, state.chosen
+
+    def run(begin: int, end: int) -> None:
+        update_landmarks(rows, observed, chosen, poses, begin, end)
+
+    over_particles(run, len(poses), threads)

@@ -1,4 +1,4 @@
-"""What an update leaves in the landmark map: insertion, evidence, removal."""
+"""Map management: insertion of landmarks, evidence of existence, removal."""
 
 import math
 
@@ -7,36 +7,36 @@ from numpy.typing import NDArray
 
 from explore_slam.compiled import kernel
 from explore_slam.geometry import Array, Pose2
-from explore_slam.slam.association.candidates import Sighted
-from explore_slam.slam.association.gating import Choice
+from explore_slam.slam.association.state import AssociationState, Observed
+from explore_slam.slam.checkpoint import State
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.landmarks.landmark_map import LandmarkMap
+from explore_slam.slam.storage.row_format import Places, exists
+from explore_slam.slam.update.engine import Engine
 from explore_slam.slam.update.landmark_update import fill_absent, insert_landmarks
 
-_FEWEST_FOR_MISSES = 8
+# Misses count only if this many observations show where the view is free, and if most of the
+# observations with similar landmarks (at least so many) are associated: then the pose is right.
+_LEAST_OBSERVATIONS = 8
+_CONFIRMING = 3
+_CONFIRMING_PART = 0.5
+# Part of the particles' weight that decides for all of them.
+_MAJORITY = 0.5
+# Bin of azimuth and elevation (rad) in which views are compared: about the spacing of features of
+# an image with some hundred of them.
 _BIN = 0.1
-
-
-@kernel
-def support(choice: Choice, weights: Array, candidates: int) -> Array:  # pragma: no cover
-    """Return (K, J): weight of the particles that chose each candidate."""
-    total = np.zeros((len(choice), candidates))
-    for k in range(len(choice)):
-        for m in range(len(weights)):
-            j = choice[k, m]
-            if j >= 0:
-                total[k, j] += weights[m]
-    return total
+# Evidence gained by a landmark that is associated; what a miss costs is relative to it.
+_EVIDENCE_OF_MATCH = 1.0
 
 
 @kernel
 def _expected(
-    reference: Array, ids: NDArray[np.int64], x: float, y: float, theta: float, z: Array
-) -> NDArray[np.int64]:  # pragma: no cover - compiled
-    """Return items that should be seen: an observation near their direction lies beyond them.
+    reference: Array, ids: Places, x: float, y: float, theta: float, z: Array
+) -> Places:  # pragma: no cover - compiled
+    """Return entries that should be observed: an observation near their direction lies farther.
 
-    reference (N, 3) positions in the map; z (K, 3) observed, in the vehicle frame. Directions are
-    compared in bins of azimuth and elevation.
+    reference (n, 3) positions in the map; z (K, 3) observed, in the frame of the vehicle at x, y,
+    theta. Directions are compared in bins of azimuth and elevation.
     """
     K = len(z)
     azimuth, elevation, distance = np.empty(K), np.empty(K), np.empty(K)
@@ -72,81 +72,56 @@ def _expected(
     return np.array(found, np.int64)
 
 
-class MapKeeper:
-    """Writes updates to a landmark map, and decides what is inserted and what is forgotten."""
+class MapManager:
+    """Writes updates to the landmark map; decides what is inserted and what is removed."""
 
-    def __init__(self, landmarks: LandmarkMap, config: FastSlamConfig) -> None:
+    def __init__(self, landmarks: LandmarkMap, engine: Engine, config: FastSlamConfig) -> None:
         self.landmarks = landmarks
+        self.engine = engine
         self.config = config
         self.regions: dict[tuple[int, int], int] = {}
 
-    def write(
-        self, vehicle: int, sighted: Sighted, poses: Array, support_of: Array, best: int
+    def commit(
+        self, vehicle: int, state: AssociationState, poses: Array, support: Array, best: int
     ) -> tuple[int, int]:
         """Commit an update of a vehicle at poses (M, 3); return the numbers inserted and removed.
 
-        support_of (K, J) weight of the particles for each candidate; best: the best particle.
+        support (K, J): weight of the particles that chose each candidate; best: the best particle.
         """
-        rows = self.landmarks.rows
-        agreed = support_of.sum(axis=1) > 0.5
-        wanted = self._wanted(vehicle, sighted, agreed, poses[best])
-        filled = fill_absent(
-            rows.present_data,
-            sighted.slots,
-            sighted.candidates,
-            sighted.z,
-            sighted.R,
-            poses,
-            wanted,
-        )
-        chosen = np.zeros(len(sighted.items))
-        real = sighted.candidates >= 0
-        np.add.at(chosen, sighted.candidates[real], support_of[real])
-        touched = sighted.taken() | filled
-        items, slots = sighted.items[touched], sighted.slots[touched]
-        rows.revert(sighted.items[~touched], sighted.slots[~touched], sighted.home)
-        rows.commit(items, slots, sighted.home)
-        there = rows.present_data[slots, 3, best] > 0.0
-        self.landmarks.reference[items[there]] = rows.present_data[slots[there], :3, best]
-        seen = sighted.items[chosen > 0.5]
-        removed = self._evidence(sighted, agreed, seen, Pose2.from_array(poses[best]))
-        return self._insert(vehicle, sighted, poses, wanted), removed
-
-    def _wanted(
-        self, vehicle: int, sighted: Sighted, agreed: NDArray[np.bool_], pose: Array
-    ) -> NDArray[np.bool_]:
-        """Return (K, M): where an observation becomes a new landmark.
-
-        In engine fastslam2 that is where most particles have no landmark for it; and if it is
-        like a landmark all the same, only where the other matches show that the pose is right.
-        Nothing is inserted where nearly all matches say that the pose is wrong.
-        """
-        free: NDArray[np.bool_] = sighted.choice < 0
-        if self.config.engine == 'fastslam2':
-            likes = np.count_nonzero((sighted.alike >= 0).any(axis=1) & sighted.telling)
-            agreeing = np.count_nonzero(agreed)
-            new = ~agreed
-            if agreeing < max(3, 0.5 * np.count_nonzero(sighted.telling)):
-                new &= ~sighted.telling
-            if likes >= 0.4 * len(agreed) and agreeing < 0.25 * likes:
-                new[:] = False
-            free &= new[:, None]
+        found, store = state.found, self.landmarks.rows
+        agreed = support.sum(axis=1) > _MAJORITY
+        wanted = self.engine.needs_landmark(state, agreed)
         if self.config.insertion_policy == 'unmapped_region':
-            free &= self._unmapped(vehicle, sighted.z, pose)[:, None]
-        return free
+            wanted &= self._is_unmapped(vehicle, found.observed.z, poses[best])[:, None]
+        filled = fill_absent(state.rows(), found.observed, poses, wanted)
+        total = np.zeros(len(found.entries))
+        real = found.candidates >= 0
+        np.add.at(total, found.candidates[real], support[real])
+        changed = state.is_chosen() | filled
+        entries, addresses = found.entries[changed], state.addresses[changed]
+        store.discard(found.entries[~changed], state.addresses[~changed], state.tree)
+        store.commit(entries, addresses, state.tree)
+        there = exists(store.workspace[addresses])[:, best]
+        self.landmarks.reference[entries[there]] = store.workspace[addresses[there], :3, best]
+        observed = found.entries[total > _MAJORITY]
+        removed = self._update_evidence(state, agreed, observed, Pose2.from_array(poses[best]))
+        return self._insert(vehicle, state, poses, wanted), removed
 
     def _insert(
-        self, vehicle: int, sighted: Sighted, poses: Array, wanted: NDArray[np.bool_]
+        self, vehicle: int, state: AssociationState, poses: Array, wanted: NDArray[np.bool_]
     ) -> int:
         new = np.flatnonzero(wanted.any(axis=1))
         if not len(new):
             return 0
-        slots = self.landmarks.rows.new_slots(len(new))
-        data = self.landmarks.rows.present_data
-        data[slots] = 0.0
-        insert_landmarks(data, slots, sighted.z[new], sighted.R[new], wanted[new], poses)
-        reference = data[slots, :3, np.argmax(wanted[new], axis=1)]
-        self.landmarks.add(slots, sighted.descriptors[new], vehicle, reference, sighted.home)
+        observed = state.found.observed
+        addresses = self.landmarks.rows.allocate(len(new))
+        workspace = self.landmarks.rows.workspace
+        workspace[addresses] = 0.0
+        chosen = Observed(observed.z[new], observed.R[new])
+        insert_landmarks(workspace, addresses, chosen, wanted[new], poses)
+        reference = workspace[addresses, :3, np.argmax(wanted[new], axis=1)]
+        vectors = state.found.vectors[new]
+        self.landmarks.add(addresses, vectors, vehicle, reference, state.tree)
         for point in reference:
             self.regions.setdefault(self._region(point), vehicle)
         return len(new)
@@ -155,8 +130,8 @@ class MapKeeper:
         size = self.config.region_size
         return math.floor(point[0] / size), math.floor(point[1] / size)
 
-    def _unmapped(self, vehicle: int, z: Array, pose: Array) -> NDArray[np.bool_]:
-        """Tell for observations z (K, 3) whether no other vehicle has mapped their place first."""
+    def _is_unmapped(self, vehicle: int, z: Array, pose: Array) -> NDArray[np.bool_]:
+        """Return (K,) whether no other vehicle was the first to map the place of z (K, 3)."""
         x, y, theta = pose
         c, s = math.cos(theta), math.sin(theta)
         points = np.stack([x + c * z[:, 0] - s * z[:, 1], y + s * z[:, 0] + c * z[:, 1]], axis=1)
@@ -164,25 +139,40 @@ class MapKeeper:
         free: NDArray[np.bool_] = np.array(owners) == vehicle
         return free
 
-    def _evidence(
-        self, sighted: Sighted, agreed: NDArray[np.bool_], seen: NDArray[np.int64], pose: Pose2
+    def _update_evidence(
+        self,
+        state: AssociationState,
+        agreed: NDArray[np.bool_],
+        observed: Places,
+        pose: Pose2,
     ) -> int:
-        """Raise the evidence of what was seen, lower that of what should have been; remove.
+        """Raise the evidence of observed entries, lower that of missed ones, and remove landmarks.
 
-        Misses count only where enough is observed and most matches show that the pose is right.
+        Returns the number of landmarks removed.
         """
-        landmarks, existence = self.landmarks, self.config.existence
-        landmarks.counts[seen] += 1
-        gained = landmarks.evidence[seen] + existence.existence_hit
-        landmarks.evidence[seen] = np.minimum(gained, existence.existence_limit)
-        agreeing = np.count_nonzero(agreed)
-        sure = agreeing >= max(3, 0.5 * np.count_nonzero((sighted.alike >= 0).any(axis=1)))
-        if self.config.engine == 'paper' or len(sighted.z) < _FEWEST_FOR_MISSES or not sure:
+        landmarks, existence, found = self.landmarks, self.config.existence, state.found
+        landmarks.counts[observed] += 1
+        gained = landmarks.evidence[observed] + _EVIDENCE_OF_MATCH
+        landmarks.evidence[observed] = np.minimum(gained, existence.existence_limit)
+        similar = np.count_nonzero(found.has_similar())
+        confirmed = np.count_nonzero(agreed) >= max(_CONFIRMING, _CONFIRMING_PART * similar)
+        if not self.engine.counts_misses or len(found) < _LEAST_OBSERVATIONS or not confirmed:
             return 0
         size = landmarks.size
-        expected = _expected(landmarks.reference[:size], landmarks.ids[:size], *pose, sighted.z)
-        missed = np.setdiff1d(expected, seen, assume_unique=True)
+        expected = _expected(
+            landmarks.reference[:size], landmarks.ids[:size], *pose, found.observed.z
+        )
+        missed = np.setdiff1d(expected, observed, assume_unique=True)
         landmarks.evidence[missed] -= existence.existence_miss
         gone = missed[landmarks.evidence[missed] < 0.0]
         landmarks.remove(gone)
         return len(gone)
+
+    def state_dict(self) -> State:
+        """Return the regions and who mapped them first."""
+        rows = [[x, y, owner] for (x, y), owner in self.regions.items()]
+        return {'regions': np.array(rows, np.int64).reshape(-1, 3)}
+
+    def restore(self, state: State) -> None:
+        """Restore the regions."""
+        self.regions = {(x, y): owner for x, y, owner in state['regions'].tolist()}

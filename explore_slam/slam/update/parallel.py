@@ -1,4 +1,4 @@
-"""Kernels over ranges of particles, on several threads; any split gives the same bits."""
+"""Kernels over ranges of particles on several threads; every split gives the same bits."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -14,7 +14,7 @@ def _executor(threads: int) -> ThreadPoolExecutor:
 
 
 def over_particles(call: Callable[[int, int], None], particles: int, threads: int) -> None:
-    """Run call(begin, end) over 0 … particles, cut at whole blocks, one part per thread."""
+    """Run call(begin, end) over 0 … particles, split between blocks, one part per thread."""
     blocks = -(-particles // BLOCK)
     parts = max(1, min(threads, blocks))
     edges = [min(particles, BLOCK * (blocks * part // parts)) for part in range(parts + 1)]

@@ -1,26 +1,27 @@
 """FastSLAM 2.0 for blocks of particles: association, pose proposal, likelihood.
 
-For one particle, with δ the pose error in the predicted vehicle frame, δ ~ N(0, P), and the
-observations z = h + H δ + noise of covariance S = Σ + R: Λ = Σ Hᵀ S⁻¹ H, η = Σ Hᵀ S⁻¹ ν,
-posterior covariance (P⁻¹ + Λ)⁻¹ = P (I + Λ P)⁻¹ (also for singular P) and mean P (I + Λ P)⁻¹ η.
-The solution is iterated once: residuals are judged where the first solution lies, by their
-studentized length d, and lose influence beyond the outlier threshold t, w = t² / d²: the
-likelihood has a heavy tail and no single observation decides over a particle.
+(Montemerlo et al., "FastSLAM 2.0: an improved particle filtering algorithm for simultaneous
+localization and mapping that provably converges", 2003.) For one particle, with δ the pose error
+in the predicted vehicle frame, δ ~ N(0, P), and observations z = h + H δ + noise of covariance S =
+Σ + R:  Λ = Σ Hᵀ S⁻¹ H,  η = Σ Hᵀ S⁻¹ ν.  The proposal has the covariance (P⁻¹ + Λ)⁻¹ = P (I + Λ
+P)⁻¹, also for singular P, and the mean P (I + Λ P)⁻¹ η. It is solved twice: the first solution is
+where the observations are linearized and reweighted (see robust_weights) for the second.
 
-The likelihood does not depend on the sample that is drawn from the proposal. So a resampling comes
-before the sampling: the descendants of one particle go on from poses of their own.
+The likelihood does not depend on the sample that is drawn from the proposal. Resampling therefore
+comes before sampling, and the copies of one particle get different poses.
 
-Particles do not depend on each other, so any split into blocks and threads gives the same bits.
+Particles are independent of each other: any split into blocks and threads gives the same bits.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from explore_slam.compiled import kernel
 from explore_slam.geometry import Array
-from explore_slam.slam.association.gating import Choice, Locals
+from explore_slam.slam.association.state import Associations, CandidateRows, Observed
+from explore_slam.slam.storage.row_format import Choice
 from explore_slam.slam.update.blocks import (
     BEST,
     BLOCK,
@@ -56,32 +57,62 @@ from explore_slam.slam.update.blocks import (
     expect,
     invert,
     load,
-    measure,
-)  # fmt: skip
+    mahalanobis_squared,
+)
 from explore_slam.slam.update.gaussian import sample_gaussian, solve
+from explore_slam.slam.update.robust_weights import reweight, robust_cost
+
+# Observations after which the products of determinants and weights are moved to the cost.
+_FACTORS = 32
+_LEAST_DETERMINANT = 1e-300  # of I + Λ P, 1 or more but for rounding
+
+
+class ProposalParameters(NamedTuple):
+    """Parameters of association and likelihood.
+
+    gate: largest d² of a match; descriptor_weight: cost per unit of descriptor distance beside d²
+    + ln|S|; t2: outlier threshold, squared; information: part (0 to 1) of the information of the
+    observations that is used; P (3, 3): covariance of the predicted poses in the vehicle frame.
+    """
+
+    gate: float
+    descriptor_weight: float
+    t2: float
+    information: float
+    P: Array
+
+
+class Proposals(NamedTuple):
+    """Gaussians of the pose errors in the predicted vehicle frames, and likelihoods.
+
+    means (M, 3); covariances (M, 6) packed; log_likelihoods (M,).
+    """
+
+    means: Array
+    covariances: Array
+    log_likelihoods: Array
 
 
 @kernel
 def _associate(  # noqa: PLR0912, C901 - a kernel
     w: Array,
-    slab: Array,
-    slots: Locals,
-    candidates: Locals,
-    distances: Array,
-    shared: NDArray[np.bool_],
-    z: Array,
-    R: Array,
-    P: Array,
-    gate: float,
-    likeness: float,
+    rows: CandidateRows,
+    observed: Observed,
+    parameters: ProposalParameters,
     m0: int,
     n: int,
     choice: Choice,
 ) -> None:  # pragma: no cover - compiled
-    """Each particle takes the gated candidate of least d² + ln|S| + likeness · E."""
+    """Each particle chooses the gated candidate of least d² + ln|S| + descriptor_weight · E.
+
+    Each landmark is chosen for at most one observation.
+    """
+    slab, addresses, candidates = rows.rows, rows.addresses, rows.candidates
+    distances, shared, P = rows.distances, rows.shared, parameters.P
+    gate, descriptor_weight = parameters.gate, parameters.descriptor_weight
     scratch, w = w, np.empty((SCRATCH, BLOCK))
     w[:] = scratch
-    used = np.zeros((len(slots), BLOCK), np.bool_)
+    used = np.zeros((len(addresses), BLOCK), np.bool_)
     p00, p01, p02, p11, p12, p22 = P[0, 0], P[0, 1], P[0, 2], P[1, 1], P[1, 2], P[2, 2]
     for k in range(len(candidates)):
         some = 0
@@ -91,29 +122,29 @@ def _associate(  # noqa: PLR0912, C901 - a kernel
             w[BEST, i] = np.inf
             w[PICK, i] = -1.0
         for j in range(candidates.shape[1]):
-            local = candidates[k, j]
-            if local < 0:
+            place = candidates[k, j]
+            if place < 0:
                 continue
-            row = slab[slots[local]]
+            row = slab[addresses[place]]
             for v in range(9):
                 for i in range(n):
                     w[LM + v, i] = row[v, m0 + i]
-            expect(w, z, R, k)
+            expect(w, observed, k)
             for i in range(BLOCK):
                 # H P Hᵀ with H = [[-1, 0, zy], [0, -1, -zx], [0, 0, 0]]
                 zx, zy = w[ZX, i], w[ZY, i]
                 hxx = p00 - 2.0 * zy * p02 + zy * zy * p22
                 hxy = p01 + zx * p02 - zy * p12 - zx * zy * p22
                 hyy = p11 + 2.0 * zx * p12 + zx * zx * p22
-                w[SQ, i], w[DET, i] = measure(w, hxx, hxy, hyy, i)
+                w[SQ, i], w[DET, i] = mahalanobis_squared(w, hxx, hxy, hyy, i)
             for i in range(n):
                 if not (w[LM + 3, i] > 0.0 and w[SQ, i] <= gate):
                     continue
-                if shared[local] and used[local, i]:
+                if shared[place] and used[place, i]:
                     continue
                 score = 0.0
                 if some > 1:
-                    score = w[SQ, i] + math.log(w[DET, i]) + likeness * distances[k, j]
+                    score = w[SQ, i] + math.log(w[DET, i]) + descriptor_weight * distances[k, j]
                 if score < w[BEST, i]:
                     w[BEST, i] = score
                     w[PICK, i] = j
@@ -125,30 +156,8 @@ def _associate(  # noqa: PLR0912, C901 - a kernel
 
 
 @kernel(inline='always')
-def _judge(w: Array, t2: float) -> None:  # pragma: no cover - compiled
-    """Set w by the studentized residual, of covariance S − H Q Hᵀ, at the present solution."""
-    for i in range(BLOCK):
-        cd, sd, zx, zy = w[CD, i], w[SD, i], w[ZX, i], w[ZY, i]
-        q00, q01, q02 = w[Q, i], w[Q + 1, i], w[Q + 2, i]
-        q11, q12, q22 = w[Q + 3, i], w[Q + 4, i], w[Q + 5, i]
-        a0 = -cd * q00 - sd * q01 + zy * q02
-        a1 = -cd * q01 - sd * q11 + zy * q12
-        a2 = -cd * q02 - sd * q12 + zy * q22
-        b0 = sd * q00 - cd * q01 - zx * q02
-        b1 = sd * q01 - cd * q11 - zx * q12
-        b2 = sd * q02 - cd * q12 - zx * q22
-        hxx = min(-cd * a0 - sd * a1 + zy * a2, 0.999 * w[S, i])
-        hxy = sd * a0 - cd * a1 - zx * a2
-        hyy = min(sd * b0 - cd * b1 - zx * b2, 0.999 * w[S + 3, i])
-        studentized, determinant = measure(w, -hxx, -hxy, -hyy, i)
-        plain, _ = measure(w, 0.0, 0.0, 0.0, i)
-        square = studentized if determinant > 0.0 and studentized > plain else plain
-        w[WEIGHT, i] = t2 / square if square > t2 else 1.0
-
-
-@kernel(inline='always')
-def _gather(w: Array, scale: float, unmatched: float) -> None:  # pragma: no cover - compiled
-    """Add one observation to η, Λ and the cost; scale is 1 / |2R|."""
+def _accumulate(w: Array, scale: float, unmatched: float) -> None:  # pragma: no cover - compiled
+    """Add the loaded observation to η, Λ and the cost; scale is 1 / |2R|."""
     for i in range(BLOCK):
         cd, sd, zx, zy = w[CD, i], w[SD, i], w[ZX, i], w[ZY, i]
         mask = w[MASK, i]
@@ -181,23 +190,23 @@ def _gather(w: Array, scale: float, unmatched: float) -> None:  # pragma: no cov
 
 
 @kernel
-def _fold(
+def _accumulate_all(
     w: Array,
-    slab: Array,
-    slots: Locals,
-    candidates: Locals,
-    choice: Choice,
-    z: Array,
-    R: Array,
+    rows: CandidateRows,
+    observed: Observed,
+    parameters: ProposalParameters,
     scales: Array,
-    unmatched: float,
-    t2: float,
-    judged: bool,
+    reweighted: bool,
     m0: int,
     n: int,
-    influence: Array,
+    chosen: Associations,
 ) -> Array:  # pragma: no cover - compiled
-    """Sum η, Λ and the cost over all observations; return the scratch array."""
+    """Sum η, Λ and the cost over all observations; return the scratch array.
+
+    Unmatched observations cost as much as a residual at the gate.
+    """
+    choice, robust_weight, t2 = chosen.choice, chosen.robust_weight, parameters.t2
+    unmatched = robust_cost(parameters.gate, t2)
     scratch, w = w, np.empty((SCRATCH, BLOCK))
     w[:] = scratch
     for i in range(BLOCK):
@@ -205,19 +214,19 @@ def _fold(
             w[ETA + v, i] = 0.0
         w[COST, i] = 0.0
         w[PRODUCT, i] = w[WEIGHTS, i] = w[WEIGHT, i] = 1.0
-    for k in range(len(candidates)):
-        if not load(w, slab, slots, candidates, choice, k, m0, n):
+    for k in range(len(scales)):
+        if not load(w, rows, choice, k, m0, n):
             for i in range(BLOCK):
                 w[COST, i] += unmatched
             continue
-        expect(w, z, R, k)
+        expect(w, observed, k)
         invert(w)
-        if judged:
-            _judge(w, t2)
+        if reweighted:
+            reweight(w, t2)
             for i in range(n):
-                influence[k, m0 + i] = w[WEIGHT, i]
-        _gather(w, scales[k], unmatched)
-        if k % 32 == 31:
+                robust_weight[k, m0 + i] = w[WEIGHT, i]
+        _accumulate(w, scales[k], unmatched)
+        if k % _FACTORS == _FACTORS - 1:
             for i in range(BLOCK):
                 w[COST, i] += math.log(w[PRODUCT, i]) - t2 * math.log(w[WEIGHTS, i])
                 w[PRODUCT, i] = w[WEIGHTS, i] = 1.0
@@ -228,9 +237,11 @@ def _fold(
 
 @kernel
 def _solve_block(
-    w: Array, poses: Array, P: Array, m0: int, n: int, L: Array, Qm: Array, share: float
+    w: Array, poses: Array, parameters: ProposalParameters, m0: int, n: int
 ) -> None:  # pragma: no cover - compiled
-    """Set δ, Q and the pose at which to linearize next; COST becomes −2 ln of the likelihood."""
+    """Set δ, Q and the pose to linearize at next; COST becomes −2 ln of the likelihood."""
+    P, information = parameters.P, parameters.information
+    L, Qm = np.empty((3, 3)), np.empty((3, 3))
     eta, delta = np.empty(3), np.empty(3)
     for i in range(n):
         L[0, 0], L[0, 1], L[0, 2] = w[LAMBDA, i], w[LAMBDA + 1, i], w[LAMBDA + 2, i]
@@ -238,11 +249,11 @@ def _solve_block(
         L[2, 0], L[2, 1], L[2, 2] = L[0, 2], L[1, 2], w[LAMBDA + 5, i]
         for a in range(3):
             eta[a] = w[ETA + a, i]
-        L *= share
-        eta *= share
-        w[COST, i] *= share
+        L *= information
+        eta *= information
+        w[COST, i] *= information
         determinant, quad = solve(P, L, eta, delta, Qm)
-        w[COST, i] += math.log(max(determinant, 1e-300)) - quad
+        w[COST, i] += math.log(max(determinant, _LEAST_DETERMINANT)) - quad
         w[Q, i], w[Q + 1, i], w[Q + 2, i] = Qm[0, 0], Qm[0, 1], Qm[0, 2]
         w[Q + 3, i], w[Q + 4, i], w[Q + 5, i] = Qm[1, 1], Qm[1, 2], Qm[2, 2]
         _linearize(w, poses, delta, m0, i)
@@ -252,7 +263,7 @@ def _solve_block(
 def _linearize(
     w: Array, poses: Array, delta: Array, m0: int, i: int
 ) -> None:  # pragma: no cover - compiled
-    """Set the pose of column i to the prediction moved by delta (3,)."""
+    """Set the pose of column i to linearize at: the prediction moved by delta (3,)."""
     x, y, heading = poses[m0 + i, 0], poses[m0 + i, 1], poses[m0 + i, 2]
     c, s = math.cos(heading), math.sin(heading)
     cd, sd = math.cos(delta[2]), math.sin(delta[2])
@@ -265,20 +276,21 @@ def _linearize(
 
 @kernel
 def sample_proposals(
-    centers: Array, spreads: Array, normals: Array, begin: int, end: int, poses: Array
+    means: Array, covariances: Array, normals: Array, poses: Array
 ) -> None:  # pragma: no cover - compiled
-    """Move predicted poses begin … end of (M, 3) in place to samples of their proposals.
+    """Move predicted poses (M, 3) in place to samples of their proposals.
 
-    centers (M, 3) and spreads (M, 6), the covariances, in the predicted vehicle frames; normals
-    (M, 3).
+    means (M, 3) and covariances (M, 6) as in Proposals; normals (M, 3).
     """
-    delta, spread = np.empty(3), np.empty((3, 3))
-    for m in range(begin, end):
-        delta[:] = centers[m]
-        spread[0, 0], spread[0, 1], spread[0, 2] = spreads[m, 0], spreads[m, 1], spreads[m, 2]
-        spread[1, 0], spread[1, 1], spread[1, 2] = spreads[m, 1], spreads[m, 3], spreads[m, 4]
-        spread[2, 0], spread[2, 1], spread[2, 2] = spreads[m, 2], spreads[m, 4], spreads[m, 5]
-        sample_gaussian(spread, normals[m], delta)
+    delta, covariance = np.empty(3), np.empty((3, 3))
+    for m in range(len(poses)):
+        delta[:] = means[m]
+        for a in range(3):
+            covariance[0, a] = covariances[m, a]
+            covariance[a, 0] = covariances[m, a]
+        covariance[1, 1], covariance[2, 2] = covariances[m, 3], covariances[m, 5]
+        covariance[1, 2] = covariance[2, 1] = covariances[m, 4]
+        sample_gaussian(covariance, normals[m], delta)
         c, s = math.cos(poses[m, 2]), math.sin(poses[m, 2])
         poses[m, 0] += c * delta[0] - s * delta[1]
         poses[m, 1] += s * delta[0] + c * delta[1]
@@ -287,45 +299,27 @@ def sample_proposals(
 
 @kernel
 def propose(
-    slab: Array,
-    slots: Locals,
-    candidates: Locals,
-    distances: Array,
-    shared: NDArray[np.bool_],
-    z: Array,
-    R: Array,
-    P: Array,
-    gate: float,
-    likeness: float,
-    threshold: float,
-    share: float,
+    rows: CandidateRows,
+    observed: Observed,
+    parameters: ProposalParameters,
+    poses: Array,
     begin: int,
     end: int,
-    poses: Array,
-    centers: Array,
-    spreads: Array,
-    log_weights: Array,
-    choice: Choice,
-    influence: Array,
+    proposals: Proposals,
+    chosen: Associations,
 ) -> None:  # pragma: no cover - compiled
-    """Associate, and find the proposals of particles begin … end, whose predictions are poses.
+    """Associate and set the proposals of particles begin … end with predicted poses (M, 3).
 
-    slab, slots, candidates (K, J), distances (K, J), z (K, 3), R (K, 6) as in `association`;
-    shared (L,) landmarks that are candidates of several observations; P (3, 3) of the predicted
-    poses in the vehicle frame. What is observed counts with the share (0 to 1) of its
-    information. log_weights (M,) gains the likelihoods; choice and influence
-    (K, M) receive candidate and w. Unmatched counts like a residual at the gate. centers (M, 3)
-    and spreads (M, 6) receive mean and covariance of the pose error, see `sample_proposals`.
+    choice and robust_weight of `chosen` are set; log_likelihoods are added to.
     """
-    t2 = threshold * threshold
-    unmatched = t2 * (1.0 + math.log(max(gate / t2, 1.0)))
-    scales = np.empty(len(candidates))
-    for k in range(len(candidates)):
+    R = observed.R
+    scales = np.empty(len(R))
+    for k in range(len(R)):
         a = R[k, 3] * R[k, 5] - R[k, 4] * R[k, 4]
         b = R[k, 2] * R[k, 4] - R[k, 1] * R[k, 5]
         d = R[k, 1] * R[k, 4] - R[k, 2] * R[k, 3]
         scales[k] = 1.0 / (8.0 * (R[k, 0] * a + R[k, 1] * b + R[k, 2] * d))
-    L, Qm, zero = np.empty((3, 3)), np.empty((3, 3)), np.zeros(3)
+    zero = np.zeros(3)
     for m0 in range(begin, end, BLOCK):
         n = min(BLOCK, end - m0)
         w = np.zeros((SCRATCH, BLOCK))
@@ -334,18 +328,13 @@ def propose(
                 w[v, i] = 1.0
         for i in range(n):
             _linearize(w, poses, zero, m0, i)
-        _associate(
-            w, slab, slots, candidates, distances, shared, z, R, P, gate, likeness, m0, n, choice
-        )
-        for judged in (False, True):
-            w = _fold(
-                w, slab, slots, candidates, choice, z, R, scales, unmatched, t2, judged, m0, n,
-                influence,
-            )  # fmt: skip
-            _solve_block(w, poses, P, m0, n, L, Qm, share)
+        _associate(w, rows, observed, parameters, m0, n, chosen.choice)
+        for reweighted in (False, True):
+            w = _accumulate_all(w, rows, observed, parameters, scales, reweighted, m0, n, chosen)
+            _solve_block(w, poses, parameters, m0, n)
         for i in range(n):
-            centers[m0 + i, 0], centers[m0 + i, 1] = w[D0, i], w[D1, i]
-            centers[m0 + i, 2] = w[D2, i]
+            for v in range(3):
+                proposals.means[m0 + i, v] = w[D0 + v, i]
             for v in range(6):
-                spreads[m0 + i, v] = w[Q + v, i]
-            log_weights[m0 + i] -= 0.5 * w[COST, i]
+                proposals.covariances[m0 + i, v] = w[Q + v, i]
+            proposals.log_likelihoods[m0 + i] -= 0.5 * w[COST, i]

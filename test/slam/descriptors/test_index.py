@@ -1,10 +1,11 @@
 import numpy as np
 import pytest
 
-from explore_slam.slam.descriptors.index import BruteForceIndex, KdTreeIndex
+from explore_slam.slam.descriptors.index import BruteForceIndex
 from explore_slam.slam.descriptors.kd_forest import KdForestIndex
+from explore_slam.slam.descriptors.kd_tree import KdTreeIndex
 
-KINDS = [BruteForceIndex, KdTreeIndex, KdForestIndex]
+INDICES = [BruteForceIndex, KdTreeIndex, KdForestIndex]
 
 
 def like_sift(random, count):
@@ -18,11 +19,11 @@ def near(random, rows, deviation):
     return (moved / np.linalg.norm(moved, axis=1, keepdims=True)).astype(np.float32)
 
 
-@pytest.mark.parametrize('kind', KINDS)
-def test_nearest_within_the_radius_come_first(kind):
+@pytest.mark.parametrize('index_type', INDICES)
+def test_nearest_within_the_radius_come_first(index_type):
     random = np.random.default_rng(0)
     rows = like_sift(random, 3)
-    index = kind()
+    index = index_type(128)
     index.add(np.array([4, 9, 2]), rows)
     ids, distances = index.query(rows[1:2], 4.0, 4)
     exact = ((rows - rows[1]) ** 2).sum(axis=1)
@@ -34,11 +35,11 @@ def test_nearest_within_the_radius_come_first(kind):
     assert ids[0].tolist() == [9, -1]
 
 
-@pytest.mark.parametrize('kind', KINDS)
-def test_removed_ids_are_not_found_and_can_be_given_again(kind):
+@pytest.mark.parametrize('index_type', INDICES)
+def test_removed_ids_are_not_found_and_can_be_given_again(index_type):
     random = np.random.default_rng(1)
     rows = like_sift(random, 300)
-    index = kind()
+    index = index_type(128)
     index.add(np.arange(300), rows)
     index.remove(np.arange(0, 300, 2))
     ids, _ = index.query(rows, 0.0, 1)
@@ -49,9 +50,9 @@ def test_removed_ids_are_not_found_and_can_be_given_again(kind):
     assert index.query(fresh, 0.0, 1)[0][0, 0] == 0
 
 
-@pytest.mark.parametrize('kind', KINDS)
-def test_many_equal_descriptors_are_all_kept(kind):
-    index = kind()
+@pytest.mark.parametrize('index_type', INDICES)
+def test_many_equal_descriptors_are_all_kept(index_type):
+    index = index_type(128)
     row = like_sift(np.random.default_rng(2), 1)
     index.add(np.arange(100), np.repeat(row, 100, axis=0))
     ids, _ = index.query(row, 0.0, 100)
@@ -60,7 +61,7 @@ def test_many_equal_descriptors_are_all_kept(kind):
 
 def test_kd_tree_equals_brute_force_while_it_grows():
     random = np.random.default_rng(3)
-    tree, brute = KdTreeIndex(), BruteForceIndex()
+    tree, brute = KdTreeIndex(128), BruteForceIndex(128)
     for begin in range(0, 600, 50):
         rows = like_sift(random, 50)
         for index in (tree, brute):
@@ -73,7 +74,7 @@ def test_kd_tree_equals_brute_force_while_it_grows():
 def test_recall_of_the_forest_against_brute_force():
     random = np.random.default_rng(4)
     rows = like_sift(random, 5000)
-    forest, brute = KdForestIndex(), BruteForceIndex()
+    forest, brute = KdForestIndex(128), BruteForceIndex(128)
     for begin in range(0, 5000, 100):
         ids = np.arange(begin, begin + 100)
         forest.add(ids, rows[ids])
@@ -86,7 +87,7 @@ def test_recall_of_the_forest_against_brute_force():
 
 def test_the_same_insertions_make_the_same_forest():
     rows = like_sift(np.random.default_rng(5), 500)
-    a, b = KdForestIndex(), KdForestIndex()
+    a, b = KdForestIndex(128), KdForestIndex(128)
     for index in (a, b):
         index.add(np.arange(500), rows)
     np.testing.assert_array_equal(a.nodes, b.nodes)

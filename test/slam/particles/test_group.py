@@ -1,4 +1,4 @@
-"""Vehicles that have nothing in common have particles of their own, until they meet."""
+"""Vehicles without common observations have particles of their own; then groups merge."""
 
 import dataclasses
 
@@ -58,7 +58,7 @@ def test_what_one_vehicle_sees_leaves_the_particles_of_another(make_slam):
     assert len(slam.landmarks()) == 6
 
 
-def test_a_landmark_of_another_vehicle_joins_the_two(make_slam):
+def test_a_landmark_of_another_vehicle_merges_the_groups(make_slam):
     starts = {'a': Pose2(0.0, 0.0, 0.0), 'b': Pose2(40.0, 0.0, 0.0), 'c': Pose2(1.0, 0.0, 0.0)}
     slam = make_slam(starts)
     for step in range(5):
@@ -71,16 +71,16 @@ def test_a_landmark_of_another_vehicle_joins_the_two(make_slam):
     assert vehicles_of(slam) == [[0, 2], [1]]
     assert (summary.associated, summary.inserted) == (3, 0)
     assert summary.together == ('a', 'c')
-    assert summary.effective_particles == pytest.approx(200)  # drawn by what was seen
+    assert summary.effective_particles == pytest.approx(200)  # drawn by the observations
     assert len(slam.landmarks()) == 6
     np.testing.assert_array_equal(slam.best_path()[1], before)
-    # the two go on together: what c sees tells where a is
+    # the poses are correlated: observations of c determine the pose of a
     for step in range(6, 20):
         look_around(slam, 'c', starts['c'], HERE, float(step), 0)
     assert np.hypot(*slam.estimate('a')[0][:2]) < 0.05
 
 
-def test_one_look_may_join_three(make_slam):
+def test_one_update_may_merge_three_groups(make_slam):
     near = Pose2(0.0, 0.0, 0.0)
     slam = make_slam({'a': near, 'b': near, 'c': near})
     others = [(3.0, -2.5), (3.0, 2.5)]
@@ -94,7 +94,7 @@ def test_one_look_may_join_three(make_slam):
     assert len(slam.landmarks()) == 5
 
 
-def test_a_sighting_joins_the_two(make_slam):
+def test_an_inter_robot_observation_merges_the_groups(make_slam):
     slam = make_slam(APART, particles=1000)
     for name in 'ab':
         slam.predict(name, STILL, np.diag([0.04, 0.04, 1e-6]))
@@ -107,7 +107,7 @@ def test_a_sighting_joins_the_two(make_slam):
     assert np.abs(apart - [40.0, 0.0]).max() < 0.2
 
 
-def test_a_refused_call_does_not_join(make_slam):
+def test_a_rejected_call_does_not_merge(make_slam):
     slam = make_slam(APART)
     for step in range(3):
         look_around(slam, 'a', APART['a'], HERE, float(step), 0)
@@ -116,11 +116,11 @@ def test_a_refused_call_does_not_join(make_slam):
     before = slam.state_dict()
     seen = seen_from(STILL, HERE, 5.0, 0)
     seen = dataclasses.replace(seen, covariances=1e-150 * seen.covariances)
-    with pytest.raises(SlamError, match='out of proportion'):
+    with pytest.raises(SlamError, match='numbers overflow'):
         slam.update('b', seen)
-    sighting = InterRobotObservation(5.0, 'a', np.zeros(2), 1e200 * np.eye(2))
-    with pytest.raises(SlamError, match='out of proportion'):
-        slam.update_inter_robot('b', [sighting])
+    observation = InterRobotObservation(5.0, 'a', np.zeros(2), 1e200 * np.eye(2))
+    with pytest.raises(SlamError, match='numbers overflow'):
+        slam.update_inter_robot('b', [observation])
     after = slam.state_dict()
     assert vehicles_of(slam) == [[0], [1]]
     assert [name for name in before if not np.array_equal(before[name], after[name])] == []
@@ -130,7 +130,7 @@ def test_engine_paper_has_one_group(make_slam):
     assert vehicles_of(make_slam(APART, engine='paper')) == [[0, 1]]
 
 
-def test_state_goes_on_before_and_after_a_meeting(make_slam):
+def test_a_saved_state_continues_before_and_after_a_merge(make_slam):
     states = []
     for stop in (False, True):
         slam = make_slam(APART)
@@ -153,7 +153,7 @@ def test_state_goes_on_before_and_after_a_meeting(make_slam):
 
 
 def test_pairs_are_drawn_by_the_likelihood():
-    """x ~ N(0, 1) of both groups, seen to differ by N(0, 0.05²): more pairs fit than particles."""
+    """x ~ N(0, 1) in both groups, measured to differ by N(0, 0.05²): more pairs fit."""
     random = np.random.default_rng(3)
     particles = 1000
     groups = Groups(2, particles, joint=False)
@@ -161,9 +161,9 @@ def test_pairs_are_drawn_by_the_likelihood():
     poses[:, :, 0] = random.standard_normal((2, particles))
     store = RowStore(particles, 1)
     for number, group in enumerate(groups.all):  # a landmark at the pose, in each group
-        slots = store.new_slots(1)
-        store.present_data[slots[0], 0] = poses[number, :, 0]
-        store.commit(np.array([number]), slots, group.home)
+        addresses = store.allocate(1)
+        store.workspace[addresses[0], 0] = poses[number, :, 0]
+        store.commit(np.array([number]), addresses, group.tree)
     x, y = poses[0, :, 0].copy(), poses[1, :, 0].copy()
 
     def likelihood_of(apart):
@@ -172,7 +172,7 @@ def test_pairs_are_drawn_by_the_likelihood():
     def likelihood(orders):
         return likelihood_of(x - y[orders[0]])
 
-    ancestors = groups.join(groups.all[0], groups.all[1:], likelihood, poses, random)
+    ancestors = groups.merge(groups.all[0], groups.all[1:], likelihood, poses, random)
     (group,) = groups.all
     assert group.vehicles == [0, 1]
     np.testing.assert_array_equal(poses[0, :, 0], x[ancestors])
@@ -181,5 +181,5 @@ def test_pairs_are_drawn_by_the_likelihood():
     assert apart.std() == pytest.approx(0.05, rel=0.2)
     assert poses[0, :, 0].var() == pytest.approx(0.5, rel=0.25)
     assert len(np.unique(poses[:, :, 0], axis=1).T) > 200  # 28 of 1000 random pairs fit
-    # once what was seen is told, all weigh the same
+    # the weights are equal after the update with the same observation
     assert np.ptp(group.log_weights + likelihood_of(apart)) < 1e-9

@@ -62,7 +62,7 @@ def test_long_gap_is_sampled_along_its_bend():
     for _ in range(100):
         motion.append(Pose2(0.05, 0.0, 0.0), np.diag([1e-6, 1e-6, 0.01]), 0.1)
     assert motion.mean.x == pytest.approx(5.0)
-    poses, left = motion.move(np.zeros((4000, 3)), 0.1, np.random.default_rng(0))
+    poses, left = motion.propagate(np.zeros((4000, 3)), 0.1, np.random.default_rng(0))
     assert np.std(poses[:, 2]) == pytest.approx(1.0, abs=0.05)
     assert left[2, 2] <= 0.1**2
     assert np.hypot(poses[:, 0], poses[:, 1]).max() < 5.3

@@ -4,17 +4,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from explore_slam.slam.particles.resampling import systematic_ancestors
-from explore_slam.slam.storage.ancestry import Genealogy
+from explore_slam.slam.storage.ancestry import AncestryTree
 from explore_slam.slam.storage.row_store import RowStore
 
 
-def resample(genealogy, random):
-    weights = random.exponential(size=genealogy.particles) ** 2
-    return descend(genealogy, systematic_ancestors(weights / weights.sum(), random.random()))
+def resample(tree, random):
+    weights = random.exponential(size=tree.particles) ** 2
+    return descend(tree, systematic_ancestors(weights / weights.sum(), random.random()))
 
 
-def descend(genealogy, ancestors):
-    for layout in genealogy.resample(ancestors):
+def descend(tree, ancestors):
+    for layout in tree.resample(ancestors):
         layout.owner.compact(layout)
     return ancestors
 
@@ -22,26 +22,26 @@ def descend(genealogy, ancestors):
 @settings(deadline=None, max_examples=60)
 @given(st.integers(0, 10_000), st.integers(1, 70))
 def test_store_equals_a_full_copy_of_every_row(seed, particles):
-    """Two stores, two genealogies, against dense arrays that are copied at every resampling.
+    """Two stores, two ancestry trees, against dense arrays that are copied at every resampling.
 
-    The genealogies resample apart from each other, in ascending order of ancestors or in any.
+    The ancestry trees resample apart from each other, in ascending order of ancestors or in any.
     """
     random = np.random.default_rng(seed)
-    homes = [Genealogy(particles), Genealogy(particles)]
+    trees = [AncestryTree(particles), AncestryTree(particles)]
     stores = [RowStore(particles, 3), RowStore(particles, 2)]
-    dense = [{}, {}]  # item: home, rows
+    dense = [{}, {}]  # entry: home, rows
     for _ in range(80):
         action = random.integers(0, 5)
         which, at = random.integers(0, 2, 2).tolist()
-        store, full, home = stores[which], dense[which], homes[at]
+        store, full, home = stores[which], dense[which], trees[at]
         if action == 0:
             new = len(full) + np.arange(random.integers(1, 4))
-            slots = store.new_slots(len(new))
-            for item, slot in zip(new, slots, strict=True):
+            addresses = store.allocate(len(new))
+            for entry, address in zip(new, addresses, strict=True):
                 rows = random.standard_normal((store.values, particles))
-                store.present_data[slot] = rows
-                full[int(item)] = (at, rows.copy())
-            store.commit(new, slots, home)
+                store.workspace[address] = rows
+                full[int(entry)] = (at, rows.copy())
+            store.commit(new, addresses, home)
         elif action in (1, 4):
             if action == 1:
                 ancestors = resample(home, random)
@@ -49,50 +49,50 @@ def test_store_equals_a_full_copy_of_every_row(seed, particles):
                 chosen = random.choice(particles, particles, replace=random.random() < 0.5)
                 ancestors = descend(home, chosen.astype(np.int32))
             for copies in dense:
-                for item, (its, rows) in copies.items():
+                for entry, (its, rows) in copies.items():
                     if its == at:
-                        copies[item] = (its, rows[:, ancestors])
+                        copies[entry] = (its, rows[:, ancestors])
         elif action == 2 and full:
-            items = np.array(sorted(full))[random.random(len(full)) < 0.4]
-            slots = store.stage(items, home)
-            touched = random.random(len(items)) < 0.6
-            for item, slot in zip(items[touched], slots[touched], strict=True):
-                store.present_data[slot, 0] += 1.0
-                rows = full[int(item)][1]
+            entries = np.array(sorted(full))[random.random(len(full)) < 0.4]
+            addresses = store.stage(entries, home)
+            touched = random.random(len(entries)) < 0.6
+            for entry, address in zip(entries[touched], addresses[touched], strict=True):
+                store.workspace[address, 0] += 1.0
+                rows = full[int(entry)][1]
                 rows[0] += 1.0
-                full[int(item)] = (at, rows)
-            store.revert(items[~touched], slots[~touched], home)
-            store.commit(items[touched], slots[touched], home)
+                full[int(entry)] = (at, rows)
+            store.discard(entries[~touched], addresses[~touched], home)
+            store.commit(entries[touched], addresses[touched], home)
         elif full:
-            items = np.array(sorted(full))
-            values = np.array([full[int(item)][1] for item in items])
-            np.testing.assert_array_equal(store.read(items), values)
-            assert store.homes(items) == [homes[full[int(item)][0]] for item in items]
+            entries = np.array(sorted(full))
+            values = np.array([full[int(entry)][1] for entry in entries])
+            np.testing.assert_array_equal(store.read(entries), values)
+            assert store.trees_of(entries) == [trees[full[int(entry)][0]] for entry in entries]
             chosen = random.integers(0, particles, 2).tolist()
-            expected = [full[int(item)][1][:, chosen[full[int(item)][0]]] for item in items]
-            found = store.read_particle(items, dict(zip(homes, chosen, strict=True)))
+            expected = [full[int(entry)][1][:, chosen[full[int(entry)][0]]] for entry in entries]
+            found = store.read_particle(entries, dict(zip(trees, chosen, strict=True)))
             np.testing.assert_array_equal(found, expected)
 
 
 def test_old_rows_shrink_to_the_ancestors_that_are_left():
     random = np.random.default_rng(1)
-    genealogy = Genealogy(1000)
+    tree = AncestryTree(1000)
     store = RowStore(1000, 9)
     for n in range(200):
-        store.commit(np.array([n]), store.new_slots(1), genealogy)
-        resample(genealogy, random)
-    assert store.rows_held() < 200 * 1000 * 0.08
-    assert len(genealogy.levels) < 200
-    distinct = {len(np.unique(level.index)) for level in genealogy.levels}
-    assert distinct == {level.count for level in genealogy.levels}
+        store.commit(np.array([n]), store.allocate(1), tree)
+        resample(tree, random)
+    assert store.rows_stored() < 200 * 1000 * 0.08
+    assert len(tree.generations) < 200
+    distinct = {len(np.unique(generation.index)) for generation in tree.generations}
+    assert distinct == {generation.count for generation in tree.generations}
 
 
 def test_removed_rows_are_used_again():
-    genealogy = Genealogy(10)
+    tree = AncestryTree(10)
     store = RowStore(10, 3)
-    first = store.new_slots(3)
-    store.commit(np.arange(3), first, genealogy)
+    first = store.allocate(3)
+    store.commit(np.arange(3), first, tree)
     store.remove(np.array([1]))
     store.remove(np.array([1]))
-    assert store.new_slots(1)[0] == first[1]
-    assert store.rows_held() == pytest.approx(30)
+    assert store.allocate(1)[0] == first[1]
+    assert store.rows_stored() == pytest.approx(30)

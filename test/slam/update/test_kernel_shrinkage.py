@@ -1,10 +1,10 @@
-"""Where an update would leave too few particles, landmarks are smoothed over the particles."""
+"""Kernel shrinkage keeps mean and covariance over all particles, and particles effective."""
 
 import numpy as np
 import pytest
 
 from explore_slam.geometry import Pose2
-from explore_slam.slam.update.kernel_shrinkage import smooth
+from explore_slam.slam.update.kernel_shrinkage import shrink
 
 PARTICLES = 500
 
@@ -40,18 +40,18 @@ def moments(rows, poses, weights, n):
     return mean, np.einsum('m,mi,mj->ij', w, off, off) + np.einsum('m,mij', w, covariances[there])
 
 
-@pytest.mark.parametrize('share', [0.01, 0.3])
-def test_mean_and_covariance_over_the_particles_stay(share):
+@pytest.mark.parametrize('part', [0.01, 0.3])
+def test_mean_and_covariance_over_the_particles_stay(part):
     rows, poses, weights = cloud(np.random.default_rng(4))
     after = np.empty_like(rows)
-    smooth(rows, poses, weights, share, after)
+    shrink(rows, poses, weights, part, after)
     for n in range(2):
         for one, other in zip(
             moments(rows, poses, weights, n), moments(after, poses, weights, n), strict=True
         ):
             np.testing.assert_allclose(one, other, atol=1e-12)
     spread = [np.ptp(seen(item, poses, 0)[0], axis=0) for item in (rows, after)]
-    np.testing.assert_allclose(spread[1], np.sqrt(1.0 - share) * spread[0])
+    np.testing.assert_allclose(spread[1], np.sqrt(1.0 - part) * spread[0])
     np.testing.assert_array_equal(after[1, :, :100], rows[1, :, :100])
 
 

@@ -5,13 +5,19 @@ import math
 import numpy as np
 import pytest
 
-from explore_slam.slam.association.candidates import UPPER
+from explore_slam.slam.association.state import Associations, CandidateRows, Observed
+from explore_slam.slam.storage.row_format import UPPER_TRIANGLE, packed
 from explore_slam.slam.update.landmark_update import (
     fill_absent,
     insert_landmarks,
     update_landmarks,
 )
-from explore_slam.slam.update.proposal import propose, sample_proposals
+from explore_slam.slam.update.proposal import (
+    ProposalParameters,
+    Proposals,
+    propose,
+    sample_proposals,
+)
 
 M = 45
 
@@ -35,7 +41,7 @@ class Scene:
         self.poses = random.normal(0.0, 0.02, (M, 3)) + [1.0, 2.0, 0.7]
         self.z = np.c_[random.uniform(1, 3, K), random.uniform(-1, 1, K), random.uniform(0, 1, K)]
         self.R = np.array([spd(random, 0.03) for _ in range(K)])
-        self.slab = np.zeros((K, 9, M))
+        self.rows = np.zeros((K, 9, M))
         self.means = np.empty((K, M, 3))
         self.covariances = np.empty((K, M, 3, 3))
         for k in range(K):
@@ -43,26 +49,33 @@ class Scene:
             for m in range(M):
                 self.means[k, m] = point + random.normal(0, 0.02, 3)
                 self.covariances[k, m] = spd(random, 0.02)
-                self.slab[k, :3, m] = self.means[k, m]
-                self.slab[k, 3:, m] = self.covariances[k, m][UPPER]
+                self.rows[k, :3, m] = self.means[k, m]
+                self.rows[k, 3:, m] = self.covariances[k, m][UPPER_TRIANGLE]
         if outlier:
             self.z[0] += [0.25, -0.2, 0.0]
         self.P = spd(random, 0.03) * np.array([[1, 1, 0.4], [1, 1, 0.4], [0.4, 0.4, 0.16]])
-        self.choice = np.full((K, M), -1, np.int16)
-        self.influence = np.ones((K, M))
+        self.chosen = Associations.undecided(K, M)
         self.candidates = np.arange(K)[:, None]
+        self.shared = np.zeros(K, bool)
+
+    @property
+    def observed(self):
+        return Observed(self.z, packed(self.R))
+
+    @property
+    def candidate_rows(self):
+        distances = np.zeros(self.candidates.shape)
+        return CandidateRows(self.rows, np.arange(self.K), self.candidates, distances, self.shared)
 
     def propose(self, normals, threshold=1e3, gate=1e6, end=M):
-        poses, log_weights = self.poses.copy(), np.zeros(M)
-        centers, spreads = np.zeros((M, 3)), np.zeros((M, 6))
+        poses = self.poses.copy()
+        proposals = Proposals(np.zeros((M, 3)), np.zeros((M, 6)), np.zeros(M))
+        parameters = ProposalParameters(gate, 0.0, threshold**2, 1.0, self.P)
         propose(
-            self.slab, np.arange(self.K), self.candidates, np.zeros((self.K, 1)),
-            np.zeros(self.K, bool), self.z, np.ascontiguousarray(self.R[:, *UPPER]), self.P,
-            gate, 0.0, threshold, 1.0, 0, end, poses, centers, spreads, log_weights,
-            self.choice, self.influence,
-        )  # fmt: skip
-        sample_proposals(centers, spreads, normals, 0, end, poses)
-        return poses, log_weights
+            self.candidate_rows, self.observed, parameters, poses, 0, end, proposals, self.chosen
+        )
+        sample_proposals(proposals.means, proposals.covariances, normals, poses)
+        return poses, proposals.log_likelihoods
 
 
 def stacked(scene, m, delta):
@@ -107,7 +120,7 @@ def test_proposal_and_likelihood_equal_the_dense_filter():
 def test_samples_have_the_posterior_covariance():
     scene = Scene()
     scene.poses[:] = scene.poses[0]
-    scene.slab[:] = scene.slab[:, :, :1]
+    scene.rows[:] = scene.rows[:, :, :1]
     scene.means[:] = scene.means[:, :1]
     scene.covariances[:] = scene.covariances[:, :1]
     random = np.random.default_rng(0)
@@ -128,46 +141,41 @@ def test_exact_motion_stays_exact():
     assert np.isfinite(log_weights).all()
 
 
-def test_an_outlier_loses_influence_and_hardly_moves_the_pose():
+def test_an_outlier_loses_weight_and_hardly_moves_the_pose():
     clean, _ = Scene(seed=3).propose(np.zeros((M, 3)), threshold=3.0)
     scene = Scene(seed=3, outlier=True)
     robust, _ = scene.propose(np.zeros((M, 3)), threshold=3.0)
     naive, _ = Scene(seed=3, outlier=True).propose(np.zeros((M, 3)))
-    assert scene.influence[0].mean() < 0.3
-    assert (scene.influence[1:] > 0.6).mean() > 0.9
+    assert scene.chosen.robust_weight[0].mean() < 0.3
+    assert (scene.chosen.robust_weight[1:] > 0.6).mean() > 0.9
     shift = np.abs(robust - clean).mean()
     assert shift < 0.5 * np.abs(naive - clean).mean()
 
 
 def test_gated_and_absent_landmarks_are_not_taken():
     scene = Scene()
-    scene.slab[1, :, 7] = 0.0
-    scene.slab[2, 0, 9] += 5.0
+    scene.rows[1, :, 7] = 0.0
+    scene.rows[2, 0, 9] += 5.0
     poses, _ = scene.propose(np.zeros((M, 3)), threshold=3.0, gate=4.5**2)
-    assert scene.choice[1, 7] == -1
-    assert scene.choice[2, 9] == -1
-    assert scene.choice[0].min() == 0
+    assert scene.chosen.choice[1, 7] == -1
+    assert scene.chosen.choice[2, 9] == -1
+    assert scene.chosen.choice[0].min() == 0
     assert np.isfinite(poses).all()
 
 
 def test_each_particle_takes_its_own_candidate_once():
     scene = Scene(K=2)
-    scene.slab[1] = scene.slab[0]
-    scene.slab[1, 0, ::2] += 0.05
-    scene.slab[0, 0, 1::2] += 0.05
+    scene.rows[1] = scene.rows[0]
+    scene.rows[1, 0, ::2] += 0.05
+    scene.rows[0, 0, 1::2] += 0.05
     scene.z[1] = scene.z[0]
     scene.R[1] = scene.R[0]
     scene.candidates = np.array([[0, 1], [0, 1]])
-    scene.choice = np.full((2, M), -1, np.int16)
-    poses, log_weights = scene.poses.copy(), np.zeros(M)
-    propose(
-        scene.slab, np.arange(2), scene.candidates, np.zeros((2, 2)), np.ones(2, bool), scene.z,
-        np.ascontiguousarray(scene.R[:, *UPPER]), 1e-6 * np.eye(3), 1e6, 0.0, 3.0, 1.0,
-        0, M, poses, np.zeros((M, 3)), np.zeros((M, 6)), log_weights, scene.choice,
-        scene.influence,
-    )  # fmt: skip
-    assert set(scene.choice[0]) == {0, 1}
-    assert (scene.choice[1] == 1 - scene.choice[0]).all()
+    scene.shared = np.ones(2, bool)
+    scene.P = 1e-6 * np.eye(3)
+    scene.propose(np.zeros((M, 3)), threshold=3.0)
+    assert set(scene.chosen.choice[0]) == {0, 1}
+    assert (scene.chosen.choice[1] == 1 - scene.chosen.choice[0]).all()
 
 
 def test_any_split_of_the_particles_gives_the_same_bits():
@@ -181,52 +189,47 @@ def test_any_split_of_the_particles_gives_the_same_bits():
 @pytest.mark.parametrize('weight', [1.0, 0.25])
 def test_landmark_update_equals_the_kalman_filter(weight):
     scene = Scene()
-    scene.choice[:] = 0
-    scene.choice[2, 5] = -1
-    before = scene.slab.copy()
-    scene.influence[:] = weight
-    update_landmarks(
-        scene.slab, np.arange(scene.K), scene.candidates, scene.choice, scene.z,
-        np.ascontiguousarray(scene.R[:, *UPPER]), scene.influence, scene.poses, 0, M,
-    )  # fmt: skip
+    scene.chosen.choice[:] = 0
+    scene.chosen.choice[2, 5] = -1
+    before = scene.rows.copy()
+    scene.chosen.robust_weight[:] = weight
+    update_landmarks(scene.candidate_rows, scene.observed, scene.chosen, scene.poses, 0, M)
     for k, m in ((0, 0), (3, 17), (5, 44)):
         T = rotation(scene.poses[m, 2]).T
         A, R = scene.covariances[k, m], scene.R[k] / weight
         gain = A @ T.T @ np.linalg.inv(T @ A @ T.T + R)
         nu = scene.z[k] - T @ (scene.means[k, m] - [*scene.poses[m, :2], 0.0])
-        np.testing.assert_allclose(scene.slab[k, :3, m], scene.means[k, m] + gain @ nu)
+        np.testing.assert_allclose(scene.rows[k, :3, m], scene.means[k, m] + gain @ nu)
         np.testing.assert_allclose(
-            scene.slab[k, 3:, m], (A - gain @ T @ A)[UPPER], rtol=1e-6, atol=1e-12
+            scene.rows[k, 3:, m], (A - gain @ T @ A)[UPPER_TRIANGLE], rtol=1e-6, atol=1e-12
         )
-    np.testing.assert_array_equal(scene.slab[2, :, 5], before[2, :, 5])
+    np.testing.assert_array_equal(scene.rows[2, :, 5], before[2, :, 5])
 
 
 def test_new_landmarks_lie_where_they_are_seen():
     scene = Scene(K=1)
     where = np.arange(M)[None] % 2 == 0
-    slab = np.zeros((1, 9, M))
-    R = np.ascontiguousarray(scene.R[:, *UPPER])
-    insert_landmarks(slab, np.array([0]), scene.z, R, where, scene.poses)
+    block = np.zeros((1, 9, M))
+    insert_landmarks(block, np.array([0]), scene.observed, where, scene.poses)
     T = rotation(scene.poses[4, 2])
-    np.testing.assert_allclose(slab[0, :3, 4], T @ scene.z[0] + [*scene.poses[4, :2], 0.0])
-    np.testing.assert_allclose(slab[0, 3:, 4], (T @ scene.R[0] @ T.T)[UPPER])
-    assert (slab[0, :, 1::2] == 0.0).all()
+    np.testing.assert_allclose(block[0, :3, 4], T @ scene.z[0] + [*scene.poses[4, :2], 0.0])
+    np.testing.assert_allclose(block[0, 3:, 4], (T @ scene.R[0] @ T.T)[UPPER_TRIANGLE])
+    assert (block[0, :, 1::2] == 0.0).all()
 
 
 def test_a_landmark_that_particles_lack_is_filled_in_there_and_once():
     scene = Scene(K=2)
-    scene.slab[0, :, :20] = 0.0
-    before = scene.slab.copy()
+    scene.rows[0, :, :20] = 0.0
+    before = scene.rows.copy()
     wanted = np.zeros((2, M), bool)
     wanted[:, :30] = True
-    candidates = np.array([[-1, 0], [0, -1]])
-    R = np.ascontiguousarray(scene.R[:, *UPPER])
-    filled = fill_absent(scene.slab, np.arange(2), candidates, scene.z, R, scene.poses, wanted)
+    scene.candidates = np.array([[-1, 0], [0, -1]])
+    filled = fill_absent(scene.candidate_rows, scene.observed, scene.poses, wanted)
     assert filled.tolist() == [True, False]
     assert not wanted[0, :20].any()
     assert wanted[0, 20:30].all()
     assert wanted[1, :30].all()
-    np.testing.assert_array_equal(scene.slab[:, :, 20:], before[:, :, 20:])
+    np.testing.assert_array_equal(scene.rows[:, :, 20:], before[:, :, 20:])
     T = rotation(scene.poses[4, 2])
     place = T @ scene.z[0] + [*scene.poses[4, :2], 0.0]
-    np.testing.assert_allclose(scene.slab[0, :3, 4], place)
+    np.testing.assert_allclose(scene.rows[0, :3, 4], place)

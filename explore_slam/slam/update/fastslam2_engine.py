@@ -1,0 +1,202 @@
+"""The default engine: FastSLAM 2.0 with robust weights and kernel shrinkage."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from explore_slam.geometry import Array
+from explore_slam.slam.association.state import (
+    Associations,
+    AssociationState,
+    CandidateRows,
+    CandidateSet,
+    chosen_landmarks,
+)
+from explore_slam.slam.checkpoint import State
+from explore_slam.slam.config import FastSlamConfig
+from explore_slam.slam.particles.group import Group
+from explore_slam.slam.particles.resampling import normalized
+from explore_slam.slam.storage.ancestry import Index
+from explore_slam.slam.update.engine import PoseProposal
+from explore_slam.slam.update.kernel_shrinkage import SHRINKAGES, shrink
+from explore_slam.slam.update.parallel import over_particles
+from explore_slam.slam.update.proposal import ProposalParameters, propose
+
+# Cost of the largest descriptor distance E0 beside d² + ln|S| of a candidate: that of 2 sigma.
+_DESCRIPTOR_COST = 4.0
+_LEAST_DISTANCE = 0.05  # E0 below it does not make descriptors more decisive
+
+_TRIED = 200  # particles on which the amount of shrinkage is tried: enough to estimate 5 % of them
+
+# New landmarks: observations must confirm the pose before distinctive descriptors found elsewhere
+# are taken as new, and nothing is inserted if nearly all matches contradict the pose.
+_CONFIRMING = 3  # associated observations that confirm a pose, and their least part of ...
+_CONFIRMING_PART = 0.5  # ... those with a distinctive descriptor
+_CONTRADICTING_PART = 0.4  # part of all observations that must be distinctive ...
+_CONTRADICTED_PART = 0.25  # ... for the pose to be contradicted if fewer of them are associated
+
+
+def _parameters(found: CandidateSet, P: Array, config: FastSlamConfig) -> ProposalParameters:
+    largest = config.association.maximum_descriptor_distance
+    return ProposalParameters(
+        gate=config.association.association_gate**2,
+        descriptor_weight=_DESCRIPTOR_COST / max(largest, _LEAST_DISTANCE),
+        t2=config.outlier_threshold * config.outlier_threshold,
+        # features of one frame share errors: they count as that many independent ones at most
+        information=min(1.0, config.independent_observations / len(found)),
+        P=P,
+    )
+
+
+def _propose(
+    found: CandidateSet,
+    rows: CandidateRows,
+    chosen: Associations,
+    poses: Array,
+    P: Array,
+    config: FastSlamConfig,
+) -> PoseProposal:
+    """Associate, and return the proposal of predicted poses (M, 3) of covariance P (3, 3)."""
+    proposal, parameters = PoseProposal.at(poses), _parameters(found, P, config)
+
+    def run(begin: int, end: int) -> None:
+        propose(rows, found.observed, parameters, poses, begin, end, proposal.given, chosen)
+
+    over_particles(run, len(poses), config.filter_threads)
+    return proposal
+
+
+def _propose_on(
+    found: CandidateSet, blocks: Array, poses: Array, P: Array, config: FastSlamConfig
+) -> PoseProposal:
+    """Return the proposal for blocks (L, 9, M) of the candidates that are not staged."""
+    chosen = Associations.undecided(len(found), len(poses))
+    rows = found.rows_at(blocks, np.arange(len(found.entries)))
+    return _propose(found, rows, chosen, poses, P, config)
+
+
+def pair_likelihoods(
+    found: CandidateSet,
+    blocks: Array,
+    theirs: Sequence[NDArray[np.bool_]],
+    orders: Sequence[Index],
+    poses: Array,
+    P: Array,
+    config: FastSlamConfig,
+) -> Array:
+    """Return log-likelihoods (M,) of observations if some landmarks are those of other particles.
+
+    blocks (L, 9, M) of the candidates; theirs (L,) per other group: its landmarks, which are taken
+    from particle order[m] for particle m.
+    """
+    mixed = blocks.copy()
+    for some, order in zip(theirs, orders, strict=True):
+        mixed[some] = blocks[some][:, :, order]
+    return _propose_on(found, mixed, poses, P, config).checked().log_likelihoods
+
+
+class FastSlam2Engine:
+    """FastSLAM 2.0; see Engine.
+
+    Differences from the paper's algorithm: poses are sampled from the proposal given the
+    observations (2.1 after 2.5), candidates are chosen by likelihood as well as by descriptor
+    (2.4 and 2.5 in one), weights are likelihoods (2.6.2), and groups are resampled when their
+    effective sample size is low (5).
+    """
+
+    joint = False
+    relocalizes = True
+    counts_misses = True
+
+    def __init__(self, config: FastSlamConfig) -> None:
+        self.config = config
+
+    def propose(
+        self, state: AssociationState, poses: Array, P: Array, normals: Array, log_weights: Array
+    ) -> PoseProposal:
+        """See Engine. Landmarks are shrunk if too few particles would remain effective."""
+        del normals
+        found, config = state.found, self.config
+        proposal = _propose(found, state.rows(), state.chosen, poses, P, config)
+        least = config.shrinkage_threshold * len(poses)
+        if not proposal.is_finite() or proposal.effective_particles(log_weights) >= least:
+            return proposal
+        part = self._shrinkage(state, poses, P, log_weights)
+        addresses, workspace = state.addresses[state.is_chosen()], state.store.workspace
+        before = workspace[addresses]
+        shrunk = np.empty_like(before)
+        shrink(before, poses, np.exp(log_weights), part, shrunk)
+        workspace[addresses] = shrunk
+        proposal = _propose(found, state.rows(), state.chosen, poses, P, config)
+        if not proposal.is_finite():
+            workspace[addresses] = before
+        return proposal
+
+    def _shrinkage(
+        self, state: AssociationState, poses: Array, P: Array, log_weights: Array
+    ) -> float:
+        """Return the least of SHRINKAGES that leaves enough particles, tried on some of them."""
+        found, config = state.found, self.config
+        some = slice(None, None, max(1, len(poses) // _TRIED))
+        poses, log_weights = poses[some].copy(), log_weights[some]
+        _, weights = normalized(log_weights)
+        blocks = np.ascontiguousarray(state.store.workspace[state.addresses, :, some])
+        chosen = chosen_landmarks(found, state.chosen)
+        before, shrunk = blocks[chosen], np.empty_like(blocks[chosen])
+        for part in SHRINKAGES[:-1]:
+            shrink(before, poses, weights, part, shrunk)
+            blocks[chosen] = shrunk
+            proposal = _propose_on(found, blocks, poses, P, config)
+            finite = proposal.is_finite()
+            effective = proposal.effective_particles(log_weights) if finite else 0.0
+            if effective >= config.shrinkage_threshold * len(poses):
+                return part
+        return SHRINKAGES[-1]
+
+    def needs_landmark(
+        self, state: AssociationState, agreed: NDArray[np.bool_]
+    ) -> NDArray[np.bool_]:
+        """See Engine: where most particles have no landmark, unless the pose is contradicted."""
+        found = state.found
+        free: NDArray[np.bool_] = state.chosen.choice < 0
+        matched = np.count_nonzero(found.has_similar() & found.is_distinctive)
+        agreeing = np.count_nonzero(agreed)
+        new = ~agreed
+        distinctive = np.count_nonzero(found.is_distinctive)
+        if agreeing < max(_CONFIRMING, _CONFIRMING_PART * distinctive):
+            new &= ~found.is_distinctive
+        contradicted = agreeing < _CONTRADICTED_PART * matched
+        if matched >= _CONTRADICTING_PART * len(agreed) and contradicted:
+            new[:] = False
+        free &= new[:, None]
+        return free
+
+    def resamples_before_sampling(self, group: Group) -> bool:
+        """See Engine."""
+        least = self.config.resampling_threshold * self.config.particles
+        return group.effective_particles() < least
+
+    def starts_new_round(self, vehicle: int) -> bool:
+        """See Engine: there are no rounds."""
+        del vehicle
+        return False
+
+    def completes_round(self, vehicle: int, vehicles: Sequence[str]) -> bool:
+        """See Engine: there are no rounds."""
+        del vehicle, vehicles
+        return False
+
+    def end_round(self, group: Group) -> None:
+        """See Engine: there are no rounds."""
+
+    def best_particle(self, group: Group) -> int:
+        """See Engine: the one with the most likely lineage, so that the best path is steady."""
+        return group.best_particle()
+
+    def state_dict(self) -> State:
+        """See Engine: there are no rounds."""
+        return {}
+
+    def restore(self, state: State) -> None:
+        """See Engine: there are no rounds."""
