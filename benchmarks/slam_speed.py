@@ -274,7 +274,8 @@ def show_memory() -> None:
     print(
         f'{len(slam.map)} landmarks, 1000 particles, 500 resamplings: rows '
         f'{rows.rows_stored() / len(slam.map):.1f} per landmark, '
-        f'slabs {rows.memory() / 2**20:.0f} MiB; process: peak {peak:.0f} MiB, of it {before:.0f} MiB before (limit: 1024)'
+        f'slabs {rows.memory() / 2**20:.0f} MiB; process: peak {peak:.0f} MiB, '
+        f'of it {before:.0f} MiB before (limit: 1024)'
     )
 
 
@@ -312,7 +313,7 @@ def lookup(index: DescriptorIndex, rows: Vectors, queries: Vectors, batch: int) 
 
 def recall_of(found: NDArray[np.int64], rows: Vectors, queries: Vectors) -> float:
     """Return the fraction of queries whose nearest neighbor was found."""
-    brute = BruteForceIndex()
+    brute = BruteForceIndex(128)
     brute.add(np.arange(len(rows)), rows)
     return float(np.mean(found == brute.query(queries, 0.4, 1)[0]))
 

@@ -37,7 +37,8 @@ def seen_again(kind, random, descriptors):
     if kind.metric == 'hamming':
         flips = random.random((len(descriptors), 8 * kind.length)) < 0.05
         return descriptors ^ np.packbits(flips, axis=1)
-    return unit(descriptors + 0.03 * random.standard_normal(descriptors.shape))
+    deviation = 0.3 / np.sqrt(kind.length)
+    return unit(descriptors + deviation * random.standard_normal(descriptors.shape))
 
 
 @pytest.mark.parametrize('index', ['forest', 'kd_tree', 'brute_force'])
