@@ -159,6 +159,47 @@ def _run_consistency(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _configure_endurance(parser: argparse.ArgumentParser) -> None:
+    _add_world(parser, 3600.0)
+    parser.add_argument('--seed', type=int, default=0, help='random seed (default 0)')
+    parser.add_argument(
+        '--period',
+        type=float,
+        default=60.0,
+        help='simulated time (s) between samples (default 60)',
+    )
+    parser.add_argument(
+        '--output', type=Path, required=True, help='folder for endurance.json and its plot'
+    )
+    _add_set(parser)
+
+
+def _run_endurance(arguments: argparse.Namespace) -> int:
+    """Run the team, print a line per sample."""
+    from explore_slam.simulation.worlds.world import world_path
+    from explore_slam.studies.endurance_study import EnduranceStudy, run_study
+
+    study = EnduranceStudy(
+        world_path(arguments.world),
+        arguments.vehicles,
+        arguments.duration,
+        arguments.seed,
+        arguments.period,
+        named_settings(arguments, ()),
+    )
+    print(
+        f'{"t (s)":>8s}{"memory (MiB)":>14s}{"landmarks":>11s}{"update (ms)":>13s}{"anchors":>9s}'
+    )
+    for sample in run_study(study, arguments.output):
+        print(
+            f'{sample.t:8.0f}{sample.memory_mb:14.0f}{sample.landmarks:11d}'
+            f'{sample.update_ms:13.1f}{sample.anchors:9d}',
+            flush=True,
+        )
+    print(f'written: {arguments.output / "endurance.json"}', file=sys.stderr)
+    return 0
+
+
 Declare = Callable[[argparse.ArgumentParser], None]
 Run = Callable[[argparse.Namespace], int]
 KINDS: dict[str, tuple[str, Declare, Run]] = {
@@ -171,5 +212,10 @@ KINDS: dict[str, tuple[str, Declare, Run]] = {
         'compare the errors of a closed loop with their published covariance (NEES)',
         _configure_consistency,
         _run_consistency,
+    ),
+    'endurance': (
+        'measure memory, landmarks and update time of a team that patrols after exploring',
+        _configure_endurance,
+        _run_endurance,
     ),
 }

@@ -232,10 +232,8 @@ def consistency_figure(data: RunData) -> str | None:
             for axes, component in zip(row, range(3), strict=True):
                 _draw_band(axes, errors, component, begin, color)
             row[0].set_ylabel(name)
-        for axes, title in zip(
-            grid[0], ('error of x (m)', 'of y (m)', 'heading (°)'), strict=True
-        ):
-            axes.set_title(title, fontsize=10)
+        for axes, title in zip(grid[0], ('x (m)', 'y (m)', 'heading (°)'), strict=True):
+            axes.set_title(f'error of {title}', fontsize=10)
         for axes in grid[-1]:
             axes.set_xlabel('time (s)')
         return _svg(figure, 'consistency')

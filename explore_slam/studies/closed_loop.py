@@ -3,13 +3,21 @@
 The same seed gives the same run, bit for bit. The live demo runs the same components over topics.
 """
 
+import time
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal, Protocol
 
 import numpy as np
 
 from explore_slam.agent import Agent, AgentConfig, TeamPlanner
-from explore_slam.data import LaserScan, OdometryReading, Plan, RgbdFrame
+from explore_slam.data import (
+    LandmarkObservations,
+    LaserScan,
+    OdometryReading,
+    Plan,
+    RgbdFrame,
+)
 from explore_slam.errors import EvaluationError
 from explore_slam.exploration import ExplorationStatus, PlanningResult
 from explore_slam.geometry import Pose2
@@ -19,10 +27,23 @@ from explore_slam.settings import Section, section, setting
 from explore_slam.simulation import SimulationConfig, Simulator, load_world
 from explore_slam.simulation.records import TruePose
 from explore_slam.vehicle import PathFollower, PathFollowerConfig
+from explore_slam.vision import FeatureExtractor, KeyframeSelector
 
 _NO_WAYPOINTS = np.empty((0, 2))
 FIRST_PLANNING = 1.0  # s; by then every vehicle has delivered scans and frames
 ENDED = (ExplorationStatus.COMPLETE, ExplorationStatus.RETURNED)
+
+
+class TeamGuide(Protocol):
+    """Interface of planners in a closed loop (TeamPlanner, Patrol)."""
+
+    result: PlanningResult
+
+    def report_follower(self, vehicle: str, text: str, now: float) -> None:
+        """Take the report of a path follower at a time (s)."""
+
+    def plan(self, now: float) -> PlanningResult:
+        """Run one planning cycle at a time (s)."""
 
 
 @dataclass(frozen=True)
@@ -46,13 +67,19 @@ class ClosedLoopConfig(Section):
 
 @dataclass
 class ClosedLoop:
-    """A closed-loop run; `step` advances the simulator by one tick, `run` continues to the end."""
+    """A closed-loop run; `step` advances the simulator by one tick, `run` continues to the end.
+
+    vision: extract features in the agent or on the vehicle.
+    update_seconds: wall time (s) of each call of the agent that updated landmarks since the last
+    `discard_records`, with extraction where that takes place in the agent.
+    """
 
     world_path: Path
     config: ClosedLoopConfig = field(default_factory=ClosedLoopConfig)
     vehicles: int = 2
     seed: int = 0
     follower: PathFollowerConfig = field(default_factory=PathFollowerConfig)
+    vision: Literal['agent', 'vehicle'] = 'agent'
 
     def __post_init__(self) -> None:
         world = load_world(self.world_path)
@@ -64,16 +91,25 @@ class ClosedLoop:
         starts: dict[str, Pose2] = dict(list(world.starts.items())[: self.vehicles])
         self.simulator = Simulator(world, starts, self.config.simulation, self.seed)
         self.agent = Agent(self.config.agent, starts, self.seed)
-        self.planner = TeamPlanner(self.agent)
+        self.planner: TeamGuide = TeamPlanner(self.agent)
         self.followers = {name: PathFollower(self.follower) for name in starts}
-        self.recorder = RunRecorder(
-            f'{world.name}, seed {self.seed}', starts, self.config.agent.slam.particles
-        )
+        self._title = f'{world.name}, seed {self.seed}'
+        self._selectors = {name: KeyframeSelector(self.config.agent.vision) for name in starts}
+        self._extractor = FeatureExtractor(self.config.agent.vision)
+        self._odometry: dict[str, Pose2] = {}
+        self.discard_records()
         radius = self.config.agent.exploration.paths.vehicle_radius
         self.area = ReachableArea.of_file(self.world_path, starts.values(), radius)
         self.coverage = 0.0
         self._next_plan = FIRST_PLANNING
         self._sent: dict[str, Plan | None] = {}
+
+    def discard_records(self) -> None:
+        """Forget what has been recorded until now; the agent is not affected."""
+        self.recorder = RunRecorder(
+            self._title, self.agent.start_poses, self.config.agent.slam.particles
+        )
+        self.update_seconds: list[float] = []
 
     @property
     def ended(self) -> bool:
@@ -120,18 +156,37 @@ class ClosedLoop:
         if isinstance(record, TruePose):
             self.recorder.add_truth(name, record.stamp, record.pose)
             return
+        if isinstance(record, RgbdFrame) and self.vision == 'vehicle':
+            self._add_features(name, record)
+        else:
+            self._add(name, record)
         if isinstance(record, OdometryReading):
-            self.agent.add(name, record)
+            self._odometry[name] = record.pose
             self.recorder.add_odometry(name, record)
             follower.set_odometry(record)
             follower.set_pose(record.stamp, self.agent.map_pose(name))
-        else:
-            self.agent.add(name, record)
-            if isinstance(record, LaserScan):
-                follower.set_scan(record)
-        for event in self.agent.take_events():
+        elif isinstance(record, LaserScan):
+            follower.set_scan(record)
+
+    def _add_features(self, name: str, frame: RgbdFrame) -> None:
+        """Extract the features of a keyframe as the vehicle does, and add them."""
+        pose = self._odometry.get(name)
+        if pose is not None and self._selectors[name].select(frame.stamp, pose):
+            self._add(name, self._extractor.extract(frame))
+
+    def _add(
+        self, name: str, record: OdometryReading | LaserScan | RgbdFrame | LandmarkObservations
+    ) -> None:
+        """Add a record to the agent, and record the keyframes that result."""
+        began = time.perf_counter()
+        self.agent.add(name, record)
+        seconds = time.perf_counter() - began
+        events = self.agent.take_events()
+        for event in events:
             self.recorder.add_pose(event.vehicle, event.stamp, event.pose)
             self.recorder.add_keyframe(event)
+        if any(event.update is not None for event in events):
+            self.update_seconds.append(seconds)
 
     def _plan(self, now: float) -> PlanningResult:
         result = self.planner.plan(now)
