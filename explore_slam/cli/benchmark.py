@@ -176,7 +176,7 @@ def _configure_endurance(parser: argparse.ArgumentParser) -> None:
 
 def _run_endurance(arguments: argparse.Namespace) -> int:
     """Run the team, print a line per sample."""
-    from explore_slam.simulation.worlds.world import world_path
+    from explore_slam.simulation import world_path
     from explore_slam.studies.endurance_study import EnduranceStudy, run_study
 
     study = EnduranceStudy(

@@ -10,7 +10,7 @@ from explore_slam.cli import benchmark
 from explore_slam.cli.main import build_parser
 from explore_slam.errors import ConfigError, EvaluationError
 from explore_slam.settings import with_values
-from explore_slam.simulation.worlds.world import world_path
+from explore_slam.simulation import world_path
 from explore_slam.studies.closed_loop import ClosedLoop, ClosedLoopConfig
 from explore_slam.studies.endurance_study import EnduranceStudy, Sample, save_samples
 from explore_slam.studies.patrol import LEG_TIMEOUT, Patrol
