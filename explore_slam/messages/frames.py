@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class FrameNames:
-    """Frames of one vehicle: the names given stand behind the vehicle's name and a slash.
+    """Frames of one vehicle: their names are prefixed with the vehicle's name and a slash.
 
     The map frame is common to all vehicles and has no prefix.
     """

@@ -59,7 +59,7 @@ class MeasurementKind:
     """One kind of measurement.
 
     name: in queues and diagnostics.
-    topics: all that may carry it; the first one stands for the kind in events.
+    topics: all that may carry it; events are labelled with the first one.
     reader: makes the Reader of one vehicle.
     write: record -> messages by topic.
     queue_limit: records per vehicle that may wait for the agent's worker; the oldest is dropped.

@@ -1,7 +1,7 @@
 """Topics: names, message types and quality of service. The single source for nodes and recordings.
 
 Names are relative: topics of a vehicle lie below its namespace, those of the team below the
-agent's. Whoever adds a topic adds one line here.
+agent's. A new topic is one line here.
 """
 
 from enum import Enum
@@ -91,7 +91,7 @@ class VehicleTopic(Topic):
 
 
 class TeamTopic(Topic):
-    """What the agent publishes for the whole team, and what an operator tells it."""
+    """What the agent publishes for the whole team, and commands of the operator to it."""
 
     MAP = 'map', 'nav_msgs/msg/OccupancyGrid', LATCHED, LATCHED
     MAP_LANDMARKS = 'map_landmarks', 'sensor_msgs/msg/PointCloud2', LATCHED, LATCHED

@@ -1,1 +1,1 @@
-"""Room 'nodes'; see doc/architecture."""
+"""The ROS nodes: thin adapters between topics, parameters, services and the packages below."""

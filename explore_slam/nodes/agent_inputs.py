@@ -55,7 +55,7 @@ class VehicleInputs:
         self._report_follower = report_follower
         self._reader = VehicleReader(MEASUREMENT_KINDS)
         self.malformed = 0
-        self.heard: dict[Topic, int] = {}
+        self.received: dict[Topic, int] = {}
         self._expected: list[Topic] = []
         for kind in MEASUREMENT_KINDS:
             expected = kind.is_expected(vision)
@@ -68,10 +68,10 @@ class VehicleInputs:
         self._subscribe(VehicleTopic.FOLLOWER_STATUS, self._on_follower)
 
     def _subscribe(self, topic: Topic, take: Callable[[Any], None]) -> None:
-        self.heard[topic] = 0
+        self.received[topic] = 0
 
         def on_message(message: Any) -> None:
-            self.heard[topic] += 1
+            self.received[topic] += 1
             try:
                 self._check_frame(topic, message)
                 take(message)
@@ -123,5 +123,5 @@ class VehicleInputs:
         return [
             explain_silence(self._node, f'{self.vehicle}/{topic.value}', SILENCE)
             for topic in self._expected
-            if not self.heard[topic]
+            if not self.received[topic]
         ]

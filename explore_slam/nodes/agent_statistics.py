@@ -127,5 +127,5 @@ class AgentStatistics:
             values['inserted'] = update.inserted
             values['effective_particles'] = float(update.effective_particles)
             others = [vehicle for vehicle in update.together if vehicle != name]
-            values['shares_landmarks_with'] = ' '.join(others) or 'nobody yet'
+            values['shares_landmarks_with'] = ' '.join(others) or 'none'
         return values

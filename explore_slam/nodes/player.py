@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 
 from rclpy.context import Context
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
@@ -23,6 +24,7 @@ from explore_slam.recording.topic_selection import vehicle_topics
 CLOCK_PERIOD = 0.01  # s
 MATCH_TIMEOUT = 5.0  # s to wait for a subscriber
 LATE = 0.5  # s; a longer delay is reported
+ACKNOWLEDGE_TIMEOUT = 2.0  # s for the last messages to arrive
 
 
 class Player(Node):
@@ -121,6 +123,13 @@ class Player(Node):
             now = time.monotonic()
         return 0.0
 
+    def flush(self, timeout: float = ACKNOWLEDGE_TIMEOUT) -> None:
+        """Wait until the subscribers have received everything, at most for the timeout (s)."""
+        deadline = time.monotonic() + timeout
+        for output in self._outputs.values():
+            remaining = max(deadline - time.monotonic(), 0.0)
+            output.wait_for_all_acked(Duration(seconds=remaining))
+
     def _advance_clock(self, now: float) -> None:
         """Publish simulated time between messages."""
         if self._anchor is not None and now - self._last_clock >= CLOCK_PERIOD:
@@ -189,7 +198,7 @@ def play(
                         f'the machine is too slow: messages were up to {node.worst_delay:.1f} s '
                         'late; use a lower --rate'
                     )
-                time.sleep(0.2)  # the last messages must leave before the publishers are destroyed
+                node.flush()
                 return dict(node.counts)
             finally:
                 node.destroy_node()

@@ -32,7 +32,7 @@ class PaceConfig(Section):
         low=0.1,
         high=60.0,
     )
-    pose_patience: float = setting(
+    pose_wait_timeout: float = setting(
         5.0,
         'Time without a newer pose after which a vehicle no longer holds simulated time '
         '(real_time_factor 0)',
@@ -48,7 +48,7 @@ class PaceConfig(Section):
         low=0.02,
         high=10.0,
     )
-    command_patience: float = setting(
+    command_wait_timeout: float = setting(
         0.25,
         'Time without a velocity command after which a vehicle no longer holds simulated time '
         '(real_time_factor 0)',
@@ -130,13 +130,13 @@ class Pace:
         for name, follower in self._followers.items():
             waited = wall - follower.wall
             ahead = sim - follower.sim >= self.config.command_lead - 1e-9
-            if follower.moving and ahead and waited < self.config.command_patience:
-                return f'{name}/cmd_vel', self.config.command_patience - waited
+            if follower.moving and ahead and waited < self.config.command_wait_timeout:
+                return f'{name}/cmd_vel', self.config.command_wait_timeout - waited
         return None
 
     def _listening(self, wall: float) -> dict[str, _Estimate]:
-        patience = self.config.pose_patience
-        return {name: p for name, p in self._poses.items() if wall - p.wall < patience}
+        timeout = self.config.pose_wait_timeout
+        return {name: p for name, p in self._poses.items() if wall - p.wall < timeout}
 
     def _held_by_pose(self, sim: float, wall: float) -> tuple[str, float] | None:
         alive = self._listening(wall)
@@ -146,7 +146,7 @@ class Pace:
         ahead = sim - alive[slowest].stamp - self.config.pose_lead
         if ahead < -1e-9:
             return None
-        patience = self.config.pose_patience - (wall - alive[slowest].wall)
+        remaining = self.config.pose_wait_timeout - (wall - alive[slowest].wall)
         if ahead < CREEP:
-            patience = min(patience, self._until(sim, wall, 1.0))
-        return f'{slowest}/pose', patience
+            remaining = min(remaining, self._until(sim, wall, 1.0))
+        return f'{slowest}/pose', remaining

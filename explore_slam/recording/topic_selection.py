@@ -1,4 +1,4 @@
-"""Which topics of a recording are used: those of the vehicles asked for, each sight once."""
+"""Selection of the topics of a recording: vehicles, and frames or landmarks."""
 
 from collections.abc import Iterable, Mapping
 

@@ -222,7 +222,7 @@ def test_diagnostics_tell_rates_and_drops(live):
     team, _, _ = live
     values = team.parts['agent: vehicle robot1']
     assert float(values['effective_particles']) > 10.0
-    assert values['shares_landmarks_with'] in ('nobody yet', 'robot2')
+    assert values['shares_landmarks_with'] in ('none', 'robot2')
     assert values['dropped_frames'] == '0'
     assert int(values['associated']) > 5
     assert int(team.parts['agent: agent']['odometry_count']) >= 300

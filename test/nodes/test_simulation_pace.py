@@ -47,7 +47,7 @@ def test_time_waits_for_the_pose_of_the_slowest_vehicle():
 
 def test_time_creeps_on_a_little_before_it_stands():
     """An agent that publishes by simulated time and has caught up gets the time to do so."""
-    it = pace(pose_lead=1.0, pose_patience=5.0)
+    it = pace(pose_lead=1.0, pose_wait_timeout=5.0)
     it.report_pose('a', 5.0, 100.0)
     assert it.delay(5.98, 100.0) == 0.0
     assert it.delay(6.0, 100.0) == pytest.approx(0.02)
@@ -61,7 +61,7 @@ def test_time_creeps_on_a_little_before_it_stands():
 
 
 def test_an_agent_that_died_does_not_freeze_time():
-    it = pace(pose_lead=1.0, pose_patience=5.0)
+    it = pace(pose_lead=1.0, pose_wait_timeout=5.0)
     it.report_pose('a', 5.0, 100.0)
     assert it.delay(5.9, 100.0) == 0.0
     assert it.delay(6.3, 104.0) == pytest.approx(1.0)
@@ -85,7 +85,7 @@ def test_an_agent_that_was_reset_holds_time_again():
 
 
 def test_time_waits_for_the_next_command_of_a_vehicle_that_drives():
-    it = pace(command_lead=0.15, command_patience=0.25, pose_lead=60.0)
+    it = pace(command_lead=0.15, command_wait_timeout=0.25, pose_lead=60.0)
     it.report_pose('a', 9.0, 100.0)
     it.report_command('a', True, sim=10.0, wall=100.0)
     assert it.delay(10.1, 100.0) == 0.0

@@ -183,7 +183,7 @@ def test_a_vehicle_drives_as_commanded_and_stops_when_commands_end(start, listen
 
 
 def test_time_runs_ahead_of_poses_only_so_far_and_not_for_ever_still(start, listener):
-    start('simulated_camera_rate:=0.0', 'pose_lead:=1.0', 'pose_patience:=3.0')
+    start('simulated_camera_rate:=0.0', 'pose_lead:=1.0', 'pose_wait_timeout:=3.0')
     assert listener.spin(20.0, lambda: listener.time > 0.2)
     for name in ('robot1', 'robot2'):
         listener.say_pose(name, listener.time)
@@ -216,7 +216,7 @@ def test_collisions_and_rates_are_reported(start, listener):
 
 
 def test_the_pace_changes_under_way_and_the_world_does_not(start, listener):
-    start('simulated_camera_rate:=0.0', 'real_time_factor:=1.0')
+    start('simulated_camera_rate:=0.0', 'real_time_factor:=0.1')
     client = listener.node.create_client(SetParameters, '/simulator/set_parameters')
     assert client.wait_for_service(20.0)
 
@@ -228,8 +228,8 @@ def test_the_pace_changes_under_way_and_the_world_does_not(start, listener):
 
     assert answer('real_time_factor', 8.0).successful
     begun, wall = listener.time, time.monotonic()
-    assert listener.spin(8.0, lambda: listener.time > begun + 6.0)
-    assert time.monotonic() - wall < 5.0
+    assert listener.spin(60.0, lambda: listener.time > begun + 6.0)
+    assert time.monotonic() - wall < 50.0  # 60 s at the first pace
     refused = answer('world', 'office')
     assert not refused.successful
     assert 'world: set at start only' in refused.reason

@@ -34,7 +34,7 @@ TURN_RATE = 0.8  # rad/s
 SCAN_PERIOD = 0.1  # s; the least time between scans
 FIRST_STAMP = 1.0  # s
 RANGE_MIN, RANGE_MAX = 0.05, 80.0  # m; larger readings mean no return
-# the log does not tell where the laser sits; corridors are long
+# the log does not say where the laser is mounted; corridors are long
 SETTINGS: dict[str, float | str] = {
     'laser_x': 0.0,
     'laser_y': 0.0,

@@ -2,7 +2,7 @@
 
 Sturm, Engelhard, Endres, Burgard and Cremers, "A benchmark for the evaluation of RGB-D SLAM
 systems", IROS 2012. The camera moves in six degrees of freedom and there is no odometry, so it
-cannot stand for a planar vehicle: the bag holds frames and true poses only, which is what
+cannot represent a planar vehicle: the bag holds frames and true poses only, which is what
 results.landmark_agreement needs.
 """
 
