@@ -15,9 +15,11 @@ from explore_slam.data import (
     OdometryReading,
 )
 from explore_slam.errors import DataError
-from explore_slam.geometry import Pose2
+from explore_slam.geometry import Pose2, rotation_from_quaternion
 from explore_slam.messages.frame_pairing import FramePairing
+from explore_slam.mounts import CameraMountConfig
 from explore_slam.nodes.ros_types import MESSAGES
+from explore_slam.vision import CameraMount
 
 CAMERA = Intrinsics(64, 48, 60.0, 61.0, 31.5, 23.5)
 
@@ -145,3 +147,15 @@ def test_a_pose_without_rotation_is_refused():
     message.orientation.w = 0.0
     with pytest.raises(DataError, match='not a rotation'):
         messages.planar_pose(message)
+
+
+def test_the_camera_transform_is_the_mount_that_vision_uses():
+    config = CameraMountConfig(0.2, -0.1, 0.6, camera_roll=0.1, camera_pitch=0.4, camera_yaw=-2.0)
+    message = messages.camera_transform_message(MESSAGES, 2.5, 'r/base_link', 'r/camera', config)
+    back = over_the_wire(message)
+    assert (back.header.frame_id, back.child_frame_id) == ('r/base_link', 'r/camera')
+    turn, move = back.transform.rotation, back.transform.translation
+    mount = CameraMount.from_config(config)
+    rotation = rotation_from_quaternion(turn.x, turn.y, turn.z, turn.w)
+    np.testing.assert_allclose(rotation, mount.rotation, atol=1e-12)
+    np.testing.assert_allclose([move.x, move.y, move.z], mount.translation)

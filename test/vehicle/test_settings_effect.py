@@ -88,7 +88,7 @@ def test_every_setting_of_the_follower_has_an_effect(make_track, name):
 def test_no_setting_of_the_follower_is_left_out():
     assert {info.name for info, _ in settings_of(PathFollowerConfig())} == {
         *FOLLOWER,
-        'control_frequency',  # the node's timer: test_vehicle_config
+        'control_frequency',  # the node's timer: test/nodes/test_parameters
     }
 
 

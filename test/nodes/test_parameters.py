@@ -23,6 +23,27 @@ def test_the_parameter_file_names_settings_that_exist():
         with_values(tree, content[name]['ros__parameters'])
 
 
+@pytest.mark.parametrize(
+    ('names', 'values', 'words'),
+    [
+        (('a', 'b'), (0.0,) * 5, r'start_poses has 5 numbers, expected 6'),
+        (('a', 'a'), (0.0,) * 6, r"vehicles is \['a', 'a'\], expected one name or more"),
+        ((), (), r'vehicles is \[\]'),
+    ],
+)
+def test_start_poses_must_fit_the_names(names, values, words):
+    with pytest.raises(ConfigError, match=words):
+        AgentNodeConfig(vehicles=names, start_poses=values).poses()
+    starts = AgentNodeConfig(vehicles=('a', 'b'), start_poses=(1, 2, 0.5, 3, 4, 0.0)).poses()
+    assert starts == {'a': (1.0, 2.0, 0.5), 'b': (3.0, 4.0, 0.0)}
+
+
+def test_frames_take_the_names_of_the_parameters():
+    frames = DriverNodeConfig(odom_frame='o', laser_frame='front').frames('robot1')
+    assert (frames.odom, frames.laser) == ('robot1/o', 'robot1/front')
+    assert AgentNodeConfig(map_frame='site').frames('robot1').map == 'site'
+
+
 def test_names_are_unique_and_all_have_a_meaning():
     for tree in (DriverNodeConfig(), PathFollowerConfig()):
         names = [info.name for info, _ in settings_of(tree)]
