@@ -7,7 +7,7 @@ from synthetic import SyntheticWorld
 
 from explore_slam.geometry import Pose2
 
-STEP = Pose2(0.02, 0.0, math.radians(0.6))  # true motion between two odometry lines
+SPEED, TURN = 0.02, math.radians(0.6)  # m, rad: mean motion between two odometry lines
 SLIP = 1.02  # wheel odometry turns this much more than the robot
 PERIOD = 0.1  # s between two odometry lines
 SCAN_EVERY = 5  # odometry lines
@@ -36,7 +36,7 @@ def robot_laser_line(ranges, laser, robot, stamp, start=-1.5707963, step=0.01745
 
 
 class Drive:
-    """A drive on a circle: true poses, wheel odometry and scans at each step."""
+    """A drive around a room: true poses, wheel odometry and scans at each step."""
 
     def __init__(self, steps=100, mount=FRONT, beams=180):
         world = SyntheticWorld()
@@ -44,9 +44,12 @@ class Drive:
         self.mount = mount
         self.stamps = [round(10.0 + PERIOD * index, 6) for index in range(steps)]
         self.truth, self.odometry = [start], [start]
-        for _ in range(steps - 1):
-            self.truth.append(self.truth[-1].compose(STEP))
-            slipped = Pose2(STEP.x, STEP.y, SLIP * STEP.theta)
+        for index in range(steps - 1):
+            # an uneven drive: it tells at which time the robot was where
+            x = SPEED * (1.0 + 0.6 * math.sin(index / 17.0))
+            theta = TURN * (1.0 + 0.6 * math.sin(index / 7.0))
+            self.truth.append(self.truth[-1].compose(Pose2(x, 0.0, theta)))
+            slipped = Pose2(x, 0.0, SLIP * theta)
             self.odometry.append(self.odometry[-1].compose(slipped))
         # 180 beams one degree apart: the first of 181
         self.scans = {

@@ -1,13 +1,14 @@
-"""`explore_slam benchmark KIND`: studies of exploration, consistency and endurance."""
+"""`explore_slam benchmark KIND`: studies of exploration, consistency, endurance, mapping."""
 
 import argparse
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
+from explore_slam.cli import benchmark_mapping
 from explore_slam.cli.arguments import named_settings, whole_numbers
 
-HELP = 'measure exploration, consistency of the estimates, or endurance'
+HELP = 'measure exploration, mapping, consistency of the estimates, or endurance'
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -218,4 +219,5 @@ KINDS: dict[str, tuple[str, Declare, Run]] = {
         _configure_endurance,
         _run_endurance,
     ),
+    'mapping': (benchmark_mapping.HELP, benchmark_mapping.configure, benchmark_mapping.run),
 }
