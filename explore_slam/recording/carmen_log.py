@@ -176,8 +176,16 @@ def _laser_line(line: int, words: _Words, range_max: float) -> LaserLine:
     """Read FLASER or RLASER: from -90 degrees on; 180 beams are 1.000, 360 are 0.500 deg apart."""
     ranges = _readings(words)
     laser, robot = words.pose(), words.pose()
-    step = math.pi / (len(ranges) - len(ranges) % 2)
+    step = beam_step(len(ranges))
     return LaserLine(line, ranges, -math.pi / 2, step, range_max, laser, robot, words.time())
+
+
+def beam_step(beams: int) -> float:
+    """Return the angle (rad) between the beams of a SICK over 180 degrees.
+
+    It is a round number of degrees: a logger of 180 beams left out the last of 181.
+    """
+    return math.pi / (beams - beams % 2)
 
 
 def _robot_laser_line(line: int, words: _Words) -> LaserLine:

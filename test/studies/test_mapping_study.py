@@ -1,5 +1,6 @@
 """The mapping study: figures of generated logs, whole, cut in two and as a bag."""
 
+import itertools
 import json
 import math
 
@@ -42,7 +43,7 @@ def log_and_relations(drive, tmp_path):
     scans = list(drive.scans)
     rows = []
     # as in the benchmark: from scan to scan, and between far ones
-    ends = [*zip(scans, scans[1:], strict=False), *random.choice(scans, (60, 2)).tolist()]
+    ends = [*itertools.pairwise(scans), *random.choice(scans, (60, 2)).tolist()]
     for first, second in ends:
         x, y, theta = drive.truth[first].between(drive.truth[second])
         times = (drive.stamps[first] + 1000.0, drive.stamps[second] + 1000.0)

@@ -1,6 +1,6 @@
 """Importer of the Intel Research Lab data set (D. Hähnel): laser and odometry of one robot.
 
-`intel_raw_odom_scans.npz`: ranges (N, 180) m from -90° to +90°, valid (N, 180), odom_inc (N, 3),
+`intel_raw_odom_scans.npz`: ranges (N, 180) m from -90° to +89°, valid (N, 180), odom_inc (N, 3),
 the motion after each scan. The log has no usable times: stamps follow from the motion at a nominal
 speed, so that timeouts and rates are plausible.
 
@@ -21,6 +21,7 @@ from explore_slam.data import LaserScan
 from explore_slam.errors import RecordingError
 from explore_slam.geometry import IDENTITY, Array, Pose2, between, compose
 from explore_slam.messages.topics import TopicKind
+from explore_slam.recording.carmen_log import beam_step
 from explore_slam.recording.events import Event, odometry_event, start_event, truth_event
 from explore_slam.recording.importers.importing import read_table, require, write_bag
 from explore_slam.recording.importers.registry import importer
@@ -106,8 +107,7 @@ def _odometry(stamps: Array, poses: Array) -> Iterator[Event]:
 def _scans(
     stamps: Array, ranges: NDArray[np.float32], valid: NDArray[np.bool_]
 ) -> Iterator[Event]:
-    beams = ranges.shape[1]
-    increment = math.pi / max(beams - 1, 1)
+    increment = beam_step(ranges.shape[1])
     for stamp, row, good in zip(stamps.tolist(), ranges, valid, strict=True):
         # REP-117: no return is +inf; other readings that the log marks as invalid are NaN
         far = row > RANGE_MAX

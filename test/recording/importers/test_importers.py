@@ -157,7 +157,7 @@ def test_intel_becomes_scans_odometry_and_truth(small_intel, tmp_path):
     assert np.diff(stamps) == pytest.approx([0.1, 1.0, 1.0, 1.0, 1.0])
     assert odometry[2].record.pose == pytest.approx((0.5, 0.0, 0.1))
     scan = of_kind(found, TopicKind.SCAN)[2].record
-    assert scan.angles[[0, -1]] == pytest.approx([-np.pi / 2, np.pi / 2], abs=1e-5)
+    assert np.degrees(scan.angles[[0, -1]]) == pytest.approx([-90.0, 89.0], abs=1e-4)
     assert np.isposinf(scan.ranges[5])
     assert np.isnan(scan.ranges[6])
     assert scan.ranges[7] == 2.0
