@@ -20,7 +20,8 @@ def data_set(tmp_path) -> Path:
     increments = np.tile([0.05, 0.0, 0.1], (60, 1))
     poses = intel.odometry_poses(increments)
     room = SyntheticWorld()
-    scans = [room.scan_from(0.0, Pose2(*pose), beams=180).ranges for pose in poses[:60]]
+    # the log has 180 of the 181 beams of the scanner
+    scans = [room.scan_from(0.0, Pose2(*pose), beams=181).ranges[:180] for pose in poses[:60]]
     np.savez(
         folder / intel.LOG,
         ranges=np.array(scans, np.float32),
