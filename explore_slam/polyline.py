@@ -1,4 +1,4 @@
-"""Polylines in the plane: arc length along them, points at arc lengths."""
+"""Polylines in the plane: arc length along them, points at arc lengths, what lies ahead."""
 
 import numpy as np
 
@@ -19,6 +19,13 @@ def points_at(points: Array, lengths: Array, at: Array) -> Array:
     return np.stack(
         [np.interp(at, lengths, points[:, 0]), np.interp(at, lengths, points[:, 1])], axis=1
     )
+
+
+def sample(points: Array, spacing: float) -> Array:
+    """Return points (N, 2) m at a spacing (m) along a polyline (W, 2) m, and its end."""
+    lengths = arc_lengths(points)
+    at = np.append(np.arange(0.0, lengths[-1], spacing), lengths[-1])
+    return points_at(points, lengths, at)
 
 
 def truncated(points: Array, limit: float) -> Array:
@@ -42,3 +49,11 @@ def project(points: Array, position: Array) -> tuple[int, float, float]:
     gaps = np.linalg.norm(first + share[:, None] * step - position, axis=1)
     nearest = int(np.argmin(gaps))
     return nearest, float(share[nearest]), float(gaps[nearest])
+
+
+def remaining_path(position: Array, waypoints: Array) -> Array:
+    """Return the part of a path (W, 2) m ahead of a position (2,) m, which becomes its start."""
+    if len(waypoints) < 2:
+        return np.vstack([position, waypoints])
+    nearest, _, _ = project(waypoints, position)
+    return np.vstack([position, waypoints[nearest + 1 :]])

@@ -1,4 +1,4 @@
-"""Polylines: arc lengths, points at them, projection; compared with values by hand."""
+"""Polylines: arc lengths, points at them, projection, what lies ahead; values by hand."""
 
 import math
 
@@ -7,7 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from explore_slam.polyline import arc_lengths, points_at, project, truncated
+from explore_slam.polyline import (
+    arc_lengths,
+    points_at,
+    project,
+    remaining_path,
+    sample,
+    truncated,
+)
 
 ELBOW = np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 6.0]])
 
@@ -57,3 +64,25 @@ def test_no_point_of_the_polyline_is_nearer_than_the_projection(position):
     nearest = np.hypot(*(dense - position).T).min()
     assert distance <= nearest + 1e-9
     assert nearest <= distance + 0.0018  # half the spacing of the dense points
+
+
+def test_samples_are_evenly_spaced_and_hold_both_ends():
+    found = sample(ELBOW, 2.5)
+    np.testing.assert_allclose(found, [[0, 0], [1.5, 2], [3, 4], [3, 6]])
+    assert sample(ELBOW[:1], 2.0).tolist() == [[0.0, 0.0]]
+
+
+def test_the_remaining_path_starts_at_the_position_and_drops_what_is_behind():
+    ahead = remaining_path(np.array([1.5, 2.1]), ELBOW)
+    assert ahead.tolist() == [[1.5, 2.1], [3.0, 4.0], [3.0, 6.0]]
+    last = remaining_path(np.array([3.1, 5.9]), ELBOW)
+    assert last.tolist() == [[3.1, 5.9], [3.0, 6.0]]
+    before = remaining_path(np.array([-1.0, 0.0]), ELBOW)
+    assert before.tolist() == [[-1.0, 0.0], [3.0, 4.0], [3.0, 6.0]]
+
+
+def test_repeated_and_single_waypoints_do_no_harm():
+    doubled = np.array([[0.0, 0.0], [0.0, 0.0], [1.0, 0.0]])
+    assert remaining_path(np.array([0.5, 0.0]), doubled).tolist() == [[0.5, 0.0], [1.0, 0.0]]
+    alone = remaining_path(np.array([1.0, 1.0]), np.array([[2.0, 2.0]]))
+    assert alone.tolist() == [[1.0, 1.0], [2.0, 2.0]]

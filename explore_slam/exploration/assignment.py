@@ -1,4 +1,8 @@
-"""Utility of targets (equations 8 and 9) and who goes to which (section V-C)."""
+"""Utility of targets (equations 8 and 9 of the paper) and assignment to vehicles (section V-C).
+
+The greedy assignment is that of W. Burgard et al., "Coordinated multi-robot exploration", IEEE
+Transactions on Robotics 21(3), 2005.
+"""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -7,8 +11,9 @@ from scipy.optimize import linear_sum_assignment
 from explore_slam.errors import ExplorationError
 from explore_slam.geometry import Array
 
-LOCAL_ROUNDS = 20
-UNREACHABLE = 1e6
+_MAXIMUM_ROUNDS = 20  # of local improvement; a bound that is hardly ever reached
+_UNREACHABLE = 1e6  # m; cost in place of infinity, and of a vehicle without a target
+_IMPROVEMENT = 1e-9  # m; smaller improvements are rounding
 
 
 def coverage_probability(distance: ArrayLike, max_range: float) -> Array:
@@ -18,7 +23,7 @@ def coverage_probability(distance: ArrayLike, max_range: float) -> Array:
 
 
 def utilities(targets: ArrayLike, taken: ArrayLike, max_range: float) -> Array:
-    """Return U (F,) of targets (F, 2) m given targets already taken (T, 2) m (equation 8)."""
+    """Return U (F,) of targets (F, 2) m, given targets (T, 2) m already taken (equation 8)."""
     points = np.asarray(targets, np.float64).reshape(-1, 2)
     others = np.asarray(taken, np.float64).reshape(-1, 2)
     distances = np.linalg.norm(points[:, None] - others[None], axis=2)
@@ -31,11 +36,11 @@ def assign_targets(
     max_range: float,
     travel_weight: float = 1.0,
 ) -> list[int]:
-    """Return the target of each vehicle, -1 for none: the paper's greedy choice.
+    """Return the target of each vehicle, -1 for none, by the greedy method of the paper.
 
-    costs (V, F), inf where a vehicle cannot go; targets (F, 2) m. Again and again the
-    pair with the best U - travel_weight * V is fixed and the utilities of the other targets are
-    lowered. Every vehicle gets a target of its own as long as there are enough.
+    costs (V, F): inf if unreachable. targets (F, 2) m.
+    The pair with the largest U - travel_weight * V is assigned and the utilities of the other
+    targets are lowered, until vehicles or targets run out.
     """
     matrix, points = _checked(costs, targets)
     chosen = [-1] * len(matrix)
@@ -54,6 +59,7 @@ def assign_targets(
 
 
 def _checked(costs: ArrayLike, targets: ArrayLike) -> tuple[Array, Array]:
+    """Return costs (V, F) and targets (F, 2); ExplorationError if they do not fit."""
     matrix, points = np.array(costs, np.float64), np.asarray(targets, np.float64).reshape(-1, 2)
     if matrix.ndim != 2 or matrix.shape[1] != len(points) or np.isnan(matrix).any():
         raise ExplorationError(
@@ -63,7 +69,7 @@ def _checked(costs: ArrayLike, targets: ArrayLike) -> tuple[Array, Array]:
 
 
 def assign_nearest(costs: ArrayLike) -> list[int]:
-    """Return for each vehicle the cheapest target, whatever the others do; -1 for none."""
+    """Return the cheapest target of each vehicle, whatever the others do; -1 for none."""
     matrix = np.asarray(costs, np.float64)
     if matrix.shape[1] == 0:
         return [-1] * len(matrix)
@@ -72,7 +78,7 @@ def assign_nearest(costs: ArrayLike) -> list[int]:
 
 
 def assign_random(costs: ArrayLike, generator: np.random.Generator) -> list[int]:
-    """Return for each vehicle a reachable target drawn evenly; -1 for none."""
+    """Return a reachable target of each vehicle, drawn uniformly; -1 for none."""
     chosen = []
     for row in np.asarray(costs, np.float64):
         reachable = np.flatnonzero(np.isfinite(row))
@@ -83,18 +89,18 @@ def assign_random(costs: ArrayLike, generator: np.random.Generator) -> list[int]
 def assign_jointly(
     costs: ArrayLike, targets: ArrayLike, max_range: float, overlap_weight: float
 ) -> list[int]:
-    """Return the targets that are best for the team: least travel plus overlap of what is seen.
+    """Return the target of each vehicle, -1 for none, with least travel and overlap of the team.
 
-    costs (V, F) m may hold bonuses. The team pays the sum of costs plus overlap_weight times the
-    coverage probability (equation 9) between every two targets. Started from the Hungarian method
-    and from the greedy choice, single vehicles change target as long as the sum falls; the better
-    of the two is returned.
+    The cost of the team is the sum of costs (V, F) m, plus overlap_weight times the coverage
+    probability (equation 9) between every two targets. From the assignment of the Hungarian method
+    (Kuhn, 1955) and from the greedy one, single vehicles change targets as long as the cost falls;
+    the cheaper result is returned.
     """
     matrix, points = _checked(costs, targets)
     if 0 in matrix.shape:
         return [-1] * len(matrix)
     blocked = ~np.isfinite(matrix)
-    filled = np.where(blocked, UNREACHABLE, matrix)
+    filled = np.where(blocked, _UNREACHABLE, matrix)
     overlap = overlap_weight * coverage_probability(
         np.linalg.norm(points[:, None] - points[None], axis=2), max_range
     )
@@ -105,7 +111,7 @@ def assign_jointly(
     greedy = np.array(assign_targets(matrix, points, max_range, weight), np.int64)
     results: list[tuple[float, list[int]]] = []
     for chosen in (hungarian, greedy):
-        for _ in range(LOCAL_ROUNDS):
+        for _ in range(_MAXIMUM_ROUNDS):
             if not _improve(chosen, filled, overlap):
                 break
         results.append((_team_cost(chosen, filled, overlap), chosen.tolist()))
@@ -113,16 +119,19 @@ def assign_jointly(
 
 
 def _team_cost(chosen: NDArray[np.int64], costs: Array, overlap: Array) -> float:
-    """Return what the team pays; a vehicle without a target costs as if it could not go."""
+    """Return the cost of the team; a vehicle without a target costs as an unreachable one."""
     given = np.flatnonzero(chosen >= 0)
     targets = chosen[given]
     shared = (overlap[np.ix_(targets, targets)].sum() - overlap[targets, targets].sum()) / 2.0
-    idle = (len(chosen) - len(given)) * UNREACHABLE
+    idle = (len(chosen) - len(given)) * _UNREACHABLE
     return float(costs[given, targets].sum() + shared + idle)
 
 
 def _improve(chosen: NDArray[np.int64], costs: Array, overlap: Array) -> bool:
-    """Move one vehicle at a time to the free target that is best given the others; in place."""
+    """Reassign one vehicle at a time to the free target that is cheapest given the others.
+
+    chosen (V,) is changed in place; return whether it was.
+    """
     changed = False
     for vehicle in range(len(chosen)):
         if chosen[vehicle] < 0:
@@ -131,7 +140,7 @@ def _improve(chosen: NDArray[np.int64], costs: Array, overlap: Array) -> bool:
         total = costs[vehicle] + overlap[:, others].sum(axis=1)
         total[others] = np.inf
         best = int(np.argmin(total))
-        if total[best] < total[chosen[vehicle]] - 1e-9:
+        if total[best] < total[chosen[vehicle]] - _IMPROVEMENT:
             chosen[vehicle] = best
             changed = True
     return changed

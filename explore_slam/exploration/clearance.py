@@ -1,4 +1,4 @@
-"""Distance to obstacles, and the cost map that vehicles of some width plan on."""
+"""Distance to obstacles, and the cost map on which vehicles plan."""
 
 import math
 from typing import Any, NamedTuple
@@ -7,20 +7,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.compiled import kernel
-from explore_slam.exploration.config import PathConfig
 from explore_slam.exploration.records import Grid
+from explore_slam.exploration.sections import PathConfig
 
-TIGHT = 20.0  # a cell that vehicle_radius does not clear costs so many times more on tight maps
-SQUEEZE = 2.0  # and where an obstacle touches, by so much more again: the middle of a gap is best
+# Design values
+_TIGHT_FACTOR = 20.0  # by which cells within planning_radius of an obstacle cost more
+_SQUEEZE = 2.0  # further increase towards the obstacle, so that the middle of a gap is cheapest
 
 
 class CostMap(NamedTuple):
-    """What paths are planned on: cost (H, W) per length, inf where impassable, and its sources.
+    """Cost (H, W) per length of travel, inf where impassable, and what it is made of.
 
-    tight_cost: the same, but cells between tight_radius and vehicle_radius of an obstacle are
-    passable at a high price: for a vehicle that is shut in by what it sees from where it is.
-    free: known cells (H, W) that are no obstacles, whether or not the vehicle fits in.
-    unknown: cells (H, W) never seen. squared: squared distance (H, W) to the next obstacle.
+    tight_cost: the same for trapped vehicles: cells between minimum_planning_radius and
+    planning_radius of an obstacle are passable at a high price.
+    free: known cells (H, W) that are not obstacles, whether or not a vehicle fits there.
+    unknown: cells (H, W) that have never been observed.
+    squared: squared distance (H, W) in cells to the nearest obstacle.
     """
 
     cost: NDArray[np.float32]
@@ -32,7 +34,7 @@ class CostMap(NamedTuple):
 
 @kernel
 def _nearest_along(line: NDArray[np.int32], col: int, limit: int) -> int:
-    """Return the least squared distance over the columns within the limit of one."""
+    """Return the smallest squared distance over the columns within a limit of one."""
     best = line[col] * line[col]
     reach = 1
     while reach <= limit and reach * reach < best:
@@ -46,11 +48,10 @@ def _nearest_along(line: NDArray[np.int32], col: int, limit: int) -> int:
 
 @kernel
 def squared_distance(obstacles: NDArray[np.bool_], limit: int) -> NDArray[np.int32]:
-    """Return the squared distance (H, W) in cells to the next obstacle, exact up to `limit` cells.
+    """Return the squared distance (H, W) to the nearest obstacle, exact up to `limit` cells.
 
-    Beyond the limit (limit + 1)² is returned. First along columns, then along rows within the
-    limit only, which is less work than the full transform; rows are skipped where no column
-    within the limit knows of an obstacle.
+    Beyond the limit (limit + 1)² is returned. Distances are computed along columns, then along
+    rows within the limit, which is less work than the full Euclidean distance transform.
     """
     height, width = obstacles.shape
     far = limit + 1
@@ -66,7 +67,7 @@ def squared_distance(obstacles: NDArray[np.bool_], limit: int) -> NDArray[np.int
     result = np.full((height, width), far * far, np.int32)
     for row in range(height):
         line, out = column[row], result[row]
-        last = -1  # columns before this one are done
+        last = -1  # the columns up to this one are done
         for at in range(width):
             if line[at] == far:
                 continue
@@ -80,7 +81,7 @@ def squared_distance(obstacles: NDArray[np.bool_], limit: int) -> NDArray[np.int
 def _classify(
     probability: NDArray[np.float32], known: NDArray[np.bool_], occ_max: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return which cells (H, W) are obstacles, free, unknown; a NaN that is known blocks."""
+    """Return which cells (H, W) are obstacles, free, unknown; known NaN is an obstacle."""
     obstacles = np.empty(known.shape, np.bool_)
     free = np.empty(known.shape, np.bool_)
     unknown = np.empty(known.shape, np.bool_)
@@ -103,7 +104,7 @@ def _charge(
     floor: float,
     scale: float,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return what free cells cost by the one and by the other factors; inf elsewhere."""
+    """Return the cost of free cells by the factors of either map; inf elsewhere."""
     cost = np.full(probability.shape, np.inf, np.float32)
     tight_cost = np.full(probability.shape, np.inf, np.float32)
     last = factors.size - 1
@@ -117,27 +118,28 @@ def _charge(
     return cost, tight_cost
 
 
-def make_cost_map(grid: Grid, config: PathConfig, *, paper_costs: bool = False) -> CostMap:
-    """Return the costs of the grid for the center of a vehicle.
+def make_cost_map(grid: Grid, config: PathConfig, *, probability_costs: bool = False) -> CostMap:
+    """Return the costs of a grid for the center of a vehicle.
 
-    Cells nearer than vehicle_radius to an obstacle are impassable. With paper_costs the rest costs
-    its probability; otherwise max(probability, cost_floor) / cost_floor, and more near obstacles.
+    Cells nearer to an obstacle than planning_radius are impassable. With probability_costs the
+    others cost their probability of occupation, as in the paper; otherwise
+    max(probability, cost_floor) / cost_floor, and more near obstacles.
     """
     probability, known = grid.probability(), grid.known()
     obstacles, free, unknown = _classify(probability, known, config.occ_max)
-    factors, tight = clearance_factors(config, grid.resolution, soft=not paper_costs)
+    factors, tight = clearance_factors(config, grid.resolution, soft=not probability_costs)
     limit = math.isqrt(factors.size) + 1
     squared = squared_distance(obstacles, limit)
-    floor = 0.0 if paper_costs else config.cost_floor
-    scale = 1.0 if paper_costs else 1.0 / config.cost_floor
+    floor = 0.0 if probability_costs else config.cost_floor
+    scale = 1.0 if probability_costs else 1.0 / config.cost_floor
     cost, tight_cost = _charge(probability, free, squared, factors, tight, floor, scale)
     return CostMap(cost, tight_cost, free, unknown, squared)
 
 
 def tight_factor(distances: NDArray[Any], radius: float) -> NDArray[np.float32]:
-    """Return by how much cells at these distances to an obstacle, below the radius, are dearer."""
+    """Return the factor on the cost of cells at distances below the radius from an obstacle."""
     nearness = 1.0 - np.asarray(distances, np.float32) / np.float32(radius)
-    return (TIGHT * (1.0 + SQUEEZE * nearness)).astype(np.float32)
+    return (_TIGHT_FACTOR * (1.0 + _SQUEEZE * nearness)).astype(np.float32)
 
 
 def clearance_factors(
@@ -145,9 +147,9 @@ def clearance_factors(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return factors on the cost by squared distance (cells) to an obstacle; the last is 1.
 
-    The first array has inf up to vehicle_radius, the second up to tight_radius only.
+    The first array is inf up to planning_radius, the second up to minimum_planning_radius.
     """
-    radius = config.vehicle_radius / resolution
+    radius = config.planning_radius / resolution
     reach = radius + (config.clearance_distance / resolution if soft else 0.0)
     distances = np.sqrt(np.arange(int(reach * reach) + 2))
     factors = np.ones(distances.size, np.float32)
@@ -157,7 +159,8 @@ def clearance_factors(
     tight = factors.copy()
     factors[distances <= radius] = np.inf
     tight[distances <= radius] *= tight_factor(distances[distances <= radius], radius)
-    tight[distances <= min(config.tight_radius, config.vehicle_radius) / resolution] = np.inf
+    smallest = min(config.minimum_planning_radius, config.planning_radius) / resolution
+    tight[distances <= smallest] = np.inf
     for array in (factors, tight):
         array[0], array[-1] = np.inf, 1.0
     return factors, tight

@@ -1,4 +1,4 @@
-"""Compiled loops of the search for frontiers."""
+"""Kernels of the search for frontiers."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,12 +7,12 @@ from explore_slam.compiled import kernel
 
 Mask = NDArray[np.bool_]
 Cells = NDArray[np.int64]
-ALONE = 2  # an unknown cell with fewer unknown cells among its 8 neighbors says nothing
+_MINIMUM_CLUSTER = 3  # unknown cells in a 3 x 3 window; fewer are gaps between far beams
 
 
 @kernel
-def _solid(unknown: Mask, row: int, col: int) -> bool:
-    """Tell whether a cell is unknown and not alone in that."""
+def _is_unexplored(unknown: Mask, row: int, col: int) -> bool:
+    """Return whether a cell is unknown, together with cells around it."""
     height, width = unknown.shape
     if not (0 <= row < height and 0 <= col < width) or not unknown[row, col]:
         return False
@@ -20,11 +20,12 @@ def _solid(unknown: Mask, row: int, col: int) -> bool:
     for r in range(max(0, row - 1), min(height, row + 2)):
         for c in range(max(0, col - 1), min(width, col + 2)):
             count += unknown[r, c]
-    return count > ALONE
+    return count >= _MINIMUM_CLUSTER
 
 
 @kernel
-def _edges(free: Mask, unknown: Mask) -> tuple[Mask, int]:
+def _frontier_cells(free: Mask, unknown: Mask) -> tuple[Mask, int]:
+    """Return the free cells (H, W) with an unexplored 4-neighbor, and their number."""
     height, width = free.shape
     edge = np.zeros((height, width), np.bool_)
     total = 0
@@ -33,10 +34,10 @@ def _edges(free: Mask, unknown: Mask) -> tuple[Mask, int]:
             if not free[row, col]:
                 continue
             if (
-                _solid(unknown, row - 1, col)
-                or _solid(unknown, row + 1, col)
-                or _solid(unknown, row, col - 1)
-                or _solid(unknown, row, col + 1)
+                _is_unexplored(unknown, row - 1, col)
+                or _is_unexplored(unknown, row + 1, col)
+                or _is_unexplored(unknown, row, col - 1)
+                or _is_unexplored(unknown, row, col + 1)
             ):
                 edge[row, col] = True
                 total += 1
@@ -45,9 +46,9 @@ def _edges(free: Mask, unknown: Mask) -> tuple[Mask, int]:
 
 @kernel
 def frontier_clusters(free: Mask, unknown: Mask) -> tuple[Cells, Cells]:
-    """Return the frontier cells (N, 2) cluster by cluster, and the length of each cluster."""
+    """Return the frontier cells (N, 2) cluster by cluster, and the size of each cluster."""
     height, width = free.shape
-    edge, total = _edges(free, unknown)
+    edge, total = _frontier_cells(free, unknown)
     cells = np.empty((total, 2), np.int64)
     lengths = np.empty(total, np.int64)
     clusters, filled = 0, 0
@@ -75,11 +76,13 @@ def frontier_clusters(free: Mask, unknown: Mask) -> tuple[Cells, Cells]:
 
 
 @kernel
-def _best_stand(stands: Mask, cells: Cells, first: int, last: int, row: float, col: float) -> int:
-    """Return which of some cells lies nearest to a place and can be stood on, -1 for none."""
+def _nearest_viewpoint(
+    viewpoints: Mask, cells: Cells, first: int, last: int, row: float, col: float
+) -> int:
+    """Return which of the cells first to last is the viewpoint nearest to a place, or -1."""
     best, found = np.inf, -1
     for i in range(first, last):
-        if stands[cells[i, 0], cells[i, 1]]:
+        if viewpoints[cells[i, 0], cells[i, 1]]:
             distance = (cells[i, 0] - row) ** 2 + (cells[i, 1] - col) ** 2
             if distance < best:
                 best, found = distance, i
@@ -104,17 +107,17 @@ def _grow(
 
 
 @kernel
-def nearest_stand(
-    free: Mask, stands: Mask, marks: NDArray[np.int32], mark: int, cells: Cells, reach: int
+def find_viewpoint(
+    free: Mask, viewpoints: Mask, marks: NDArray[np.int32], mark: int, cells: Cells, reach: int
 ) -> tuple[int, int]:
-    """Return the cell to stand on: of the cluster, nearest to its center, else the nearest one.
+    """Return the viewpoint of a cluster (N, 2): in it, nearest to its center, or else near it.
 
-    The search spreads from the cluster over free cells (so never through a wall), up to `reach`
-    steps; (-1, -1) if a vehicle fits nowhere there. marks (H, W) must not hold mark yet.
+    The search spreads from the cluster over free cells, so never through a wall, up to `reach`
+    steps; (-1, -1) if there is no viewpoint. marks (H, W) must not contain mark.
     """
     row, col = cells[:, 0].mean(), cells[:, 1].mean()
     count = cells.shape[0]
-    found = _best_stand(stands, cells, 0, count, row, col)
+    found = _nearest_viewpoint(viewpoints, cells, 0, count, row, col)
     if found >= 0:
         return cells[found, 0], cells[found, 1]
     queue = np.empty((count + 4 * (reach + 1) * (reach + count), 2), np.int64)
@@ -126,7 +129,7 @@ def nearest_stand(
         fresh = end
         for at in range(start, fresh):
             end = _grow(free, marks, mark, queue, at, end)
-        found = _best_stand(stands, queue, fresh, end, row, col)
+        found = _nearest_viewpoint(viewpoints, queue, fresh, end, row, col)
         if found >= 0:
             return queue[found, 0], queue[found, 1]
         start = fresh
@@ -137,9 +140,9 @@ def nearest_stand(
 def pocket_size(
     unknown: Mask, marks: NDArray[np.int32], mark: int, cells: Cells, limit: int
 ) -> tuple[int, float, float]:
-    """Return the number of unknown cells that hang together behind a frontier, and their middle.
+    """Return the number of connected unknown cells behind a frontier, and their center.
 
-    Counted up to a limit, nearest first; the middle (row, col) is of those that were counted.
+    Counted up to a limit, nearest first; the center (row, col) is of those that were counted.
     """
     queue = np.empty((limit + 4, 2), np.int64)
     end = 0
@@ -147,7 +150,7 @@ def pocket_size(
         for k in range(4):
             row = cells[i, 0] + (k == 0) - (k == 1)
             col = cells[i, 1] + (k == 2) - (k == 3)
-            if end < limit and _solid(unknown, row, col) and marks[row, col] != mark:
+            if end < limit and _is_unexplored(unknown, row, col) and marks[row, col] != mark:
                 marks[row, col] = mark
                 queue[end, 0], queue[end, 1] = row, col
                 end += 1
@@ -162,7 +165,7 @@ def pocket_size(
 
 @kernel
 def visible_unknown(free: Mask, unknown: Mask, row: int, col: int, reach: int, rays: int) -> float:
-    """Estimate the unknown area (cells) in sight of a cell: rays up to `reach` or an obstacle."""
+    """Return the unknown area (cells) in sight of a cell, by rays up to `reach` or an obstacle."""
     height, width = unknown.shape
     area = 0.0
     wedge = 2.0 * np.pi / rays

@@ -1,42 +1,47 @@
-"""Frontiers: stretches of free cells beside unknown ones, and the place from which to look in.
+"""Frontiers: clusters of free cells beside unknown ones, with viewpoints.
 
-A frontier cell is a known free cell with an unknown neighbor (4-neighborhood); unknown cells that
-stand alone, as between far beams, do not count. Cells that touch (8-neighborhood) are one cluster;
-long clusters are split along their main direction, short ones and those with little to see are
-dropped. The target of a frontier is a cell where a vehicle fits: in the cluster, or near it.
+B. Yamauchi, "A frontier-based approach for autonomous exploration", CIRA 1997. A frontier cell is
+a known free cell with an unknown neighbor (4-neighborhood); isolated unknown cells, as between far
+beams, do not count. Connected frontier cells (8-neighborhood) are one cluster. Long clusters are
+split along their main direction; short ones, and those with little unknown area behind them, are
+dropped. The target of a frontier is a viewpoint: a cell in or near it where a vehicle fits.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.exploration.clearance import CostMap, make_cost_map
-from explore_slam.exploration.config import ExplorationConfig, FrontierConfig
+from explore_slam.exploration.config import ExplorationConfig
 from explore_slam.exploration.frontier_kernels import (
+    find_viewpoint,
     frontier_clusters,
-    nearest_stand,
     pocket_size,
     visible_unknown,
 )
-from explore_slam.exploration.records import Frontier, Grid
+from explore_slam.exploration.records import Cell, Frontier, Grid
+from explore_slam.exploration.sections import FrontierConfig
 from explore_slam.geometry import Array
 
-RAYS = 40
-NARROW = 0.6  # of that where no vehicle fits through the frontier itself
-POCKET = 6.0  # m²: unknown areas that are smaller than this are measured, not estimated
+# Design values
+_RAYS = 40  # by which the unknown area in sight of a viewpoint is estimated
+_NARROW_FACTOR = 0.6  # on the gain of a frontier through which no vehicle fits
+_POCKET_AREA = 6.0  # m²; smaller unknown areas are measured instead of estimated
 
 
 def expected_area(unknown: float, reach: float) -> float:
-    """Return the free area (m²) that comes to light where rays cross an unknown area (m²).
+    """Return the free area (m²) that is expected to be seen, given the unknown area (m²) in sight.
 
-    Walls and what lies behind them are unknown too, so the less is unknown all around, the
-    smaller the share that proves to be free. Fitted to 4320 frontiers of an office building
-    (mean of the new reachable area seen from their targets).
+    reach: range of the sensor (m).
+    Walls and what lies behind them are unknown too: the smaller the unknown part of the view, the
+    smaller the fraction of it that proves free. The coefficients were fitted to 4320 frontiers of
+    an office building (mean of the new reachable area seen from their targets).
     """
-    full = math.pi * reach * reach
-    share = unknown / full
-    return full * min(0.44 * share * share, 0.15 * share)
+    view = math.pi * reach * reach
+    fraction = unknown / view
+    return view * min(0.44 * fraction * fraction, 0.15 * fraction)
 
 
 def find_frontiers(
@@ -45,93 +50,113 @@ def find_frontiers(
     cost_map: CostMap | None = None,
     reachable: NDArray[np.bool_] | None = None,
 ) -> list[Frontier]:
-    """Return the frontiers of a grid that a vehicle can look into, in the order of their cells.
+    """Return the frontiers of a grid that have a viewpoint, in the order of their cells.
 
-    cost_map: as made by make_cost_map, if at hand. reachable (H, W): cells that some vehicle can
-    get to; without it every cell where a vehicle fits counts.
+    cost_map: by default that of make_cost_map.
+    reachable (H, W): cells that some vehicle can get to; by default all cells where one fits.
     """
     settings = config or ExplorationConfig()
     if 0 in grid.shape:
         return []
     costs = cost_map or make_cost_map(grid, settings.paths)
-    stands = np.isfinite(costs.cost) if reachable is None else reachable
-    return _frontiers_of(grid, settings.frontiers, costs, stands)
+    viewpoints = np.isfinite(costs.cost) if reachable is None else reachable
+    return _frontiers_of(grid, settings.frontiers, costs, viewpoints)
+
+
+class _Candidate(NamedTuple):
+    """A piece of a cluster: cells (N, 2), viewpoint, center of what is behind it, gain (m²)."""
+
+    cells: NDArray[np.int64]
+    viewpoint: Cell
+    behind: tuple[float, float]
+    gain: float
 
 
 def _frontiers_of(
-    grid: Grid, config: FrontierConfig, costs: CostMap, stands: NDArray[np.bool_]
+    grid: Grid, config: FrontierConfig, costs: CostMap, viewpoints: NDArray[np.bool_]
 ) -> list[Frontier]:
     cells, lengths = frontier_clusters(costs.free, costs.unknown)
     scale = grid.resolution
     smallest = max(1, round(config.min_frontier_size / scale))
     largest = max(1, round(config.max_frontier_size / scale))
-    reach = round(config.frontier_reach / scale)
-    sensor, area = int(config.sensor_range / scale), scale * scale
-    limit = round(POCKET / area)
     marks = np.zeros(costs.free.shape, np.int32)
-    parts: list[NDArray[np.int64]] = []
-    places: list[tuple[int, int]] = []
-    middles: list[tuple[float, float]] = []
-    gains: list[float] = []
+    candidates: list[_Candidate] = []
     end, mark = 0, 1
     for length in lengths.tolist():
         start, end = end, end + length
         if length < smallest:
             continue
         for part in _split(cells[start:end], largest):
-            mark += 2
-            row, col = nearest_stand(costs.free, stands, marks, mark, part, reach)
-            if row < 0:
-                continue
-            pocket, *middle = pocket_size(costs.unknown, marks, mark + 1, part, limit)
-            if pocket * area < config.min_frontier_gain:
-                continue
-            gain = area * pocket
-            if pocket >= limit:
-                # What is seen from the stand is a rough guess: it ranks a frontier, it drops none.
-                seen = visible_unknown(costs.free, costs.unknown, row, col, sensor, RAYS)
-                gain = expected_area(area * seen, config.sensor_range)
-                if not stands[part[:, 0], part[:, 1]].any():
-                    gain *= NARROW
-                    if gain < config.min_frontier_gain:
-                        continue  # a crack: nobody gets through, and nothing is seen of it
-                gain = max(gain, config.min_frontier_gain)
-            parts.append(part)
-            places.append((row, col))
-            middles.append((middle[0], middle[1]))
-            gains.append(gain)
-    return _records(grid, parts, places, middles, gains)
+            mark += 2  # one for each of the two searches
+            candidate = _candidate(part, scale, config, costs, viewpoints, marks, mark)
+            if candidate is not None:
+                candidates.append(candidate)
+    return _records(grid, candidates)
 
 
-def _records(
-    grid: Grid,
-    parts: list[NDArray[np.int64]],
-    places: list[tuple[int, int]],
-    middles: list[tuple[float, float]],
-    gains: list[float],
-) -> list[Frontier]:
-    if not parts:
+def _candidate(
+    part: NDArray[np.int64],
+    scale: float,
+    config: FrontierConfig,
+    costs: CostMap,
+    viewpoints: NDArray[np.bool_],
+    marks: NDArray[np.int32],
+    mark: int,
+) -> _Candidate | None:
+    """Return viewpoint and gain of a piece of a cluster (N, 2), None if it is not worth a visit.
+
+    scale: side of a cell (m). marks (H, W): scratch, without the values mark and mark + 1.
+    """
+    area = scale * scale
+    reach = round(config.viewpoint_distance / scale)
+    row, col = find_viewpoint(costs.free, viewpoints, marks, mark, part, reach)
+    if row < 0:
+        return None
+    limit = round(_POCKET_AREA / area)
+    pocket, *behind = pocket_size(costs.unknown, marks, mark + 1, part, limit)
+    gain = area * pocket
+    if gain < config.min_frontier_gain:
+        return None
+    if pocket >= limit:
+        # The area in sight of the viewpoint is a rough estimate: it ranks frontiers, and drops
+        # only narrow ones, through which no vehicle fits.
+        sensor = int(config.sensor_range / scale)
+        seen = visible_unknown(costs.free, costs.unknown, row, col, sensor, _RAYS)
+        gain = expected_area(area * seen, config.sensor_range)
+        if not viewpoints[part[:, 0], part[:, 1]].any():
+            gain *= _NARROW_FACTOR
+            if gain < config.min_frontier_gain:
+                return None
+        gain = max(gain, config.min_frontier_gain)
+    return _Candidate(part, (row, col), (behind[0], behind[1]), gain)
+
+
+def _records(grid: Grid, candidates: list[_Candidate]) -> list[Frontier]:
+    """Return the frontiers with their places in metres."""
+    if not candidates:
         return []
-    points = grid.to_point(np.array(places)).tolist()
+    points = grid.to_point(np.array([item.viewpoint for item in candidates])).tolist()
     scale, (x, y) = grid.resolution, grid.origin
-    lengths = np.array([len(part) for part in parts])
+    lengths = np.array([len(item.cells) for item in candidates])
     starts = np.concatenate([[0], np.cumsum(lengths)[:-1]])
-    means = (np.add.reduceat(np.concatenate(parts), starts) / lengths[:, None]).tolist()
+    sums = np.add.reduceat(np.concatenate([item.cells for item in candidates]), starts)
     frontiers = []
-    for i, part in enumerate(parts):
-        row, col = means[i]
+    for item, (row, col), (px, py) in zip(
+        candidates, (sums / lengths[:, None]).tolist(), points, strict=True
+    ):
         centroid = (x + (col + 0.5) * scale, y + (row + 0.5) * scale)
-        look_at = (x + (middles[i][1] + 0.5) * scale, y + (middles[i][0] + 0.5) * scale)
-        cell = (int(places[i][0]), int(places[i][1]))
-        target = (points[i][0], points[i][1])
+        behind_row, behind_col = item.behind
+        look_at = (x + (behind_col + 0.5) * scale, y + (behind_row + 0.5) * scale)
+        viewpoint = (int(item.viewpoint[0]), int(item.viewpoint[1]))
+        size = len(item.cells) * scale
         frontiers.append(
-            Frontier(part, centroid, target, cell, len(part) * scale, gains[i], look_at)
+            Frontier(item.cells, centroid, (px, py), viewpoint, size, item.gain, look_at)
         )
     return frontiers
 
 
 def _split(cells: NDArray[np.int64], largest: int) -> list[NDArray[np.int64]]:
-    """Cut a cluster across its main direction into pieces of about equal length."""
+    """Cut a cluster (N, 2) across its main direction into pieces of about equal size."""
     pieces = math.ceil(len(cells) / largest)
     if pieces == 1:
         return [cells]

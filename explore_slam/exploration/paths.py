@@ -1,4 +1,8 @@
-"""Shortest paths by A* on the costs of the value iteration, and their smoothing."""
+"""Cheapest paths by A* on the costs of the value iteration, and their smoothing.
+
+P. Hart, N. Nilsson and B. Raphael, "A formal basis for the heuristic determination of minimum cost
+paths", IEEE Transactions on Systems Science and Cybernetics 4(2), 1968.
+"""
 
 import math
 
@@ -10,6 +14,12 @@ from explore_slam.exploration.records import Cell
 from explore_slam.exploration.value_iteration import check_cell, check_costs, padded_costs
 from explore_slam.geometry import Array
 
+# A straight piece of a smoothed path may cost this much more than the cells it replaces, for
+# fewer corners; a design value.
+_STRAIGHT_FACTOR = 1.02
+_ROUNDING = 1e-6
+_INITIAL_CAPACITY = 1024  # entries of the open list
+
 
 def plan_path(
     probability: ArrayLike,
@@ -20,9 +30,9 @@ def plan_path(
 ) -> tuple[NDArray[np.int64], float]:
     """Return the cells (L, 2) of the cheapest path from start to goal (row, col), and its cost.
 
-    The costs are those of travel_cost, so the cost returned is V of the goal. A goal that cannot
-    be reached gives no cells and an infinite cost; a start or goal outside of the grid or in an
-    impassable cell is an ExplorationError.
+    The costs are those of travel_cost, so that the cost returned is V of the goal. If the goal
+    cannot be reached, there are no cells and the cost is infinite. ExplorationError for a start or
+    goal that is outside of the grid or in an impassable cell.
     """
     padded = padded_costs(check_costs(probability), occ_max)
     row, col = check_cell(padded, 'start', start)
@@ -44,6 +54,7 @@ def search_path(
 
 @kernel
 def _lowest(cost: NDArray[np.float32]) -> float:
+    """Return the smallest cost."""
     low = np.inf
     for value in cost:
         low = min(low, value)
@@ -52,13 +63,15 @@ def _lowest(cost: NDArray[np.float32]) -> float:
 
 @kernel
 def _bound(cell: int, goal_row: int, goal_col: int, stride: int, lowest: float) -> float:
+    """Return a lower bound of the cost to the goal: octile distance over the cheapest cells."""
     dr, dc = abs(cell // stride - goal_row), abs(cell % stride - goal_col)
-    # A hair less than the true bound, so that rounding never makes it inconsistent.
+    # slightly below the true bound, so that rounding never makes it inconsistent
     return lowest * (max(dr, dc) + (math.sqrt(2.0) - 1.0) * min(dr, dc)) * (1.0 - 1e-9)
 
 
 @kernel
 def _push(keys: Array, items: NDArray[np.int64], size: int, key: float, item: int) -> None:
+    """Insert an item into a binary heap of a size; the smallest key is first."""
     at = size
     while at > 0:
         up = (at - 1) >> 1
@@ -70,8 +83,8 @@ def _push(keys: Array, items: NDArray[np.int64], size: int, key: float, item: in
 
 
 @kernel
-def _sift(keys: Array, items: NDArray[np.int64], size: int) -> None:
-    """Restore the heap after its first entry was taken: the last one goes down from the top."""
+def _remove_first(keys: Array, items: NDArray[np.int64], size: int) -> None:
+    """Replace the first entry of a binary heap by the last one, at index size, and restore it."""
     key, item = keys[size], items[size]
     at = 0
     while True:
@@ -91,6 +104,7 @@ def _sift(keys: Array, items: NDArray[np.int64], size: int) -> None:
 def _a_star(
     cost: NDArray[np.float32], stride: int, start: int, goal: int, lowest: float
 ) -> tuple[NDArray[np.int64], float]:
+    """Return the flat indices of the cells from start to goal, and the cost; see plan_path."""
     offsets = np.array(
         [-1, 1, -stride, stride, -stride - 1, -stride + 1, stride - 1, stride + 1], np.int64
     )
@@ -99,14 +113,14 @@ def _a_star(
     values = np.full(cost.size, np.inf)
     came = np.full(cost.size, -1, np.int8)
     closed = np.zeros(cost.size, np.bool_)
-    keys, items = np.empty(1024), np.empty(1024, np.int64)
+    keys, items = np.empty(_INITIAL_CAPACITY), np.empty(_INITIAL_CAPACITY, np.int64)
     size = 1
     keys[0], items[0] = 0.0, start
     values[start] = 0.0
     while size > 0:
         cell = items[0]
         size -= 1
-        _sift(keys, items, size)
+        _remove_first(keys, items, size)
         if closed[cell]:
             continue
         closed[cell] = True
@@ -136,7 +150,7 @@ def _a_star(
 def _trace(
     came: NDArray[np.int8], offsets: NDArray[np.int64], start: int, goal: int
 ) -> NDArray[np.int64]:
-    """Follow the moves that led to the goal back to the start; return the cells in order."""
+    """Return the cells from start to goal, by the moves that led to each cell."""
     cells = [goal]
     while cells[-1] != start:
         cells.append(cells[-1] - offsets[came[cells[-1]]])
@@ -150,7 +164,7 @@ def _trace(
 def _straight_cost(
     cost: NDArray[np.float32], row_a: int, col_a: int, row_b: int, col_b: int
 ) -> float:
-    """Integrate the cost along the line between two cell centers; inf through a blocked cell."""
+    """Return the cost along the line between two cell centers; inf through a blocked cell."""
     dr, dc = row_b - row_a, col_b - col_a
     length = math.sqrt(dr * dr + dc * dc)
     samples = max(1, math.ceil(length * 2.0))
@@ -167,10 +181,12 @@ def _straight_cost(
 
 @kernel
 def shortcut(cost: NDArray[np.float32], cells: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the corners (W, 2) of a smoother path: straight where that costs no more.
+    """Return the corners (W, 2) of a smoother path: straight where that costs hardly more.
 
-    cost (H, W) with inf for blocked cells; cells (L, 2) neighbors in a row. Each piece reaches as
-    far as a straight line is passable and costs at most 2 % more than the cells it replaces.
+    cost: (H, W), inf for blocked cells.
+    cells: (L, 2), a path of neighboring cells.
+    Each straight piece extends as far as it is passable and costs at most 2 % more than the cells
+    it replaces; its end is found by doubling and bisection.
     """
     count = cells.shape[0]
     along = np.zeros(count)
@@ -188,7 +204,7 @@ def shortcut(cost: NDArray[np.float32], cells: NDArray[np.int64]) -> NDArray[np.
             straight = _straight_cost(
                 cost, cells[at, 0], cells[at, 1], cells[ahead, 0], cells[ahead, 1]
             )
-            if straight <= (along[ahead] - along[at]) * 1.02 + 1e-6:
+            if straight <= (along[ahead] - along[at]) * _STRAIGHT_FACTOR + _ROUNDING:
                 best = ahead
                 if ahead == count - 1:
                     break
@@ -201,7 +217,7 @@ def shortcut(cost: NDArray[np.float32], cells: NDArray[np.int64]) -> NDArray[np.
             straight = _straight_cost(
                 cost, cells[at, 0], cells[at, 1], cells[middle, 0], cells[middle, 1]
             )
-            if straight <= (along[middle] - along[at]) * 1.02 + 1e-6:
+            if straight <= (along[middle] - along[at]) * _STRAIGHT_FACTOR + _ROUNDING:
                 low = middle
             else:
                 high = middle

@@ -1,17 +1,26 @@
-"""The stateful planner: frontiers, costs, assignment, paths and right of way, cycle by cycle."""
+"""The planner: frontiers, travel costs, assignment, paths and right of way, cycle by cycle.
 
-import itertools
+One cycle of exploration, as `Planner.plan` runs it:
+
+1. Record where the vehicles are, and which keep-out zones and blacklisted targets still apply.
+2. Find the frontiers that some vehicle can reach (Scene, find_frontiers).
+3. Compute the travel costs, and assign frontiers to vehicles by the strategy that is set.
+4. Continue the present path of each vehicle if it still leads there, or plan a new one.
+5. Grant rights of way, and turn paths into plans (Traffic, plan_for).
+"""
+
 import logging
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 
 from explore_slam.data import Plan
 from explore_slam.exploration.blacklist import Blacklist
-from explore_slam.exploration.choice import Chooser
 from explore_slam.exploration.config import ExplorationConfig
 from explore_slam.exploration.frontiers import find_frontiers
+from explore_slam.exploration.keep_out import KeepOutZones
+from explore_slam.exploration.progress import BlockageCounter, Progress
 from explore_slam.exploration.records import (
     Cell,
     ExplorationStatus,
@@ -23,89 +32,56 @@ from explore_slam.exploration.records import (
     VehicleSnapshot,
 )
 from explore_slam.exploration.scene import Scene
-from explore_slam.exploration.tasks import SAME_PLACE, Task, plan_by
-from explore_slam.exploration.traffic import (
-    Right,
-    Traffic,
-    Traveler,
-    remaining_path,
-)
+from explore_slam.exploration.strategies import STRATEGIES, Situation
+from explore_slam.exploration.tasks import Task, plan_for
+from explore_slam.exploration.traffic import Right, Traffic, Traveler
+from explore_slam.exploration.vehicle_history import VehicleHistory
 from explore_slam.geometry import Array, Pose2
-from explore_slam.polyline import arc_lengths, points_at
+from explore_slam.polyline import arc_lengths, points_at, remaining_path
 
-LOGGER = logging.getLogger(__name__)
-FOLLOWS = 2.0  # m: a frontier whose target moved by no more is the same frontier, receding
-ARRIVALS = 3  # plannings at a target after which it has nothing new to show
-NEAR = 2.0  # m: a vehicle that is blocked this near to its target has failed to reach it
-BLOCKINGS = 3  # so many times blocked on the way mean the same
-BAR_AHEAD, BAR_TIME = 0.5, 60.0  # m, s: what is barred when blocked on the way, how long
-SHUT_IN, UNBARRINGS = 2.0, 5  # m: bars this near to one who is shut in are dropped so often
-ELSEWHERE = 8.0  # m: so far from there it is counted anew
-WALL, WALL_STEP = 1.0, 0.3  # m: places barred for good so near to each other are one wall
-BAR_TRAFFIC = 1.5  # m: with another vehicle this near it was that vehicle that was in the way
-TRAIL = 300  # places where a vehicle has been that are remembered
-JUMP = 3.0  # m between two plannings: the pose was corrected, the trail means nothing any more
+logger = logging.getLogger(__name__)
+
+# Design values
+_SAME_FRONTIER = 2.0  # m; a frontier whose target has moved by no more is the same, receding
+_NEAR_TARGET = 2.0  # m; a vehicle that is blocked this near to its target has failed to reach it
+_KEEP_OUT_AHEAD = 0.5  # m along the path from where a vehicle is blocked to its keep-out zone
 
 
 class Planner:
-    """Decides where each vehicle goes next; keeps goals, plans and failures between cycles."""
+    """Decides where each vehicle goes next; keeps tasks and failures between cycles."""
 
     def __init__(self, config: ExplorationConfig | None = None) -> None:
         self.config = config or ExplorationConfig()
-        self._tasks: dict[str, Task] = {}
-        self._homes: dict[str, Pose2] = {}
-        self._blacklist = Blacklist(self.config.blacklist)
+        self._strategy = STRATEGIES[self.config.strategy].create(
+            self.config.assignment, self.config.frontiers.sensor_range
+        )
         self._traffic = Traffic(self.config.traffic)
-        self._retreats: dict[str, Plan] = {}
-        self._chooser = Chooser(self.config)
-        self._failed: list[tuple[Point, bool]] = []
-        self._trails: dict[str, list[Point]] = {}
-        self._bars: list[tuple[Point, float]] = []
-        self._dropped: list[tuple[Point, float]] = []
-        self._blockings: dict[str, int] = {}
-        self._unbarred: dict[str, tuple[int, Point]] = {}
-        self._poses: dict[str, Pose2] = {}
-        self._empty = 0
-        self._cycles = 0
+        self._blacklist = Blacklist(self.config.blacklist)
+        self._keep_out = KeepOutZones()
+        self._blockages = BlockageCounter()
+        self._history = VehicleHistory()
+        self._tasks: dict[str, Task] = {}
+        self._retreats: dict[str, Plan] = {}  # plans of vehicles that retreat, by name
+        self._searches = 0
+        self._empty_searches = 0  # without a target, since the last one with a target
 
     def report_blocked(self, vehicle: str, goal: Pose2 | Point, now: float) -> None:
-        """Take note that a vehicle cannot get on towards its goal.
+        """Report that a vehicle cannot proceed towards its goal (m) at a time (s).
 
-        Near the goal, or after several times on the way, the target has failed. Farther away it is
-        the place just ahead that is barred for a while, so that another way is tried.
+        Near the target, or after several blockages on the way, the target has failed. In any case
+        the place just ahead becomes a keep-out zone, so that another path is tried.
         """
-        LOGGER.info('%s is blocked on its way to (%.2f, %.2f) at %.1f s', vehicle, *goal[:2], now)
-        task, pose = self._tasks.pop(vehicle, None), self._poses.get(vehicle)
+        logger.info('%s is blocked on its way to (%.2f, %.2f) at %.1f s', vehicle, *goal[:2], now)
+        task, pose = self._tasks.pop(vehicle, None), self._history.poses.get(vehicle)
         target = task.target if task else (float(goal[0]), float(goal[1]))
-        count = self._blockings[vehicle] = self._blockings.get(vehicle, 0) + 1
-        far = pose is not None and math.dist(pose[:2], target) > NEAR
-        if task is None or pose is None or not far or count >= BLOCKINGS:
-            self._failed.append((target, False))
-            self._blockings[vehicle] = 0
+        near = task is None or pose is None or math.dist(pose[:2], target) <= _NEAR_TARGET
+        if self._blockages.add(vehicle, near_target=near):
+            self._blacklist.report(target)
         if task is not None and pose is not None:
             ahead = remaining_path(np.array(pose[:2]), task.path)
-            x, y = points_at(ahead, arc_lengths(ahead), np.array([BAR_AHEAD]))[0].tolist()
-            self._bar(vehicle, (x, y), now)
-
-    def _bar(self, vehicle: str, place: Point, now: float) -> None:
-        """Bar a place for a while, and for good when it is the second time; not for a vehicle."""
-        others = (pose for name, pose in self._poses.items() if name != vehicle)
-        if any(math.dist(pose[:2], place) < BAR_TRAFFIC for pose in others):
-            return
-        again = any(math.dist(bar, place) < SAME_PLACE for bar, _ in self._bars + self._dropped)
-        self._bars.append((place, math.inf if again else now + BAR_TIME))
-
-    def _barred(self) -> list[Point]:
-        """Return all barred places; between two that stay barred there is a wall, say glass."""
-        places = [place for place, _ in self._bars]
-        walls = [place for place, until in self._bars if math.isinf(until)]
-        for first, second in itertools.combinations(walls, 2):
-            length = math.dist(first, second)
-            if length <= WALL:
-                shares = np.arange(WALL_STEP, length, WALL_STEP) / length
-                between = np.array(first) + shares[:, None] * (np.array(second) - first)
-                places += [(x, y) for x, y in between.tolist()]
-        return places
+            x, y = points_at(ahead, arc_lengths(ahead), np.array([_KEEP_OUT_AHEAD]))[0].tolist()
+            others = [self._history.position(n) for n in self._history.poses if n != vehicle]
+            self._keep_out.add((x, y), now, others)
 
     def plan(
         self,
@@ -114,156 +90,141 @@ class Planner:
         vehicles: Mapping[str, VehicleSnapshot],
         mode: PlanningMode | str = PlanningMode.EXPLORE,
     ) -> PlanningResult:
-        """Run one planning cycle at time `now` (s); see PlanningResult."""
+        """Run one planning cycle at a time (s); see PlanningResult."""
         wanted = PlanningMode(mode)
-        self._follow(vehicles)
-        self._dropped += [bar for bar in self._bars if now >= bar[1]]
-        self._bars = [bar for bar in self._bars if now < bar[1]]
+        self._history.update(vehicles)
+        self._keep_out.expire(now)
         if wanted is PlanningMode.PAUSED:
             return PlanningResult(ExplorationStatus.PAUSED, 'paused', searched=False)
         if 0 in grid.shape:
             return self._cannot_search('the map is empty')
-        scene = Scene(grid, now, self.config, vehicles, self._trails, self._barred())
+        scene = Scene(
+            grid, now, self.config, vehicles, self._history.trails, self._keep_out.places()
+        )
         if not scene.vehicles:
             return self._cannot_search('no vehicle with a valid pose')
         if not scene.starts:
-            return self._cannot_search('no vehicle stands on or near a free cell of the map')
-        self._cycles += 1
-        self._blacklist.refresh(grid, scene.costs.free)
-        for place, final in self._failed:
-            self._blacklist.add(place, now, grid, scene.costs.free, final=final)
-        self._failed.clear()
+            return self._cannot_search('no vehicle is on or near a free cell of the map')
+        self._searches += 1
+        self._blacklist.update(now, grid, scene.costs.free)
         if wanted is PlanningMode.RETURN_HOME:
             return self._go_home(scene, ())
         return self._explore(scene)
 
-    def _follow(self, vehicles: Mapping[str, VehicleSnapshot]) -> None:
-        """Remember where vehicles are, have been and are at home."""
-        for name, snapshot in vehicles.items():
-            pose = snapshot.pose
-            if not pose.is_finite():
-                continue
-            self._homes.setdefault(name, snapshot.home or pose)
-            self._poses[name] = pose
-            trail = self._trails.setdefault(name, [])
-            if trail and math.dist(trail[-1], pose[:2]) > JUMP:
-                trail.clear()
-            if not trail or math.dist(trail[-1], pose[:2]) > 0.05:
-                trail.append((pose.x, pose.y))
-            del trail[:-TRAIL]
-
     def _cannot_search(self, reason: str) -> PlanningResult:
-        """Keep all plans as they are; this is neither an empty search nor the end."""
+        """Keep all plans in force; this is neither an empty search nor the end."""
         plans = {name: task.sent for name, task in self._tasks.items() if task.sent}
         text = f'cannot search now: {reason}'
         return PlanningResult(ExplorationStatus.PAUSED, text, plans, searched=False)
 
     def _explore(self, scene: Scene) -> PlanningResult:
+        """Assign frontiers; without any, retry what is blocked before exploration is complete."""
         found = find_frontiers(scene.grid, self.config, scene.costs, scene.reachable())
-        if self._widen_shut_in(scene, found):
+        if self._release_trapped(scene, found):
             found = find_frontiers(scene.grid, self.config, scene.costs, scene.reachable())
-        open_now = [f for f in found if not self._blacklist.blocks(f.target, scene.now)]
-        if not open_now:
-            open_now = [f for f in found if not self._blacklist.gave_up(f.target)]
-        if open_now:
-            self._empty = 0
-            return self._assign(scene, open_now)
-        passing = [bar for bar in self._bars if math.isfinite(bar[1])]
-        if passing:
-            # What is barred may be the only way on: that is no reason to call it done.
-            self._bars = [bar for bar in self._bars if bar not in passing]
-            self._dropped += passing
-            reason = 'no target beside barred places, which are tried again'
-            return self._finish(scene, ExplorationStatus.IN_PROGRESS, reason, {}, {}, tuple(found))
-        if not found and self._unbar(scene.starts):
-            reason = 'no target beside barred places, which are tried once more'
-            return self._finish(scene, ExplorationStatus.IN_PROGRESS, reason, {}, {}, tuple(found))
-        self._empty += 1
-        if self._empty < self.config.empty_searches:
-            reason = f'no target in search {self._empty} of {self.config.empty_searches}'
-            return self._finish(scene, ExplorationStatus.IN_PROGRESS, reason, {}, {}, tuple(found))
+        candidates = [f for f in found if not self._blacklist.blocks(f.target, scene.now)]
+        if not candidates:
+            candidates = [f for f in found if not self._blacklist.gave_up(f.target)]
+        if candidates:
+            self._empty_searches = 0
+            return self._assign(scene, candidates)
+        frontiers = tuple(found)
+        if self._keep_out.release_temporary():
+            # a keep-out zone may close the only way to the rest
+            reason = 'no target outside keep-out zones, which are released'
+            return self._conclude(scene, ExplorationStatus.IN_PROGRESS, reason, frontiers)
+        if not found and self._release_keep_out(list(scene.starts)):
+            reason = 'no target outside permanent keep-out zones; those near by are released'
+            return self._conclude(scene, ExplorationStatus.IN_PROGRESS, reason, frontiers)
+        self._empty_searches += 1
+        if self._empty_searches < self.config.empty_searches:
+            reason = f'no target in search {self._empty_searches} of {self.config.empty_searches}'
+            return self._conclude(scene, ExplorationStatus.IN_PROGRESS, reason, frontiers)
         if self.config.return_to_init:
-            return self._go_home(scene, tuple(found))
+            return self._go_home(scene, frontiers)
         reason = f'nothing left to explore, {len(found)} frontiers given up'
-        return self._finish(scene, ExplorationStatus.COMPLETE, reason, {}, {}, tuple(found))
+        return self._conclude(scene, ExplorationStatus.COMPLETE, reason, frontiers)
 
-    def _widen_shut_in(self, scene: Scene, frontiers: list[Frontier]) -> bool:
-        """Let vehicles that reach no frontier through tight places; tell whether that helps."""
+    def _release_trapped(self, scene: Scene, frontiers: list[Frontier]) -> bool:
+        """Let trapped vehicles use tight passages; return whether any gets further by that.
+
+        A vehicle is trapped if it can reach none of the frontiers that are not given up.
+        """
         cells = [f.target_cell for f in frontiers if not self._blacklist.gave_up(f.target)]
-        shut_in = [n for n, mask in scene.reach.items() if not any(mask[cell] for cell in cells)]
-        widened = [scene.widen(name) for name in shut_in]
-        return any(widened)
+        trapped = [n for n, mask in scene.reach.items() if not any(mask[cell] for cell in cells)]
+        released = [scene.allow_tight(name) for name in trapped]
+        return any(released)
+
+    def _release_keep_out(self, names: list[str]) -> bool:
+        """Release keep-out zones around trapped vehicles; return whether there were any."""
+        released = [
+            self._keep_out.release_around(name, self._history.position(name)) for name in names
+        ]
+        return any(released)
 
     def _assign(self, scene: Scene, frontiers: list[Frontier]) -> PlanningResult:
+        """Assign frontiers to vehicles by the strategy, and plan the paths."""
         names = tuple(scene.starts)
         costs = scene.costs_to(names, frontiers)
-        kept = self._kept_targets(names, np.array([f.target for f in frontiers]))
-        self._forgive(scene, names, kept)
-        self._unbar(n for n, row in zip(names, costs, strict=True) if not np.isfinite(row).any())
-        changes = [
-            self._tasks[n].changes if k >= 0 else 0 for n, k in zip(names, kept, strict=True)
+        current = self._current_frontiers(names, frontiers)
+        self._clear_blacklist(scene, names, current)
+        reachable = np.isfinite(costs).any(axis=1)
+        self._release_keep_out([n for n, ok in zip(names, reachable, strict=True) if not ok])
+        switches = [
+            self._tasks[name].switches if index >= 0 else 0
+            for name, index in zip(names, current, strict=True)
         ]
-        chosen = self._chooser.choose(scene, frontiers, costs, kept, changes)
+        chosen = self._strategy.assign(
+            Situation(scene, names, frontiers, costs, current, switches)
+        )
         tasks: dict[str, Task] = {}
         waiting: dict[str, str] = {}
-        standing = [n for n, index in zip(names, chosen, strict=True) if index < 0]
-        for name, index, before, change in zip(names, chosen, kept, changes, strict=True):
+        idle = [name for name, index in zip(names, chosen, strict=True) if index < 0]
+        for name, index, before, count in zip(names, chosen, current, switches, strict=True):
             if index < 0:
                 waiting[name] = 'no target left for this vehicle'
                 continue
             frontier = frontiers[index]
             look_at = frontier.look_at or frontier.centroid
             task = self._task_for(
-                scene, name, frontier.target, frontier.target_cell, look_at, standing
+                scene, name, frontier.target, frontier.target_cell, look_at, idle
             )
             if task is None:
                 waiting[name] = 'no path to its target'
                 continue
             tasks[name] = task
             if before >= 0 and before != index:
-                task.changes = change + 1
-        status = ExplorationStatus.STARTED if self._cycles == 1 else ExplorationStatus.IN_PROGRESS
+                task.switches = count + 1
+        status = (
+            ExplorationStatus.STARTED if self._searches == 1 else ExplorationStatus.IN_PROGRESS
+        )
         reason = f'{len(frontiers)} frontiers'
-        return self._finish(scene, status, reason, tasks, waiting, tuple(frontiers), costs)
+        return self._conclude(scene, status, reason, tuple(frontiers), tasks, waiting, costs)
 
-    def _unbar(self, names: Iterable[str]) -> bool:
-        """Drop what is barred around vehicles that reach nothing: it may be their only way out."""
-        dropped = False
-        for name in names:
-            place = (self._poses[name].x, self._poses[name].y)
-            near = [bar for bar in self._bars if math.dist(bar[0], place) <= SHUT_IN]
-            count, there = self._unbarred.get(name, (0, place))
-            if math.dist(place, there) > ELSEWHERE:
-                count = 0
-            if near and count < UNBARRINGS:
-                self._unbarred[name] = count + 1, place
-                self._bars = [bar for bar in self._bars if bar not in near]
-                dropped = True
-        return dropped
-
-    def _forgive(self, scene: Scene, names: tuple[str, ...], kept: list[int]) -> None:
-        """Clear the blacklist where a vehicle got to its target and left nothing to be seen."""
-        for name, index in zip(names, kept, strict=True):
-            task = self._tasks.get(name)
-            if task is not None and index < 0:
-                self._blockings[name] = 0
-                near = math.dist(scene.vehicles[name].pose[:2], task.target) <= NEAR
-                if near and not self._blacklist.blocks(task.target, scene.now):
-                    self._blacklist.clear(task.target)
-
-    def _kept_targets(self, names: tuple[str, ...], targets: Array) -> list[int]:
-        """Return for each vehicle the target that continues its present one, or -1."""
-        kept = []
+    def _current_frontiers(self, names: tuple[str, ...], frontiers: list[Frontier]) -> list[int]:
+        """Return for each vehicle the frontier that continues its present target, or -1."""
+        targets = np.array([frontier.target for frontier in frontiers])
+        current = []
         for name in names:
             task = self._tasks.get(name)
             index = -1
             if task is not None:
                 distances = np.linalg.norm(targets - np.array(task.target), axis=1)
                 nearest = int(np.argmin(distances))
-                if distances[nearest] <= FOLLOWS:
+                if distances[nearest] <= _SAME_FRONTIER:
                     index = nearest
-            kept.append(index)
-        return kept
+            current.append(index)
+        return current
+
+    def _clear_blacklist(self, scene: Scene, names: tuple[str, ...], current: list[int]) -> None:
+        """Forget failures where a vehicle has reached its target and left nothing to be seen."""
+        for name, index in zip(names, current, strict=True):
+            task = self._tasks.get(name)
+            if task is not None and index < 0:
+                self._blockages.reset(name)
+                near = math.dist(scene.vehicles[name].pose[:2], task.target) <= _NEAR_TARGET
+                if near and not self._blacklist.blocks(task.target, scene.now):
+                    self._blacklist.clear(task.target)
 
     def _task_for(
         self,
@@ -274,67 +235,71 @@ class Planner:
         look_at: Point | None,
         standing: list[str],
     ) -> Task | None:
-        """Return the present task of a vehicle if it leads there, a new one, or None: no path."""
-        old = self._tasks.get(name)
-        pose = scene.vehicles[name].pose
-        same = old is not None and math.dist(old.target, target) <= SAME_PLACE
-        if old is not None and same:
-            ahead = remaining_path(np.array([pose.x, pose.y]), old.path)
-            remaining = float(arc_lengths(ahead)[-1])
-            arrived = math.dist(pose[:2], old.target) <= self.config.paths.goal_tolerance
-            if remaining < old.nearest - 0.1 or old.right is not Right.GO:
-                old.nearest, old.since = min(remaining, old.nearest), scene.now
-            old.arrivals += arrived
-            late = scene.now - old.since > self.config.blacklist.progress_timeout
-            if old.arrivals >= ARRIVALS or late:
-                # Whoever stood there and saw nothing new need not come again.
-                self._failed.append((target, old.arrivals >= ARRIVALS))
-            elif old.right is Right.GO and not arrived and scene.is_passable(name, ahead):
-                return old
-        parked = [scene.vehicles[n].pose for n in standing if n != name]
-        path = scene.path(name, cell, scene.around_standing(name, parked))
+        """Return a task that leads a vehicle to a target, or None if there is no path.
+
+        The present task continues while its path is free and the vehicle makes progress.
+        standing: names of vehicles that paths should avoid.
+        """
+        task = self._tasks.get(name)
+        if task is not None and not task.leads_to(target):
+            task = None
+        if task is not None and self._continues(scene, name, task, target):
+            return task
+        obstacles = [scene.vehicles[other].pose for other in standing if other != name]
+        path = scene.path(name, cell, scene.costs_around(name, obstacles))
         if path is None:
             return None
-        task = Task(target, path, look_at, None, Right.GO, math.inf, scene.now)
-        if old is not None and same:
-            # Another way may be longer: progress is counted anew, but the time runs on.
-            task.since, task.arrivals, task.changes = old.since, old.arrivals, old.changes
-            task.sent, task.right = old.sent, old.right
-            if old.right is Right.GO:
-                task.sent = None
-        return task
+        if task is not None:
+            return task.along(path, target, look_at)
+        return Task(target, path, look_at, Progress(scene.now))
 
-    def _finish(
+    def _continues(self, scene: Scene, name: str, task: Task, target: Point) -> bool:
+        """Record the progress of a task, report its failure; return whether its path is valid."""
+        position = scene.vehicles[name].pose[:2]
+        ahead = remaining_path(np.array(position), task.path)
+        arrived = math.dist(position, task.target) <= self.config.paths.arrival_distance
+        task.progress.update(
+            float(arc_lengths(ahead)[-1]),
+            scene.now,
+            arrived=arrived,
+            waiting=task.right is not Right.GO,
+        )
+        late = scene.now - task.progress.since > self.config.blacklist.progress_timeout
+        if task.progress.exhausted or late:
+            self._blacklist.report(target, final=task.progress.exhausted)
+            return False
+        return task.right is Right.GO and not arrived and scene.is_passable(name, ahead)
+
+    def _conclude(
         self,
         scene: Scene,
         status: ExplorationStatus,
         reason: str,
-        tasks: dict[str, Task],
-        waiting: dict[str, str],
         frontiers: tuple[Frontier, ...],
+        tasks: dict[str, Task] | None = None,
+        waiting: dict[str, str] | None = None,
         costs: Array | None = None,
     ) -> PlanningResult:
-        """Give rights of way and turn tasks into plans."""
+        """Grant rights of way, and turn tasks into plans."""
+        tasks, waiting = tasks or {}, waiting or {}
         travelers = {}
         for name in scene.starts:
             pose = scene.vehicles[name].pose
-            place = np.array([pose.x, pose.y])
+            position = np.array([pose.x, pose.y])
             task = tasks.get(name)
-            path = None if task is None else remaining_path(place, task.path)
-            travelers[name] = Traveler(name, place, path)
-        grants = self._traffic.grant(travelers, scene)
+            path = None if task is None else remaining_path(position, task.path)
+            travelers[name] = Traveler(name, position, path)
         plans: dict[str, Plan] = {}
         retreats: dict[str, Plan] = {}
-        for name, grant in grants.items():
-            plan = plan_by(
-                scene, tasks.get(name), grant, travelers[name], self._retreats.get(name)
-            )
-            if grant.right is Right.RETREAT and plan is not None:
-                retreats[name] = plan
+        for name, grant in self._traffic.grant(travelers, scene).items():
+            before = self._retreats.get(name)
+            plan = plan_for(scene, tasks.get(name), grant, travelers[name], before)
             if plan is not None:
                 plans[name] = plan
+                if grant.right is Right.RETREAT:
+                    retreats[name] = plan
             elif grant.right is not Right.GO:
-                waiting[name] = f'gives way to {grant.winner}'
+                waiting[name] = f'gives way to {grant.yields_to}'
         self._tasks, self._retreats = tasks, retreats
         names = tuple(scene.starts)
         matrix = np.empty((len(names), 0)) if costs is None else costs
@@ -344,26 +309,27 @@ class Planner:
         )
 
     def _go_home(self, scene: Scene, frontiers: tuple[Frontier, ...]) -> PlanningResult:
+        """Send every vehicle to its home."""
+        homes = self._history.homes
         tasks: dict[str, Task] = {}
         waiting: dict[str, str] = {}
-        arrived = []
         for name in scene.starts:
-            home, pose = self._homes[name], scene.vehicles[name].pose
-            if math.dist(home[:2], pose[:2]) <= self.config.paths.goal_tolerance:
+            distance = math.dist(homes[name][:2], scene.vehicles[name].pose[:2])
+            if distance <= self.config.paths.arrival_distance:
                 waiting[name] = 'home'
-                arrived.append(name)
+        arrived = list(waiting)
         for name in scene.starts:
-            if name in waiting:
+            if name in arrived:
                 continue
-            home = self._homes[name]
-            goal = scene.nearest_passable(home)
+            goal = scene.nearest_passable(homes[name])
             task = None
-            if goal is not None and (scene.reach[name][goal] or scene.widen(name)):
-                task = self._task_for(scene, name, (home.x, home.y), goal, None, arrived)
+            if goal is not None and (scene.reach[name][goal] or scene.allow_tight(name)):
+                home = (homes[name].x, homes[name].y)
+                task = self._task_for(scene, name, home, goal, None, arrived)
             if task is None:
                 waiting[name] = 'its home cannot be reached'
             else:
                 tasks[name] = task
         status = ExplorationStatus.RETURNING if tasks else ExplorationStatus.RETURNED
         reason = 'on the way home' if tasks else 'home'
-        return self._finish(scene, status, reason, tasks, waiting, frontiers)
+        return self._conclude(scene, status, reason, frontiers, tasks, waiting)

@@ -1,4 +1,4 @@
-"""What the planner is told and what it answers."""
+"""Input and output of the planner."""
 
 from dataclasses import dataclass, field
 from enum import Enum
@@ -33,7 +33,7 @@ class Grid(Protocol):
         """Return the probability (H, W) that a cell is occupied."""
 
     def known(self) -> NDArray[np.bool_]:
-        """Return (H, W): the cell has been seen."""
+        """Return whether each cell (H, W) has been observed."""
 
     def to_cell(self, points: ArrayLike) -> NDArray[np.int64]:
         """Return the cells (N, 2) of points (N, 2) m."""
@@ -43,7 +43,7 @@ class Grid(Protocol):
 
 
 class ExplorationStatus(Enum):
-    """Where the exploration stands; the values are those of the topic explore/status."""
+    """State of the exploration; the values are those of the topic explore/status."""
 
     STARTED = 'exploration_started'
     IN_PROGRESS = 'exploration_in_progress'
@@ -54,7 +54,7 @@ class ExplorationStatus(Enum):
 
 
 class PlanningMode(Enum):
-    """What the vehicles are to do."""
+    """Task of the team."""
 
     EXPLORE = 'explore'
     RETURN_HOME = 'return_home'
@@ -62,7 +62,7 @@ class PlanningMode(Enum):
 
 
 class VehicleSnapshot(NamedTuple):
-    """One vehicle at planning time: pose in the map, whether it takes orders, its home."""
+    """One vehicle at planning time: pose in the map, whether it accepts plans, its home."""
 
     pose: Pose2
     active: bool = True
@@ -71,10 +71,13 @@ class VehicleSnapshot(NamedTuple):
 
 @dataclass(frozen=True)
 class Frontier:
-    """Free cells beside unknown ones: cells (N, 2), centroid (m), where to go, length (m).
+    """Known free cells beside unknown ones.
 
-    gain: the unknown area (m²) that is expected to be seen from the target. look_at: the middle
-    (m) of the unknown cells behind it.
+    cells (N, 2); centroid of them (m).
+    target: the viewpoint (m) from which a vehicle sees the frontier; target_cell: its cell.
+    size: length (m).
+    gain: unknown area (m²) that is expected to be seen from the target.
+    look_at: center (m) of the unknown cells behind the frontier.
     """
 
     cells: NDArray[np.int64]
@@ -88,13 +91,15 @@ class Frontier:
 
 @dataclass(frozen=True)
 class PlanningResult:
-    """What one planning cycle found.
+    """Result of one planning cycle.
 
-    plans: the plan in force of every vehicle that shall drive; an unchanged plan is the very same
-    object as in the result before, so a driver sends a plan when its identity changes. A vehicle
-    without a plan shall stand still; `waiting` tells why.
-    costs (V, F): travel cost (m) of each vehicle in the order of `vehicles` to each frontier.
-    searched: False where the search was not possible now (no map, no valid pose), see reason.
+    plans: the plan in force of every vehicle that should drive. An unchanged plan is the same
+    object as in the last result, so that a plan is sent when its identity changes. A vehicle
+    without a plan should stand still.
+    waiting: why vehicles have no plan, by name.
+    costs (V, F): travel cost (m) of each vehicle, in the order of `vehicles`, to each frontier.
+    searched: False if frontiers could not be searched, see reason.
+    unreachable: number of frontiers that are left, but given up or out of reach.
     """
 
     status: ExplorationStatus

@@ -1,9 +1,9 @@
-"""Costs of travel on a coarser grid: from vehicles to targets and between targets.
+"""Travel costs on a coarser grid: from vehicles to targets and between targets.
 
 A block of cells costs what its cheapest reachable cell costs. Blocks are no wider than the
-vehicle's radius, so walls, being inflated by that radius on both sides, stay walls. The cost of
-travel is the same value iteration as on the fine grid. Fields of targets are kept: as the map
-grows, a new target needs a field of its own, the distance to an old one is read from either.
+planning radius, so that walls, which are inflated by that radius on both sides, remain. Travel
+costs are computed by the same value iteration as on the full grid, and those from each target are
+kept between planning cycles.
 """
 
 import math
@@ -25,6 +25,7 @@ def _cheapest(
     block: int,
     padded: Costs,
 ) -> None:
+    """Set each block of a padded grid to the smallest cost of its reachable cells."""
     for row in range(cost.shape[0]):
         target = padded[(row + row_shift) // block + 1]
         for col in range(cost.shape[1]):
@@ -34,7 +35,10 @@ def _cheapest(
 
 
 class RouteGrid:
-    """The coarse grid of one planning cycle, over the cells that some vehicle can reach."""
+    """The coarse grid of one planning cycle, over the cells that some vehicle can reach.
+
+    unit: side of a block (m).
+    """
 
     def __init__(
         self,
@@ -44,7 +48,12 @@ class RouteGrid:
         block: int,
         unit: float,
     ) -> None:
-        """Build over cost (H, W); first: (row, col) of its cell [0, 0] in the world's cells."""
+        """Build the grid over costs (H, W).
+
+        first: row and column of cell [0, 0], counted from the origin of the map frame.
+        block: cells along the side of a block.
+        unit: side of a cell (m).
+        """
         self.block, self.unit = block, unit * block
         self.first = (first[0] // block, first[1] // block)
         self._world = first
@@ -55,12 +64,12 @@ class RouteGrid:
         _cheapest(cost, reach, shift[0], shift[1], block, self.padded)
 
     def blocks(self, cells: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the blocks (N, 2), numbered in the world, of cells (N, 2) of the fine grid."""
+        """Return the blocks (N, 2), counted from the origin of the map, of cells (N, 2)."""
         blocks: NDArray[np.int64] = (cells + np.array(self._world)) // self.block
         return blocks
 
     def values_from(self, block: NDArray[np.int64]) -> 'Field':
-        """Return the cost of travel (m) from a block."""
+        """Return the travel cost (m) from a block."""
         row, col = (block - np.array(self.first) + 1).tolist()
         rows, cols = np.array([row], np.int64), np.array([col], np.int64)
         values = spread(self.padded, rows, cols)
@@ -69,13 +78,13 @@ class RouteGrid:
 
 
 class Field:
-    """Cost of travel from one block to all others of a route grid."""
+    """Travel cost from one block to all others of a route grid."""
 
     def __init__(self, values: Costs, first: tuple[int, int]) -> None:
         self._values, self._first = values, np.array(first)
 
     def at(self, blocks: NDArray[np.int64]) -> Array:
-        """Return the cost (N,) m to blocks (N, 2), inf where unreachable or outside."""
+        """Return the travel cost (N,) m to blocks (N, 2); inf if unreachable or outside."""
         index = blocks - self._first + 1
         inside = ((index >= 0) & (index < self._values.shape)).all(axis=1)
         result = np.full(len(blocks), np.inf)
@@ -85,9 +94,14 @@ class Field:
 
 
 class RouteCache:
-    """Distances between targets, kept from cycle to cycle."""
+    """Travel costs between targets, kept between planning cycles.
+
+    As the map grows, costs from an old target to new ones go out of date; costs are taken from
+    whichever of the two targets knows the shorter way.
+    """
 
     def __init__(self, lifetime: int = 40) -> None:
+        """Create an empty cache; costs are computed anew after `lifetime` cycles."""
         self._fields: dict[tuple[int, int], tuple[int, Field]] = {}
         self._lifetime = lifetime
         self._cycle = 0
@@ -111,5 +125,5 @@ class RouteCache:
 
 
 def block_size(width: float, radius: float, resolution: float) -> int:
-    """Return how many cells wide a block is: as wanted (m), but within the vehicle's radius."""
+    """Return the side of a block (cells) for a width (m) of at most the planning radius (m)."""
     return max(1, math.floor(min(width, radius) / resolution + 1e-9))

@@ -1,4 +1,4 @@
-"""What a vehicle is at, and the plan that its right of way allows."""
+"""The task of a vehicle, and the plan that its right of way allows."""
 
 import math
 from dataclasses import dataclass
@@ -6,44 +6,60 @@ from dataclasses import dataclass
 import numpy as np
 
 from explore_slam.data import Plan
+from explore_slam.exploration.progress import Progress
 from explore_slam.exploration.records import Point
 from explore_slam.exploration.scene import Scene
 from explore_slam.exploration.traffic import Grant, Right, Traveler
 from explore_slam.geometry import Array, Pose2
-from explore_slam.polyline import truncated
+from explore_slam.polyline import arc_lengths, truncated
 
-SAME_PLACE = 0.5  # m: targets this near to each other are the same
-WORTH = 0.3  # m: shorter paths up to a stop are not worth driving
+SAME_TARGET = 0.5  # m; targets this near to each other are the same
+_MINIMUM_PATH = 0.3  # m; a path that ends earlier, at a stop, is not worth driving
 
 
 @dataclass
 class Task:
-    """What one vehicle is at: target, the path to it, what was sent of it, and how it gets on."""
+    """What a vehicle does.
+
+    target, look_at: where it drives, and what it should face there (m).
+    path: (W, 2) m to the target.
+    sent: the plan in force, which may lead along a part of the path only.
+    right: its right of way when the plan was made.
+    switches: how often the vehicle has switched targets since it last reached one.
+    """
 
     target: Point
     path: Array
     look_at: Point | None
+    progress: Progress
     sent: Plan | None = None
     right: Right = Right.GO
-    nearest: float = math.inf
-    since: float = 0.0
-    arrivals: int = 0
-    changes: int = 0
+    switches: int = 0
+
+    def leads_to(self, target: Point) -> bool:
+        """Return whether a target (m) is that of the task."""
+        return math.dist(self.target, target) <= SAME_TARGET
+
+    def along(self, path: Array, target: Point, look_at: Point | None) -> 'Task':
+        """Return the task of reaching practically the same target along another path."""
+        sent = None if self.right is Right.GO else self.sent
+        progress = self.progress.restart()
+        return Task(target, path, look_at, progress, sent, self.right, self.switches)
 
 
-def plan_by(
+def plan_for(
     scene: Scene, task: Task | None, grant: Grant, traveler: Traveler, retreat: Plan | None
 ) -> Plan | None:
-    """Return the plan that a grant allows: the one in force if it still says the same.
+    """Return the plan that a grant allows: the one in force, if it still applies.
 
-    retreat: the plan by which the vehicle got out of the way in the cycle before, if it did.
+    retreat: the plan by which the vehicle retreated in the last cycle, if it did.
     """
     name = traveler.name
     if grant.right is Right.RETREAT and grant.retreat is not None:
         if task is not None:
             task.right, task.sent = Right.RETREAT, None
         end = grant.retreat[-1]
-        if retreat is not None and math.dist(retreat.waypoints[-1], end) <= SAME_PLACE:
+        if retreat is not None and math.dist(retreat.waypoints[-1], end) <= SAME_TARGET:
             return retreat
         return make_plan(scene, name, grant.retreat, None)
     if task is None:
@@ -54,26 +70,24 @@ def plan_by(
             task.sent = make_plan(scene, name, traveler.points, task.look_at)
         return task.sent
     part = truncated(traveler.points, grant.limit)
-    length = float(np.hypot(*np.diff(part, axis=0).T).sum()) if len(part) > 1 else 0.0
-    if length < WORTH:
+    if arc_lengths(part)[-1] < _MINIMUM_PATH:
         task.right, task.sent = Right.STOP, None
         return None
-    same = (
+    unchanged = (
         task.right is Right.STOP
         and task.sent is not None
-        and math.dist(task.sent.waypoints[-1], part[-1]) <= SAME_PLACE
+        and math.dist(task.sent.waypoints[-1], part[-1]) <= SAME_TARGET
     )
-    if not same:
+    if not unchanged:
         task.sent = make_plan(scene, name, part, None)
     task.right = Right.STOP
     return task.sent
 
 
 def make_plan(scene: Scene, name: str, points: Array, look_at: Point | None) -> Plan:
-    """Make a plan of a path (W, 2) m whose goal looks at a point, or along the path."""
+    """Return a plan along a path (W, 2) m whose goal faces a point (m), or along the path."""
     end = points[-1]
-    pose = scene.vehicles[name].pose
-    heading = pose.theta
+    heading = scene.vehicles[name].pose.theta
     if look_at is not None and math.dist(look_at, end) > 1e-6:
         heading = math.atan2(look_at[1] - end[1], look_at[0] - end[0])
     elif len(points) > 1 and math.dist(points[-2], end) > 1e-6:

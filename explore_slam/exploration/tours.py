@@ -1,10 +1,10 @@
-"""Tours of a team through all targets: who takes what, in which order.
+"""Tours of a team through all stops: who visits which, in which order.
 
-The cost of a tour is its travel (m) plus the work expected at its targets, and the weighted sum
-of what every target has to wait for. The team pays for all tours and again for the longest one,
-so that work is shared evenly; waiting draws the near targets to the front, so that nothing is left
-behind to come back for (as in the problem of the traveling repairmen). Cheapest insertion makes
-the tours, moves of single targets and reversals of stretches improve them.
+The length of a tour is its travel (m) plus the work expected at its stops. The team pays for the
+length of all tours, again for the longest one, so that work is shared evenly, and for the time
+that every stop waits. Waiting draws near stops to the front, so that the team need not come back
+for them (the traveling repairman problem). Cheapest insertion builds the tours; moves of single
+stops and reversals of segments (2-opt; Croes, 1958) improve them.
 """
 
 from typing import NamedTuple
@@ -15,25 +15,42 @@ from numpy.typing import NDArray
 from explore_slam.compiled import kernel
 from explore_slam.geometry import Array
 
-ROUNDS = 60
-UNREACHABLE = 1e6
+_MAXIMUM_ROUNDS = 60  # of improvement; a bound that is hardly ever reached
+_UNREACHABLE = 1e6  # m; travel cost in place of infinity, so that sums can be compared
+_IMPROVEMENT = 1e-6  # m; smaller improvements are rounding
+
+
+class TourProblem(NamedTuple):
+    """Costs of V vehicles and F stops.
+
+    starts (V, F): travel (m) from each vehicle to each stop; inf if unreachable.
+    between (F, F): travel (m) among stops.
+    work (F,): expected at each stop, as travel (m).
+    urgency (F,): cost of waiting, per metre of travel until a stop is reached.
+    longest_weight: weight of the longest tour against the sum of all.
+    """
+
+    starts: Array
+    between: Array
+    work: Array
+    urgency: Array
+    longest_weight: float
 
 
 class Tours(NamedTuple):
-    """Targets of each vehicle in order, and what the team pays (m)."""
+    """Stops of each vehicle in order, and the cost of the team (m)."""
 
     orders: list[list[int]]
     cost: float
 
 
 class _Problem(NamedTuple):
-    """What tours are made of, as in plan_tours; of each vehicle (V,) heads targets stay first."""
+    """A TourProblem for the kernels: finite costs, and the number of fixed first stops (V,)."""
 
     first: Array
     pairs: Array
     work: Array
     urgency: Array
-    bonus: Array
     heads: NDArray[np.int64]
     longest_weight: float
 
@@ -47,42 +64,41 @@ class _Draft(NamedTuple):
 
 
 def plan_tours(
-    starts: Array,
-    between: Array,
-    work: Array,
-    urgency: Array,
-    bonus: Array,
-    fixed: NDArray[np.int64],
-    longest_weight: float,
-    prior: list[list[int]] | None = None,
+    problem: TourProblem, fixed: NDArray[np.int64], prior: list[list[int]] | None = None
 ) -> Tours:
     """Return tours for the team.
 
-    starts (V, F): travel from each vehicle to each target; between (F, F): among targets; work
-    (F,) m; urgency (F,): paid per metre until a target is reached; bonus (F,) m: saved where a
-    tour ends; fixed (V,): the target a vehicle has to visit first, or -1. Targets that a vehicle
-    cannot reach (inf) are taken by others, if any can. prior: the tours to begin with; they are
-    only improved upon.
+    fixed (V,): the stop that a vehicle must visit first, or -1.
+    prior: tours to start from; stops that are missing are inserted, and the tours improved.
+    Stops that a vehicle cannot reach are visited by others, if any can reach them.
     """
+    starts = problem.starts
     vehicles, count = starts.shape
     once = fixed.copy()
     for vehicle in range(vehicles):
         if fixed[vehicle] in fixed[:vehicle]:
-            once[vehicle] = -1  # two cannot go there first
-    first = np.ascontiguousarray(np.where(np.isfinite(starts), starts, UNREACHABLE))
-    pairs = np.ascontiguousarray(np.where(np.isfinite(between), between, UNREACHABLE))
+            once[vehicle] = -1  # two vehicles cannot visit one stop first
     heads = (once >= 0).astype(np.int64)
     orders = np.full((vehicles, count), -1, np.int64)
     lengths = np.zeros(vehicles, np.int64)
-    used = {int(target) for target in once if target >= 0}
+    used = {int(stop) for stop in once if stop >= 0}
     for vehicle, order in enumerate(prior or [[]] * vehicles):
         head = [int(once[vehicle])] if once[vehicle] >= 0 else []
         rest = [t for t in order if t not in used and np.isfinite(starts[vehicle, t])]
         used.update(rest)
         lengths[vehicle] = len(head + rest)
         orders[vehicle, : lengths[vehicle]] = head + rest
-    problem = _Problem(first, pairs, work, urgency, bonus, heads, longest_weight)
-    cost = _make_tours(problem, _Draft(orders, lengths, np.zeros((vehicles, 2))))
+    finite = _Problem(
+        np.ascontiguousarray(np.where(np.isfinite(starts), starts, _UNREACHABLE)),
+        np.ascontiguousarray(
+            np.where(np.isfinite(problem.between), problem.between, _UNREACHABLE)
+        ),
+        problem.work,
+        problem.urgency,
+        heads,
+        problem.longest_weight,
+    )
+    cost = _make_tours(finite, _Draft(orders, lengths, np.zeros((vehicles, 2))))
     result = []
     for vehicle in range(vehicles):
         order = orders[vehicle, : lengths[vehicle]].tolist()
@@ -92,7 +108,7 @@ def plan_tours(
 
 @kernel
 def _update_cost(problem: _Problem, draft: _Draft, vehicle: int) -> None:
-    """Set the length of a tour with its work, and what waiting costs along it."""
+    """Set length and waiting cost of a tour."""
     order, length = draft.orders[vehicle], draft.lengths[vehicle]
     total, waiting = 0.0, 0.0
     for i in range(length):
@@ -101,43 +117,39 @@ def _update_cost(problem: _Problem, draft: _Draft, vehicle: int) -> None:
         )
         waiting += problem.urgency[order[i]] * total
         total += problem.work[order[i]]
-    if length > 0:
-        total -= problem.bonus[order[length - 1]]
     draft.costs[vehicle, 0], draft.costs[vehicle, 1] = total, waiting
 
 
 @kernel
 def _team_cost(costs: Array, longest_weight: float) -> float:
-    """Return what the team pays; costs (V, 2): length and waiting of each tour."""
+    """Return the cost of the team; costs (V, 2): length and waiting of each tour."""
     return float(costs.sum() + longest_weight * costs[:, 0].max())
 
 
 @kernel
-def _best_insertion(problem: _Problem, draft: _Draft, target: int) -> tuple[float, int, int]:
-    """Return cost of the team, vehicle and position of the cheapest insertion of a target."""
-    first, pairs, work, urgency, bonus, heads, longest_weight = problem
+def _best_insertion(problem: _Problem, draft: _Draft, stop: int) -> tuple[float, int, int]:
+    """Return cost of the team, vehicle and position of the cheapest insertion of a stop."""
+    first, pairs, work, urgency, heads, longest_weight = problem
     orders, lengths, costs = draft
     best, best_vehicle, best_at = np.inf, -1, -1
     trial = costs.copy()
     for vehicle in range(lengths.size):
-        if first[vehicle, target] >= UNREACHABLE:
+        if first[vehicle, stop] >= _UNREACHABLE:
             continue
         order, length = orders[vehicle], lengths[vehicle]
-        behind = 0.0  # urgency of the targets from the position on
+        behind = 0.0  # urgency of the stops from the position on
         for i in range(length):
             behind += urgency[order[i]]
         departure = 0.0
         for at in range(length + 1):
-            way = first[vehicle, target] if at == 0 else pairs[order[at - 1], target]
+            leg = first[vehicle, stop] if at == 0 else pairs[order[at - 1], stop]
             direct = 0.0
-            extra = way + work[target]
+            extra = leg + work[stop]
             if at < length:
                 direct = first[vehicle, order[0]] if at == 0 else pairs[order[at - 1], order[at]]
-                extra += pairs[target, order[at]] - direct
+                extra += pairs[stop, order[at]] - direct
             if at >= heads[vehicle]:
-                waits = urgency[target] * (departure + way) + extra * behind
-                if at == length:
-                    extra -= bonus[target] - (bonus[order[length - 1]] if length > 0 else 0.0)
+                waits = urgency[stop] * (departure + leg) + extra * behind
                 trial[vehicle, 0] = costs[vehicle, 0] + extra
                 trial[vehicle, 1] = costs[vehicle, 1] + waits
                 total = _team_cost(trial, longest_weight)
@@ -151,22 +163,24 @@ def _best_insertion(problem: _Problem, draft: _Draft, target: int) -> tuple[floa
 
 
 @kernel
-def _insert(order: NDArray[np.int64], length: int, at: int, target: int) -> None:
+def _insert(order: NDArray[np.int64], length: int, at: int, stop: int) -> None:
+    """Insert a stop into the first `length` entries of an order."""
     for i in range(length, at, -1):
         order[i] = order[i - 1]
-    order[at] = target
+    order[at] = stop
 
 
 @kernel
 def _remove(order: NDArray[np.int64], length: int, at: int) -> None:
+    """Remove an entry from the first `length` entries of an order."""
     for i in range(at, length - 1):
         order[i] = order[i + 1]
     order[length - 1] = -1
 
 
 @kernel
-def _reverse_stretches(problem: _Problem, draft: _Draft) -> bool:
-    """Reverse stretches of tours while that makes the team pay less (2-opt)."""
+def _reverse_segments(problem: _Problem, draft: _Draft) -> bool:
+    """Reverse segments of tours where that lowers the cost of the team (2-opt)."""
     changed = False
     for vehicle in range(draft.lengths.size):
         order, length = draft.orders[vehicle], draft.lengths[vehicle]
@@ -177,7 +191,7 @@ def _reverse_stretches(problem: _Problem, draft: _Draft) -> bool:
                 order[i : j + 1] = order[i : j + 1][::-1].copy()
                 _update_cost(problem, draft, vehicle)
                 cost = _team_cost(draft.costs, problem.longest_weight)
-                if cost < paid - 1e-6:
+                if cost < paid - _IMPROVEMENT:
                     paid, changed = cost, True
                 else:
                     order[i : j + 1] = order[i : j + 1][::-1].copy()
@@ -187,63 +201,64 @@ def _reverse_stretches(problem: _Problem, draft: _Draft) -> bool:
 
 @kernel
 def _make_tours(problem: _Problem, draft: _Draft) -> float:
-    """Complete and improve tours in place; return what the team pays."""
+    """Complete and improve tours in place; return the cost of the team."""
     for vehicle in range(draft.lengths.size):
         _update_cost(problem, draft, vehicle)
     _insert_all(problem, draft)
-    for _ in range(ROUNDS):
-        reversed_any = _reverse_stretches(problem, draft)
-        moved_any = _move_targets(problem, draft)
+    for _ in range(_MAXIMUM_ROUNDS):
+        reversed_any = _reverse_segments(problem, draft)
+        moved_any = _move_stops(problem, draft)
         if not (reversed_any or moved_any):
             break
     return _team_cost(draft.costs, problem.longest_weight)
 
 
 @kernel
-def _insert_at(problem: _Problem, draft: _Draft, target: int, vehicle: int, at: int) -> None:
-    _insert(draft.orders[vehicle], draft.lengths[vehicle], at, target)
+def _insert_at(problem: _Problem, draft: _Draft, stop: int, vehicle: int, at: int) -> None:
+    """Insert a stop into the tour of a vehicle and update its cost."""
+    _insert(draft.orders[vehicle], draft.lengths[vehicle], at, stop)
     draft.lengths[vehicle] += 1
     _update_cost(problem, draft, vehicle)
 
 
 @kernel
 def _insert_all(problem: _Problem, draft: _Draft) -> None:
-    """Insert all targets that are in no tour yet, each time the one that is cheapest to add."""
+    """Insert all stops that are in no tour yet, the cheapest one first."""
     count = problem.work.size
-    waiting = np.ones(count, np.bool_)
+    missing = np.ones(count, np.bool_)
     for vehicle in range(draft.lengths.size):
         for at in range(draft.lengths[vehicle]):
-            waiting[draft.orders[vehicle, at]] = False
+            missing[draft.orders[vehicle, at]] = False
     for _ in range(count):
-        best, best_target, best_vehicle, best_at = np.inf, -1, -1, -1
-        for target in range(count):
-            if waiting[target]:
-                total, vehicle, at = _best_insertion(problem, draft, target)
+        best, best_stop, best_vehicle, best_at = np.inf, -1, -1, -1
+        for stop in range(count):
+            if missing[stop]:
+                total, vehicle, at = _best_insertion(problem, draft, stop)
                 if total < best:
-                    best, best_target, best_vehicle, best_at = total, target, vehicle, at
-        if best_target < 0:
+                    best, best_stop, best_vehicle, best_at = total, stop, vehicle, at
+        if best_stop < 0:
             break
-        _insert_at(problem, draft, best_target, best_vehicle, best_at)
-        waiting[best_target] = False
+        _insert_at(problem, draft, best_stop, best_vehicle, best_at)
+        missing[best_stop] = False
 
 
 @kernel
-def _move_targets(problem: _Problem, draft: _Draft) -> bool:
-    """Move each target once to where the team pays least for it."""
+def _move_stops(problem: _Problem, draft: _Draft) -> bool:
+    """Move each stop once to where the cost of the team is lowest."""
     changed = False
     for vehicle in range(draft.lengths.size):
         at = problem.heads[vehicle]
         while at < draft.lengths[vehicle]:
             before = _team_cost(draft.costs, problem.longest_weight)
-            target = draft.orders[vehicle, at]
+            stop = draft.orders[vehicle, at]
             _remove(draft.orders[vehicle], draft.lengths[vehicle], at)
             draft.lengths[vehicle] -= 1
             _update_cost(problem, draft, vehicle)
-            total, other, where = _best_insertion(problem, draft, target)
-            if total < before - 1e-6:
+            total, other, where = _best_insertion(problem, draft, stop)
+            if total < before - _IMPROVEMENT:
                 changed = True
             else:
                 other, where = vehicle, at
-            _insert_at(problem, draft, target, other, where)
+            _insert_at(problem, draft, stop, other, where)
             at += 1
     return changed

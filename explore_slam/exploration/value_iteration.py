@@ -1,10 +1,11 @@
-"""Cost of travel by deterministic value iteration (paper, section V-A).
+"""Travel cost by deterministic value iteration (paper, section V-A).
 
 V is 0 at the vehicle and elsewhere the fixed point of
 V(x, y) = min over the 8 neighbors n of V(n) + |n - (x, y)| * P(occ(x, y)), over cells with
-P(occ) <= occ_max. Cells are updated in the order of their value, from a circular queue of buckets
-as wide as the cheapest move: then each value is final when its bucket comes up, and one sweep
-reaches the fixed point (Dial, 1969; Denardo and Fox, 1979).
+P(occ) <= occ_max. Cells are updated in the order of their values, from a circular queue of buckets
+as wide as the cheapest move. A value is then final when its bucket is processed, and one sweep
+reaches the fixed point (R. Dial, "Algorithm 360: shortest-path forest with topological ordering",
+1969; E. Denardo and B. Fox, "Shortest-route methods: 1. Reaching, pruning, and buckets", 1979).
 """
 
 import math
@@ -16,7 +17,8 @@ from explore_slam.compiled import kernel
 from explore_slam.errors import ExplorationError
 from explore_slam.exploration.records import Cell
 
-MOST_BUCKETS = 128
+_MAXIMUM_BUCKETS = 128  # bounds the memory where costs differ widely
+_INITIAL_CAPACITY = 1024  # cells per bucket
 Costs = NDArray[np.float32]
 
 
@@ -28,13 +30,14 @@ def travel_cost(
     *,
     charged: str = 'entered',
 ) -> Costs:
-    """Return the cost V (H, W) of moving from the start cell (row, col) to every cell.
+    """Return the travel cost V (H, W) from a start cell (row, col) to every cell.
 
-    probability (H, W) is charged per step times its length in units of `resolution`; cells above
-    occ_max, and NaN (write it where unknown), cannot be entered and get inf. charged 'entered'
-    takes the probability of the cell that a step leads to, 'left' that of the cell it comes from,
-    as the update rule is printed in the paper. ExplorationError for an empty grid or a start
-    that is outside or impassable.
+    probability: (H, W), charged per step, times the length of the step. Cells above occ_max, and
+    NaN, which stands for unknown, cannot be entered; their cost is inf.
+    resolution: side of a cell, the unit of length.
+    charged: 'entered' charges the cell that a step leads to, 'left' the cell that it comes from,
+    which is the update rule as printed in the paper.
+    ExplorationError for an empty grid, and for a start that is outside or impassable.
     """
     cost = check_costs(probability)
     if charged not in ('entered', 'left'):
@@ -51,7 +54,7 @@ def travel_cost(
 
 
 def check_costs(probability: ArrayLike) -> Costs:
-    """Return the array (H, W) as float32, or ExplorationError if it is empty or negative."""
+    """Return the array (H, W) as float32; ExplorationError if it is empty or negative."""
     cost = np.asarray(probability, np.float32)
     if cost.ndim != 2 or cost.size == 0:
         raise ExplorationError(f'the grid has shape {cost.shape}, expected (H, W) with cells')
@@ -72,6 +75,7 @@ def padded_costs(cost: Costs, limit: float) -> Costs:
 
 @kernel
 def _copy_passable(cost: Costs, limit: float, padded: Costs) -> None:
+    """Copy the costs up to a limit into the middle of a padded array."""
     for row in range(cost.shape[0]):
         for col in range(cost.shape[1]):
             if cost[row, col] <= limit:
@@ -79,7 +83,7 @@ def _copy_passable(cost: Costs, limit: float, padded: Costs) -> None:
 
 
 def check_cell(padded: Costs, name: str, cell: Cell) -> Cell:
-    """Return the cell (row, col) in the padded array; ExplorationError if nobody can be there."""
+    """Return a cell (row, col) in padded indices; ExplorationError if it is impassable."""
     row, col = int(cell[0]), int(cell[1])
     height, width = padded.shape[0] - 2, padded.shape[1] - 2
     if not (0 <= row < height and 0 <= col < width):
@@ -94,11 +98,14 @@ def check_cell(padded: Costs, name: str, cell: Cell) -> Cell:
 def spread(
     padded: Costs, rows: NDArray[np.int64], cols: NDArray[np.int64], charge_left: bool = False
 ) -> Costs:
-    """Return V (H + 2, W + 2) over padded costs, from source cells (given in padded indices)."""
+    """Return V (H + 2, W + 2) over padded costs, from source cells in padded indices.
+
+    charge_left: charge the cell that a step comes from instead of the one it leads to.
+    """
     low, high = _finite_range(padded.ravel())
     dearest = high * math.sqrt(2.0)
-    # A bucket is a little narrower than the cheapest move, so that rounding cannot fill it again.
-    width = max(low * 0.999, dearest / (MOST_BUCKETS - 3), 1e-12)
+    # a bucket is slightly narrower than the cheapest move, so that rounding cannot refill it
+    width = max(low * 0.999, dearest / (_MAXIMUM_BUCKETS - 3), 1e-12)
     count = int(dearest / width) + 3
     values = np.full(padded.shape, np.inf, np.float32)
     sources = rows * padded.shape[1] + cols
@@ -111,6 +118,7 @@ def spread(
 
 @kernel
 def _finite_range(cost: Costs) -> tuple[float, float]:
+    """Return the smallest and the largest finite cost; zeros if all are zero or infinite."""
     low, high = np.inf, 0.0
     for value in cost:
         if value < np.inf:
@@ -132,15 +140,15 @@ def _sweep(
 ) -> None:
     """Update cells bucket by bucket until the queue is empty.
 
-    final: no move is cheaper than a bucket is wide, so a cell has its value when its bucket is up;
-    otherwise a cell is queued again whenever its value falls.
+    width, count: of the buckets. final: no move is cheaper than a bucket is wide, so that a value
+    is final when its bucket is processed; otherwise a cell is queued again when its value falls.
     """
     straight = [-1, 1, -stride, stride]
     offsets = np.array(straight + [-stride - 1, -stride + 1, stride - 1, stride + 1])
     lengths = np.array([1.0] * 4 + [math.sqrt(2.0)] * 4)
     scale = 1.0 / width
-    room = max(1024, sources.size)
-    queue = np.empty((count, room), np.int32)
+    capacity = max(_INITIAL_CAPACITY, sources.size)
+    queue = np.empty((count, capacity), np.int32)
     filled = np.zeros(count, np.int64)
     values[sources] = 0.0
     queue[0, : sources.size] = sources
@@ -153,7 +161,7 @@ def _sweep(
             taken += 1
             value = values[cell]
             if int(value * scale) < number:
-                continue  # has had its turn in an earlier bucket
+                continue  # processed in an earlier bucket
             for k in range(8):
                 other = cell + offsets[k]
                 entered = cost[cell] if charge_left and cost[other] < np.inf else cost[other]
@@ -164,9 +172,9 @@ def _sweep(
                     bucket = int(reached * scale)
                     if not (final and before < np.inf and int(before * scale) == bucket):
                         target = bucket % count
-                        if filled[target] == room:
+                        if filled[target] == capacity:
                             queue = np.concatenate((queue, np.empty_like(queue)), axis=1)
-                            room *= 2
+                            capacity *= 2
                         queue[target, filled[target]] = other
                         filled[target] += 1
                         pending += 1

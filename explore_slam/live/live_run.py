@@ -72,7 +72,7 @@ class LiveRun:
         self.world = load_world(world_path(options.world))
         self.starts = self._starts()
         self.config = self._config()
-        radius = self.config.agent.exploration.paths.vehicle_radius
+        radius = self.config.agent.exploration.paths.planning_radius
         path = world_path(options.world)
         self.area = ReachableArea.of_file(path, self.starts.values(), radius)
         title = f'Live exploration of {self.world.name}, {options.vehicles} vehicles'

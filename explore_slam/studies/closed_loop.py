@@ -98,7 +98,7 @@ class ClosedLoop:
         self._extractor = FeatureExtractor(self.config.agent.vision)
         self._odometry: dict[str, Pose2] = {}
         self.discard_records()
-        radius = self.config.agent.exploration.paths.vehicle_radius
+        radius = self.config.agent.exploration.paths.planning_radius
         self.area = ReachableArea.of_file(self.world_path, starts.values(), radius)
         self.coverage = 0.0
         self._next_plan = FIRST_PLANNING

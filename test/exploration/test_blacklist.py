@@ -3,7 +3,7 @@
 import numpy as np
 
 from explore_slam.exploration.blacklist import Blacklist
-from explore_slam.exploration.config import BlacklistConfig
+from explore_slam.exploration.sections import BlacklistConfig
 from explore_slam.mapping import OccupancyGrid
 
 
@@ -20,9 +20,14 @@ def blacklist(**values):
 PLACE = (1.5, 1.5)
 
 
+def fail(entries, now, grid, **how):
+    entries.report(PLACE, **how)
+    entries.update(now, grid, grid.known())
+
+
 def test_targets_within_the_radius_are_left_alone_until_they_expire():
     entries, grid = blacklist(blacklist_radius=0.4), grid_with(0.5)
-    entries.add(PLACE, 100.0, grid, grid.known())
+    fail(entries, 100.0, grid)
     assert entries.blocks(PLACE, 105.0)
     assert entries.blocks((1.8, 1.5), 105.0)
     assert not entries.blocks((2.0, 1.5), 105.0)
@@ -31,29 +36,46 @@ def test_targets_within_the_radius_are_left_alone_until_they_expire():
 
 def test_every_failure_doubles_the_time_and_after_some_it_is_given_up():
     entries, grid = blacklist(maximum_attempts=3), grid_with(0.5)
-    entries.add(PLACE, 0.0, grid, grid.known())
-    entries.add(PLACE, 10.0, grid, grid.known())
+    fail(entries, 0.0, grid)
+    fail(entries, 10.0, grid)
     assert entries.blocks(PLACE, 29.0)
     assert not entries.blocks(PLACE, 30.0)
     assert not entries.gave_up(PLACE)
-    entries.add(PLACE, 30.0, grid, grid.known())
+    fail(entries, 30.0, grid)
     assert entries.gave_up(PLACE)
     assert entries.blocks(PLACE, 1e9)
 
 
 def test_a_change_of_the_map_there_is_forgiveness_and_one_elsewhere_is_not():
     entries, grid = blacklist(maximum_attempts=1), grid_with(0.5)
-    entries.add(PLACE, 0.0, grid, grid.known())
+    fail(entries, 0.0, grid)
     far = grid_with(0.5).known().copy()
     far[0, 59] = True
-    entries.refresh(grid, far)
+    entries.update(0.0, grid, far)
     assert entries.gave_up(PLACE)
-    entries.refresh(grid, grid_with(0.6).known())
+    entries.update(0.0, grid, grid_with(0.6).known())
     assert not entries.blocks(PLACE, 1.0)
 
 
 def test_success_is_forgiveness():
     entries, grid = blacklist(), grid_with(0.5)
-    entries.add(PLACE, 0.0, grid, grid.known())
+    fail(entries, 0.0, grid)
     entries.clear((1.6, 1.5))
     assert len(entries) == 0
+
+
+def test_a_final_failure_is_given_up_at_once():
+    entries, grid = blacklist(maximum_attempts=3), grid_with(0.5)
+    fail(entries, 0.0, grid, final=True)
+    assert entries.gave_up(PLACE)
+    assert entries.blocks(PLACE, 1e9)
+
+
+def test_a_report_counts_from_the_next_update_on_and_once():
+    entries, grid = blacklist(), grid_with(0.5)
+    entries.report(PLACE)
+    assert not entries.blocks(PLACE, 0.0)
+    for _ in range(5):
+        entries.update(0.0, grid, grid.known())
+    assert entries.blocks(PLACE, 9.9)
+    assert not entries.blocks(PLACE, 10.0)

@@ -9,8 +9,8 @@ from scipy.ndimage import distance_transform_edt
 
 from explore_slam.exploration import ExplorationConfig, find_frontiers, make_cost_map
 from explore_slam.exploration.clearance import squared_distance
-from explore_slam.exploration.config import PathConfig
 from explore_slam.exploration.frontiers import expected_area
+from explore_slam.exploration.sections import PathConfig
 from explore_slam.mapping import OccupancyGrid
 from explore_slam.settings import with_values
 
@@ -58,7 +58,7 @@ def test_a_frontier_lies_beside_the_unknown_and_its_target_is_free():
 
 def test_the_inflated_grid_keeps_the_radius():
     grid = grid_of(ROOMS, cells_per_letter=4)
-    settings = PathConfig(vehicle_radius=0.6)
+    settings = PathConfig(planning_radius=0.6)
     costs = make_cost_map(grid, settings)
     obstacles = np.argwhere(grid.known() & (grid.probability() > 0.5))
     for cell in np.argwhere(np.isfinite(costs.cost)):
@@ -72,7 +72,7 @@ def test_the_paper_is_charged_probabilities_and_others_at_least_the_floor():
     probability = np.full((9, 9), 0.2)
     probability[4, 4] = 0.5
     grid = OccupancyGrid.from_probability(probability, np.ones((9, 9), bool))
-    paper = make_cost_map(grid, PathConfig(), paper_costs=True).cost
+    paper = make_cost_map(grid, PathConfig(), probability_costs=True).cost
     assert paper[4, 4] == pytest.approx(0.5, abs=1e-3)
     assert paper[0, 0] == pytest.approx(0.2, abs=1e-3)
     ours = make_cost_map(grid, PathConfig(cost_floor=0.25)).cost
@@ -106,11 +106,11 @@ def test_a_frontier_that_no_vehicle_fits_into_is_looked_into_from_near():
     ##########
     """
     grid = grid_of(narrow, cells_per_letter=2)
-    settings = config(vehicle_radius=0.3, frontier_reach=2.5, min_frontier_size=0.2)
+    settings = config(planning_radius=0.3, viewpoint_distance=2.5, min_frontier_size=0.2)
     (frontier,) = find_frontiers(grid, settings)
     assert np.isfinite(make_cost_map(grid, settings.paths).cost[frontier.target_cell])
     assert 0.5 < math.dist(frontier.target, frontier.centroid) < 2.5
-    assert find_frontiers(grid, config(frontier_reach=0.5, min_frontier_size=0.2)) == []
+    assert find_frontiers(grid, config(viewpoint_distance=0.5, min_frontier_size=0.2)) == []
 
 
 def test_unknown_cells_that_stand_alone_are_no_frontier():
@@ -167,9 +167,9 @@ def test_a_crack_that_little_is_seen_through_is_no_frontier():
     ######################
     """
     grid = grid_of(text, cells_per_letter=2)
-    assert find_frontiers(grid, config(frontier_reach=2.0, min_frontier_gain=0.4)) == []
-    (crack,) = find_frontiers(grid, config(frontier_reach=2.0, min_frontier_gain=0.01))
+    assert find_frontiers(grid, config(viewpoint_distance=2.0, min_frontier_gain=0.4)) == []
+    (crack,) = find_frontiers(grid, config(viewpoint_distance=2.0, min_frontier_gain=0.01))
     assert 0.01 < crack.gain < 0.4
     door = grid_of(text.replace('######.###', '######....'), cells_per_letter=2)
-    (way,) = find_frontiers(door, config(frontier_reach=2.0, min_frontier_gain=0.4))
+    (way,) = find_frontiers(door, config(viewpoint_distance=2.0, min_frontier_gain=0.4))
     assert way.gain > crack.gain

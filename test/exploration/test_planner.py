@@ -42,7 +42,7 @@ SIDE = 2  # cells of 0.25 m per letter
 
 def config(**values):
     return with_values(
-        ExplorationConfig(), {'vehicle_radius': 0.3, 'return_to_init': False, **values}
+        ExplorationConfig(), {'planning_radius': 0.3, 'return_to_init': False, **values}
     )
 
 
@@ -236,9 +236,9 @@ def test_a_shut_in_vehicle_gets_out_through_a_tight_place():
     """
     grid = grid_of(tight, cells_per_letter=SIDE)
     start = {'robot1': snapshot(tight, 4, 2)}
-    wide = config(vehicle_radius=0.4, tight_radius=0.2)
+    wide = config(planning_radius=0.4, minimum_planning_radius=0.2)
     assert 'robot1' in Planner(wide).plan(grid, 0.0, start).plans
-    wall = config(vehicle_radius=0.4, tight_radius=0.4)
+    wall = config(planning_radius=0.4, minimum_planning_radius=0.4)
     assert 'robot1' not in Planner(wall).plan(grid, 0.0, start).plans
 
 

@@ -14,9 +14,8 @@ from explore_slam.exploration import (
     PlanningMode,
     VehicleSnapshot,
 )
-from explore_slam.exploration.traffic import remaining_path
 from explore_slam.geometry import Pose2
-from explore_slam.polyline import truncated
+from explore_slam.polyline import remaining_path, truncated
 from explore_slam.settings import with_values
 
 SPEED, STEP = 0.4, 0.5
@@ -55,7 +54,7 @@ def drive(text, starts, homes, limit=400.0, radius=0.2):
     grid = grid_of(text, cells_per_letter=CELLS)
     config = with_values(
         ExplorationConfig(),
-        {'vehicle_radius': radius, 'tight_radius': 0.1, 'vehicle_separation': 0.6,
+        {'planning_radius': radius, 'minimum_planning_radius': 0.1, 'vehicle_separation': 0.6,
          'clearance_distance': 0.1},
     )  # fmt: skip
     planner = Planner(config)
@@ -130,7 +129,7 @@ def test_vehicles_that_cross_in_the_open_keep_apart():
 @pytest.mark.parametrize('active', [True, False])
 def test_no_plan_leads_through_the_body_of_a_standing_vehicle(active):
     grid = grid_of(CORRIDOR, cells_per_letter=CELLS)
-    config = with_values(ExplorationConfig(), {'vehicle_radius': 0.2})
+    config = with_values(ExplorationConfig(), {'planning_radius': 0.2})
     poses = {n: point_of(*cell, CORRIDOR, cells_per_letter=CELLS)
              for n, cell in {'a': (3, 2), 'b': (3, 12), 'home': (3, 21)}.items()}  # fmt: skip
     vehicles = {
@@ -144,11 +143,3 @@ def test_no_plan_leads_through_the_body_of_a_standing_vehicle(active):
         ])  # fmt: skip
         assert np.hypot(*(at - poses['b']).T).min() >= 0.4
     assert ('b' in result.plans) is active
-
-
-def test_remaining_path_starts_at_the_place_and_drops_what_is_behind():
-    path = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 3.0]])
-    ahead = remaining_path(np.array([2.0, 0.1]), path)
-    assert ahead.tolist() == [[2.0, 0.1], [4.0, 0.0], [4.0, 3.0]]
-    assert truncated(path, 5.0).tolist() == [[0.0, 0.0], [4.0, 0.0], [4.0, 1.0]]
-    assert truncated(path, 99.0) is path

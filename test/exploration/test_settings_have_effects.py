@@ -50,8 +50,8 @@ def vehicles(*columns):
 @pytest.mark.parametrize(
     ('name', 'value'),
     [
-        ('vehicle_radius', 0.5), ('tight_radius', 0.1), ('occ_max', 0.99), ('cost_floor', 0.1),
-        ('clearance_distance', 0.0), ('clearance_weight', 0.0),
+        ('planning_radius', 0.5), ('minimum_planning_radius', 0.1), ('occ_max', 0.99),
+        ('cost_floor', 0.1), ('clearance_distance', 0.0), ('clearance_weight', 0.0),
     ],
 )  # fmt: skip
 def test_cost_maps(name, value):
@@ -87,10 +87,10 @@ def test_escape_distance():
     assert not Scene(hall(), 0.0, config(escape_distance=0.1), stuck).starts
 
 
-def test_goal_tolerance_decides_who_is_home():
+def test_arrival_distance_decides_who_is_home():
     x, y = place(3, 5)
     away = {'a': VehicleSnapshot(Pose2(x + 0.5, y, 0.0), True, Pose2(x, y, 0.0))}
-    near, wide = Planner(config()), Planner(config(goal_tolerance=0.6))
+    near, wide = Planner(config()), Planner(config(arrival_distance=0.6))
     assert near.plan(hall(), 0.0, away, PlanningMode.RETURN_HOME).plans
     assert not wide.plan(hall(), 0.0, away, PlanningMode.RETURN_HOME).plans
 

@@ -63,7 +63,7 @@ def _add_keyframe_without_vision(team: Team, track: VehicleTrack, stamp: float) 
 
 def _bodies(team: Team, track: VehicleTrack, stamp: float) -> list[Body]:
     """Return the positions of the other vehicles, so that they do not become walls."""
-    radius = team.config.exploration.paths.vehicle_radius + team.config.scans.body_margin
+    radius = team.config.exploration.paths.planning_radius + team.config.scans.body_margin
     bodies = []
     for other in team.tracks.values():
         if other is track:

@@ -1,0 +1,240 @@
+"""Sections of the settings of exploration; ExplorationConfig gathers them."""
+
+from dataclasses import dataclass
+
+from explore_slam.settings import Section, setting
+
+
+@dataclass(frozen=True)
+class PathConfig(Section):
+    """Where vehicles may drive, and what that costs."""
+
+    planning_radius: float = setting(
+        0.3,
+        'Paths keep this distance between the vehicle center and obstacles',
+        unit='m',
+        low=0.0,
+        high=5.0,
+        tier='basic',
+    )
+    minimum_planning_radius: float = setting(
+        0.2,
+        'Distance kept instead by a vehicle that is trapped at the planning radius',
+        unit='m',
+        low=0.0,
+        high=5.0,
+        tier='basic',
+    )
+    occ_max: float = setting(
+        0.6,
+        'Largest probability of occupation of a cell that vehicles may enter (occmax of the '
+        'paper, section V-A)',
+        low=0.05,
+        high=0.99,
+    )
+    cost_floor: float = setting(
+        0.4,
+        'Smallest probability charged for a cell, so that distance counts (not by strategy paper)',
+        low=0.001,
+        high=0.9,
+    )
+    clearance_distance: float = setting(
+        0.4,
+        'Cells within this distance beyond the planning radius of an obstacle cost extra',
+        unit='m',
+        low=0.0,
+        high=5.0,
+    )
+    clearance_weight: float = setting(
+        2.0,
+        'Extra cost of a cell at the planning radius from an obstacle, as a multiple',
+        low=0.0,
+        high=50.0,
+    )
+    route_resolution: float = setting(
+        0.3,
+        'Side of the blocks of cells on which costs between targets are computed (not by '
+        'strategy paper)',
+        unit='m',
+        low=0.01,
+        high=2.0,
+    )
+    escape_distance: float = setting(
+        1.0,
+        'Distance within which a vehicle in a blocked cell starts from the nearest free cell',
+        unit='m',
+        low=0.0,
+        high=10.0,
+    )
+    arrival_distance: float = setting(
+        0.3,
+        'Distance from its target at which a vehicle has arrived',
+        unit='m',
+        low=0.05,
+        high=5.0,
+    )
+
+
+@dataclass(frozen=True)
+class FrontierConfig(Section):
+    """Which frontiers are worth visiting."""
+
+    min_frontier_size: float = setting(
+        0.4, 'Shorter frontiers are ignored', unit='m', low=0.0, high=20.0, tier='basic'
+    )
+    max_frontier_size: float = setting(
+        3.0, 'Longer frontiers are split', unit='m', low=0.5, high=100.0
+    )
+    viewpoint_distance: float = setting(
+        1.0,
+        'Largest distance between a frontier and the viewpoint from which it is seen',
+        unit='m',
+        low=0.0,
+        high=10.0,
+    )
+    min_frontier_gain: float = setting(
+        0.2,
+        'Frontiers with less unknown area behind them are ignored',
+        unit='m²',
+        low=0.0,
+        high=100.0,
+    )
+    sensor_range: float = setting(
+        8.0,
+        'Range that the laser is expected to cover (max range of the paper, equation 9)',
+        unit='m',
+        low=0.5,
+        high=100.0,
+        tier='basic',
+    )
+
+
+@dataclass(frozen=True)
+class AssignmentConfig(Section):
+    """Parameters of the strategies that assign targets to vehicles."""
+
+    travel_weight: float = setting(
+        1.0, 'Weight beta of the cost against the utility (strategy paper)', low=0.001, high=100.0
+    )
+    hysteresis: float = setting(
+        2.0,
+        'Travel by which another target must be better (strategies paper and nearest)',
+        unit='m',
+        low=0.0,
+        high=100.0,
+    )
+    tour_hysteresis: float = setting(
+        10.0,
+        'Cost by which other tours must be better (strategy default)',
+        unit='m',
+        low=0.0,
+        high=1000.0,
+    )
+    work_per_area: float = setting(
+        0.3,
+        'Travel expected to explore an unknown area (strategy default)',
+        unit='m per m²',
+        low=0.0,
+        high=100.0,
+    )
+    waiting_weight: float = setting(
+        0.5,
+        'Weight of the mean travel until targets are reached against that of all tours '
+        '(strategy default)',
+        low=0.0,
+        high=1000.0,
+    )
+    longest_weight: float = setting(
+        3.0,
+        'Weight of the longest tour against the sum of all (strategy default)',
+        low=0.0,
+        high=1000.0,
+    )
+    gain_per_detour: float = setting(
+        0.3,
+        'Unknown area per detour that makes a target worth visiting now (strategy default)',
+        unit='m² per m',
+        low=0.0,
+        high=100.0,
+    )
+    merge_distance: float = setting(
+        1.5,
+        'Frontiers within this distance are one stop of a tour (strategy default)',
+        unit='m',
+        low=0.0,
+        high=20.0,
+    )
+    overlap_weight: float = setting(
+        20.0,
+        'Travel that is worth avoiding two vehicles at one place (strategy default)',
+        unit='m',
+        low=0.0,
+        high=1000.0,
+    )
+    exploration_seed: int = setting(0, 'Seed of the strategy random', low=0, high=2**31 - 1)
+
+
+@dataclass(frozen=True)
+class BlacklistConfig(Section):
+    """When a target has failed, and how long it is left alone."""
+
+    blacklist_radius: float = setting(
+        0.5,
+        'Targets within this distance of a failed one are blacklisted too',
+        unit='m',
+        low=0.0,
+        high=10.0,
+    )
+    blacklist_expiry: float = setting(
+        600.0,
+        'Time until a failed target is tried again; doubles with every further failure',
+        unit='s',
+        low=0.0,
+        high=86400.0,
+    )
+    maximum_attempts: int = setting(
+        3,
+        'Failures after which a target is given up until the map around it changes',
+        low=1,
+        high=100,
+    )
+    progress_timeout: float = setting(
+        30.0,
+        'A target has failed when its vehicle comes no nearer for this time',
+        unit='s',
+        low=1.0,
+        high=3600.0,
+        tier='basic',
+    )
+
+
+@dataclass(frozen=True)
+class TrafficConfig(Section):
+    """Right of way between vehicles."""
+
+    vehicle_separation: float = setting(
+        0.9,
+        'Distance kept between the centers of two vehicles',
+        unit='m',
+        low=0.0,
+        high=10.0,
+        tier='basic',
+    )
+    nominal_speed: float = setting(
+        0.4,
+        'Speed at which vehicles are expected to follow their paths',
+        unit='m/s',
+        low=0.01,
+        high=5.0,
+        tier='basic',
+    )
+    traffic_margin: float = setting(
+        4.0,
+        'Time between the passages of two vehicles through one place',
+        unit='s',
+        low=0.0,
+        high=120.0,
+    )
+    traffic_horizon: float = setting(
+        40.0, 'Time ahead for which conflicts are predicted', unit='s', low=1.0, high=600.0
+    )
