@@ -15,7 +15,6 @@ import numpy as np
 
 from explore_slam.data import Plan
 from explore_slam.exploration import (
-    STRATEGIES,
     ExplorationConfig,
     ExplorationStatus,
     Planner,

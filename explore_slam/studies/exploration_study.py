@@ -12,7 +12,7 @@ import yaml
 
 from explore_slam import exploration, mapping, simulation
 from explore_slam.errors import EvaluationError
-from explore_slam.exploration import STRATEGIES, ExplorationConfig
+from explore_slam.exploration import ExplorationConfig
 from explore_slam.settings import values_of, with_values
 from explore_slam.simulation.grid.grid_simulator import GridSimulatorConfig
 from explore_slam.simulation.worlds.grid_world import GridWorld
