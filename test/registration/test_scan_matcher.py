@@ -76,7 +76,7 @@ def test_along_a_corridor_the_error_of_the_wheels_stays_and_is_a_random_walk():
     for x in (0.25, 0.5, 0.75, 1.0):
         pose = Pose2(x, 0.0, 0.0)
         in_room = matcher.match(scan_of(ROOM, pose), IDENTITY, pose, WHEELS)
-    assert (np.diag(in_room.drift) < 0.5 * np.diag(in_room.white)).all()
+    assert (np.diag(in_room.drift) < 0.6 * np.diag(in_room.white)).all()
 
 
 def test_what_lies_on_nothing_known_is_refused_and_does_not_enter_the_map():

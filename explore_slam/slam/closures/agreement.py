@@ -1,0 +1,77 @@
+"""Candidates wait until enough others, from other scans, tell the same."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from explore_slam.geometry import Array, between, compose
+from explore_slam.slam.closures.anchors import Anchor
+from explore_slam.slam.closures.closure import Closure
+
+# What two right candidates may differ by: their own errors, and drift over the way between them
+# on both sides (Intel, ACES, Belgioioso).
+_POSITION = (0.15, 0.03)  # m, m per m
+_HEADING = (0.03, 0.004)  # rad, rad per m
+_WAY_BETWEEN_VEHICLES = 3.0  # m, stands for the unknown way between anchors of two vehicles
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A closure that has passed the tests of its own, with the anchors at both ends."""
+
+    a: Anchor
+    b: Anchor
+    closure: Closure
+
+
+def agree(one: Candidate, other: Candidate, poses: Array) -> bool:
+    """Tell whether two candidates of the same two vehicles say the same.
+
+    The way from one's a to the other's b is the same through either closure.
+    """
+    along_b = between(poses[one.b.keyframe], poses[other.b.keyframe])
+    along_a = between(poses[one.a.keyframe], poses[other.a.keyframe])
+    off = between(
+        compose(np.asarray(one.closure.pose), along_b),
+        compose(along_a, np.asarray(other.closure.pose)),
+    )
+    way = abs(one.b.way - other.b.way)
+    way += (
+        abs(one.a.way - other.a.way)
+        if one.a.vehicle == other.a.vehicle
+        else (_WAY_BETWEEN_VEHICLES)
+    )
+    return (
+        math.hypot(off[0], off[1]) < _POSITION[0] + _POSITION[1] * way
+        and abs(off[2]) < _HEADING[0] + _HEADING[1] * way
+    )
+
+
+def largest_agreement(
+    newest: Candidate, pending: Sequence[Candidate], poses: Array, tied: bool = True
+) -> list[Candidate]:
+    """Return the newest candidate and those pending ones of other scans that agree pairwise.
+
+    tied: whether poses of the two vehicles are in one frame. If not, only candidates that lead
+    to the same vehicle can be compared.
+    """
+    group = [newest]
+    for candidate in reversed(pending):
+        if candidate.b.vehicle != newest.b.vehicle or candidate.b.keyframe == newest.b.keyframe:
+            continue
+        if not tied and candidate.a.vehicle != newest.a.vehicle:
+            continue
+        if all(
+            candidate.b.keyframe != member.b.keyframe and agree(candidate, member, poses)
+            for member in group
+        ):
+            group.append(candidate)
+    return group
+
+
+def span(group: Sequence[Candidate]) -> float:
+    """Return the way (m) over which the queries of candidates lie."""
+    ways = [candidate.b.way for candidate in group]
+    return max(ways) - min(ways)

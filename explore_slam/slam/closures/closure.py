@@ -1,0 +1,81 @@
+"""Closures: relative poses that laser scans tell of keyframes far apart on the way."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from explore_slam.geometry import Array, Pose2, compose, wrap_angle
+from explore_slam.registration import Alignment, LocalMap
+from explore_slam.slam.closures.anchors import Query
+from explore_slam.slam.closures.config import ClosureConfig
+
+# A closure is worth this many independent returns: the Mahalanobis distances of right closures
+# then have a median of 2 to 5, where 2.4 is expected (Intel, ACES, Belgioioso). Much less than
+# returns there are, because errors of the map within a region are common to all of them.
+_INDEPENDENT_RETURNS = 3.6
+_ALIGNMENT_SHARE = 0.3  # the share of independent returns that the alignment counts with
+_PROFILE: Array = np.linspace(-2.0, 2.0, 81)  # m along the weakest direction
+_TEMPERATURE = 0.02  # of the scores: differences below it mean nothing
+_LEAST_INFORMATION = 1e-2  # 1/m², 1/rad²: a deviation of 10 m
+
+
+@dataclass(frozen=True)
+class Closure:
+    """The pose of keyframe b in the frame of keyframe a, as their scans tell.
+
+    information (3, 3): of its components, in the axes of a. score: mean likelihood of the
+    returns; overlap: share of the returns on surfaces of a's region; rms (m) of their distances.
+    """
+
+    keyframe_a: int
+    keyframe_b: int
+    pose: Pose2
+    information: Array
+    score: float
+    overlap: float
+    rms: float
+
+    def query_pose(self, poses: Array) -> Array:
+        """Return the pose (3,) of b that the closure tells, given the pose of a."""
+        told: Array = compose(poses[self.keyframe_a], np.asarray(self.pose))
+        return told
+
+
+def acceptable(found: Alignment | None, config: ClosureConfig) -> bool:
+    """Tell whether enough returns lie well enough on the surfaces."""
+    return (
+        found is not None
+        and found.share >= config.closure_overlap
+        and found.rms <= config.closure_rms
+    )
+
+
+def closure_information(local_map: LocalMap, query: Query, found: Alignment) -> Array:
+    """Return the information (3, 3) of the query's pose in the frame of the map.
+
+    The score along the weakest direction says how far the query can slide: the variance of its
+    profile is added to the covariance.
+    """
+    scale = _INDEPENDENT_RETURNS / (_ALIGNMENT_SHARE * found.matched)
+    information = scale * found.information + _LEAST_INFORMATION * np.eye(3)
+    c, s = math.cos(found.pose.theta), math.sin(found.pose.theta)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    weakest, _ = found.weakest_direction()
+    u = turn[:2, :2] @ weakest
+    scores = local_map.score_profile(
+        query.points, found.pose, (float(u[0]), float(u[1])), _PROFILE
+    )
+    weights = np.exp((scores - scores.max()) / _TEMPERATURE)
+    weights /= weights.sum()
+    mean = weights @ _PROFILE
+    covariance = turn @ np.linalg.inv(information) @ turn.T
+    covariance[:2, :2] += (weights @ (_PROFILE - mean) ** 2) * np.outer(u, u)
+    result: Array = np.linalg.inv(covariance)
+    return result
+
+
+def apart(a: Array, b: Array, distance: float, turn: float) -> bool:
+    """Tell whether two poses (3,) differ by more than a distance (m) or a turn (rad)."""
+    far = math.hypot(a[0] - b[0], a[1] - b[1]) > distance
+    return far or abs(wrap_angle(float(a[2] - b[2]))) > turn

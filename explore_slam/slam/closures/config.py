@@ -1,0 +1,68 @@
+"""Settings of loop closing by laser."""
+
+from dataclasses import dataclass
+
+from explore_slam.settings import Section, setting
+
+
+@dataclass(frozen=True)
+class ClosureConfig(Section):
+    """How loops are found by laser. Values: design study on Intel, ACES and Belgioioso."""
+
+    laser_closures: bool = setting(True, 'Close loops by laser, within and between vehicles')
+    closure_every: int = setting(
+        2, 'Loops are searched at every n-th anchor of a vehicle', low=1, high=100
+    )
+    closure_least_way: float = setting(
+        10.0,
+        'Anchors of the same vehicle are candidates after this distance driven',
+        unit='m',
+        low=1.0,
+        high=1000.0,
+    )
+    closure_delay: float = setting(
+        5.0,
+        'Anchors of another vehicle nearby are candidates when this much older or newer',
+        unit='s',
+        low=0.0,
+        high=3600.0,
+    )
+    closure_drift: float = setting(
+        0.012,
+        'Growth of the position error per metre where no covariance is given',
+        unit='m/m',
+        low=0.0,
+        high=1.0,
+    )
+    closure_heading_drift: float = setting(
+        0.0015,
+        'Growth of the heading error per metre where no covariance is given',
+        unit='rad/m',
+        low=0.0,
+        high=1.0,
+    )
+    closure_widest_window: float = setting(
+        25.0, 'Largest half width of the search window', unit='m', low=0.5, high=100.0
+    )
+    closure_score: float = setting(
+        0.45, 'Least mean likelihood of the returns of a closure', low=0.0, high=1.0
+    )
+    closure_overlap: float = setting(
+        0.75, 'Least share of the returns that must lie on known surfaces', low=0.0, high=1.0
+    )
+    closure_rms: float = setting(
+        0.05,
+        'Largest root mean square distance of the returns from the surfaces',
+        unit='m',
+        low=0.001,
+        high=1.0,
+    )
+    closure_other_mode: float = setting(
+        0.92,
+        'A closure is dropped when another pose reaches this share of its score',
+        low=0.0,
+        high=1.0,
+    )
+    closure_agreements: int = setting(
+        3, 'Candidates that must agree where the search window was wide', low=1, high=20
+    )
