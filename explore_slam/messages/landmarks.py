@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from explore_slam.data import DESCRIPTOR_LENGTH, LandmarkObservations
+from explore_slam.data import LandmarkObservations
 from explore_slam.errors import DataError
 from explore_slam.messages.base import MessageFactory, seconds
 from explore_slam.messages.clouds import cloud_columns, cloud_message
@@ -14,6 +14,7 @@ from explore_slam.messages.topics import TopicKind
 
 # the factor by which OpenCV scales SIFT descriptors of unit length to bytes
 DESCRIPTOR_SCALE = 512.0
+FIELD, BINARY_FIELD = 'descriptor', 'binary_descriptor'
 TRIANGLE = np.triu_indices(3)  # the six elements of a covariance that are sent
 
 
@@ -22,29 +23,32 @@ def landmarks_message(
 ) -> Any:
     """Return observations as a sensor_msgs/PointCloud2.
 
-    compact: store descriptors as 128 bytes instead of 128 float32 values.
+    Descriptors of numbers (unit vectors) are the field `descriptor`, those of bits (uint8) the
+    field `binary_descriptor`.
+
+    compact: store descriptors of numbers as bytes instead of float32 values.
     """
     descriptors: NDArray[Any] = observations.descriptors
-    if compact:
+    binary = descriptors.dtype == np.uint8
+    if compact and not binary:
         scaled = np.rint(descriptors * DESCRIPTOR_SCALE)
         descriptors = np.clip(scaled, 0, 255).astype(np.uint8)
     rows, columns = TRIANGLE
     axes = [(name, observations.positions[:, axis]) for axis, name in enumerate('xyz')]
     covariance = ('covariance', observations.covariances[:, rows, columns])
-    return cloud_message(
-        factory, observations.stamp, frame, [*axes, covariance, ('descriptor', descriptors)]
-    )
+    described = (BINARY_FIELD if binary else FIELD, descriptors)
+    return cloud_message(factory, observations.stamp, frame, [*axes, covariance, described])
 
 
 def landmarks_record(message: Any) -> LandmarkObservations:
     """Return the observations in a sensor_msgs/PointCloud2 with the fields of landmarks_message.
 
-    Fields: x, y, z (m), covariance (6, upper triangle, m²), descriptor (128). DataError where one
+    Fields: x, y, z (m), covariance (6, upper triangle, m²), and descriptor or binary_descriptor
+    of any length; the filter checks that it fits its kind of descriptors. DataError where a field
     is missing or has another length.
     """
     columns = cloud_columns(message)
-    wanted = {'x': 1, 'y': 1, 'z': 1, 'covariance': 6, 'descriptor': DESCRIPTOR_LENGTH}
-    for name, length in wanted.items():
+    for name, length in {'x': 1, 'y': 1, 'z': 1, 'covariance': 6}.items():
         found = columns[name].shape[1] if name in columns else 0
         if found != length:
             raise DataError(f'landmarks: field {name!r} has {found} values, expected {length}')
@@ -53,14 +57,27 @@ def landmarks_record(message: Any) -> LandmarkObservations:
     rows, cols = TRIANGLE
     covariances[:, rows, cols] = columns['covariance']
     covariances[:, cols, rows] = columns['covariance']
-    descriptors = columns['descriptor'].astype(np.float32)
+    positions = np.concatenate([columns[axis] for axis in 'xyz'], axis=1).astype(np.float64)
+    return LandmarkObservations(
+        seconds(message.header.stamp), positions, covariances, _descriptors(columns)
+    )
+
+
+def _descriptors(columns: dict[str, NDArray[Any]]) -> NDArray[Any]:
+    if BINARY_FIELD in columns:
+        bits = columns[BINARY_FIELD]
+        if bits.dtype != np.uint8:
+            raise DataError(f'landmarks: field {BINARY_FIELD!r} is {bits.dtype}, expected uint8')
+        return bits
+    if FIELD not in columns:
+        raise DataError(
+            f'landmarks: neither field {FIELD!r} nor {BINARY_FIELD!r}, expected one of them'
+        )
+    descriptors = columns[FIELD].astype(np.float32)
     norms = np.linalg.norm(descriptors, axis=1, keepdims=True)
     if (norms == 0).any():
         raise DataError('landmarks: a descriptor is all zero, expected unit length')
-    positions = np.concatenate([columns[axis] for axis in 'xyz'], axis=1).astype(np.float64)
-    return LandmarkObservations(
-        seconds(message.header.stamp), positions, covariances, descriptors / norms
-    )
+    return descriptors / norms
 
 
 LANDMARKS = MeasurementKind(

@@ -121,6 +121,31 @@ def test_no_landmarks_and_wrong_landmarks():
         messages.landmarks_record(wrong)
 
 
+def test_landmarks_with_descriptors_of_other_kinds():
+    bits = np.arange(64, dtype=np.uint8).reshape(2, 32)
+    numbers = np.eye(2, 256, dtype=np.float32)
+    for descriptors in (bits, numbers):
+        observations = LandmarkObservations(
+            1.0, np.ones((2, 3)), np.repeat(np.eye(3)[None], 2, axis=0), descriptors
+        )
+        message = messages.landmarks_message(MESSAGES, observations, 'r', compact=True)
+        back = messages.landmarks_record(over_the_wire(message))
+        np.testing.assert_array_equal(back.descriptors, descriptors)
+        assert back.descriptors.dtype == descriptors.dtype
+
+
+def test_landmarks_without_or_with_zero_descriptors_are_refused():
+    columns = [(axis, np.zeros(2, np.float32)) for axis in 'xyz']
+    columns.append(('covariance', np.zeros((2, 6))))
+    cloud = messages.cloud_message(MESSAGES, 1.0, 'r', columns)
+    with pytest.raises(DataError, match="neither field 'descriptor' nor 'binary_descriptor'"):
+        messages.landmarks_record(cloud)
+    for name, words in (('descriptor', 'all zero'), ('binary_descriptor', 'expected uint8')):
+        described = [*columns, (name, np.zeros((2, 4), np.float32))]
+        with pytest.raises(DataError, match=words):
+            messages.landmarks_record(messages.cloud_message(MESSAGES, 1.0, 'r', described))
+
+
 def test_path_and_plan():
     points = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]])
     message = over_the_wire(messages.path_message(MESSAGES, 2.0, 'map', points))

@@ -89,5 +89,5 @@ def test_losses_are_counted_per_vehicle():
 
 def test_a_malformed_message_is_refused():
     empty = message_class('sensor_msgs/msg/LaserScan')(range_max=8.0, angle_increment=0.1)
-    with pytest.raises(DataError, match='one beam or more'):
+    with pytest.raises(DataError, match='at least one beam'):
         VehicleReader(MEASUREMENT_KINDS).read(TopicKind.SCAN, empty)

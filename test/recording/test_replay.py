@@ -220,7 +220,7 @@ def scan_message(stamp: float, **changes):
 @pytest.mark.parametrize(
     ('changes', 'words'),
     [
-        ({'ranges': np.empty(0, np.float32)}, 'one beam or more'),
+        ({'ranges': np.empty(0, np.float32)}, 'at least one beam'),
         ({'angle_increment': float('nan')}, 'angle_increment'),
         ({'range_max': 0.0}, 'range_max 0.0'),
     ],
