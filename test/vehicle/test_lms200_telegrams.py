@@ -5,15 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from explore_slam.vehicle import LaserConfig, Lms200
 from explore_slam.vehicle.lms200_scan import (
     MILLIMETRES,
-    RawScan,
-    ScannerConfiguration,
-    maximum_range,
     parse_configuration,
     parse_scan,
-    parse_status_byte,
     scan_ranges,
 )
 from explore_slam.vehicle.lms200_telegrams import (
@@ -78,33 +73,6 @@ def test_hosts_and_scanners_telegrams_are_told_apart():
     assert (telegram.command, telegram.data, telegram.status) == (Request.TYPE, b'', None)
 
 
-@given(st.binary(max_size=900))
-def test_any_data_may_be_parsed_as_a_scan(data):
-    scan = parse_scan(data)
-    if scan is not None:
-        assert scan_ranges(scan, 13).shape == scan.values.shape
-    parse_configuration(data)
-
-
-@pytest.mark.parametrize('bits', [13, 14, 15])
-def test_invalid_codes_become_what_rep_117_wants(bits):
-    top = (1 << bits) - 1
-    values = np.array([0, 1, 1500, top - 9, top - 8, top - 5, top - 4, top - 2, top - 1, top])
-    flagged = (values | (0xFFFF ^ top)).astype(np.uint16)  # flags of the fields must not matter
-    ranges = scan_ranges(RawScan(flagged, MILLIMETRES, False), bits)
-    longest = maximum_range(bits, MILLIMETRES)
-    assert longest == pytest.approx((top - 9) / 1000)
-    expected = [-np.inf, 0.001, 1.5, longest, np.inf, np.nan, np.nan, np.nan, np.nan, np.inf]
-    np.testing.assert_allclose(ranges, expected, rtol=1e-6)
-
-
-def test_centimetres_and_status_byte():
-    raw = RawScan(np.array([250], np.uint16), 0, False)
-    assert scan_ranges(raw, 13)[0] == pytest.approx(2.5)
-    assert parse_status_byte(0x10) == (0, False, False)
-    assert parse_status_byte(0xC3) == (3, True, True)
-
-
 @pytest.mark.data
 @pytest.mark.parametrize('name', RECORDINGS)
 def test_recordings_of_a_real_scanner_decode_whole(recordings, name):
@@ -129,17 +97,3 @@ def test_recordings_of_a_real_scanner_decode_whole(recordings, name):
         assert known.size >= 350
         assert known.min() > 0.1
         assert known.max() < 12.0  # a room
-
-
-@pytest.mark.data
-def test_scans_of_a_scanner_at_rest_repeat_to_centimetres(recordings):
-    stream = (recordings('lms200') / '2017_Aug_04_232500.bin').read_bytes()
-    laser = Lms200(LaserConfig())
-    laser.configuration = ScannerConfiguration(bytes([0, 0, 0x70, 0, 0, 4, 1]) + bytes(27))
-    telegrams = TelegramDecoder().feed(stream)
-    records = [laser.record(parse_scan(t.data), 1.0) for t in telegrams if t.command == Reply.SCAN]
-    ranges = np.array([record.ranges for record in records])
-    known = np.isfinite(ranges).all(axis=0)
-    assert np.median(ranges[:, known].std(axis=0)) < 0.01
-    assert records[0].angle_min == pytest.approx(-np.pi / 2)
-    assert records[0].range_max == pytest.approx(16.374)

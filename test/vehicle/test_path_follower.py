@@ -4,8 +4,9 @@ import math
 import numpy as np
 import pytest
 
-from explore_slam.data import Plan
-from explore_slam.geometry import Pose2
+from explore_slam.data import LaserScan, OdometryReading, Plan
+from explore_slam.geometry import IDENTITY, Pose2
+from explore_slam.settings import with_values
 from explore_slam.vehicle import FollowerState, PathFollower, PathFollowerConfig
 
 X = np.arange(0.0, 12.01, 0.05)
@@ -142,3 +143,263 @@ def test_a_corrected_pose_is_taken_over(make_track):
     assert track.follower.map_pose(track.time).y == pytest.approx(0.3, abs=0.02)
     track.run(1.5)
     assert track.last.angular < 0.0 or track.pose.y < -0.02  # steers back to the plan
+
+
+# -- single commands, by hand ---------------------------------------------------------------------
+
+
+def follower(waypoints, pose=IDENTITY, points=None, **settings):
+    """Return a follower at a pose at time 0 with all it needs; points: what its laser sees."""
+    made = PathFollower(config_with(settings))
+    made.set_plan(plan_along(waypoints), 0.0)
+    tell(made, 0.0, pose)
+    made.set_scan(scan_of(points), 0.0)
+    return made
+
+
+def config_with(settings):
+    return with_values(PathFollowerConfig(), {'laser_x': 0.0, **settings})
+
+
+def plan_along(waypoints, stamp=0.0):
+    points = np.asarray(waypoints, dtype=float).reshape(-1, 2)
+    goal = points[-1] if len(points) else (math.nan, math.nan)
+    return Plan(stamp, 'robot1', Pose2(*goal, 0.0), points)
+
+
+def tell(made, now, pose):
+    made.set_odometry(OdometryReading(now, pose), now)
+    made.set_pose(now, pose, now)
+
+
+def scan_of(points):
+    """Return a scan of one beam per point (x, y); the angles are chosen to fit."""
+    if points is None:
+        return LaserScan(0.0, 0.0, 0.1, np.full(1, np.inf, np.float32), 0.02, 8.0)
+    [(x, y)] = points
+    ranges = np.array([math.hypot(x, y)], np.float32)
+    return LaserScan(0.0, math.atan2(y, x), 0.1, ranges, 0.02, 8.0)
+
+
+def steady(made, now=0.0, speed=0.4):
+    """Let a follower believe that it already drives at this speed."""
+    made._motion.linear = speed
+    made._times.last_command = now - 10.0
+    return made.command(now)
+
+
+def test_speed_rises_with_the_acceleration_and_falls_twice_as_fast():
+    made = follower([[0, 0], [20, 0]])
+    assert made.command(0.0).linear == pytest.approx(0.5 / 20.0)  # one period of control
+    assert made.command(0.1).linear == pytest.approx(0.025 + 0.05)
+    fast = follower([[0, 0], [20, 0]], follow_speed=0.1)
+    fast._motion.linear = 0.4
+    fast._times.last_command = 0.0
+    assert fast.command(0.1).linear == pytest.approx(0.4 - 2.0 * 0.05)
+
+
+def test_a_gap_between_commands_counts_as_half_a_second():
+    made = follower([[0, 0], [20, 0]], follow_acceleration=0.2)
+    made._times.last_command = -5.0
+    assert made.command(0.0).linear == pytest.approx(0.2 * 0.5)
+
+
+@pytest.mark.parametrize(('speed', 'lookahead'), [(0.4, 0.32), (0.1, 0.22)])
+def test_curvature_leads_through_the_lookahead_point(speed, lookahead):
+    """An arc from the pose, tangent to its heading, through the point ahead on the path."""
+    made = follower([[0, 0], [20, 0]], Pose2(1.0, -0.1, 0.0), follow_speed=speed)
+    command = steady(made, speed=speed)
+    curvature = 2.0 * 0.1 / (lookahead**2 + 0.1**2)
+    expected = min(speed, 0.9 / curvature)
+    assert command.linear == pytest.approx(expected)
+    assert command.angular == pytest.approx(min(expected * curvature, 0.9, 2.5 * 0.5))
+
+
+def test_turn_rate_and_its_acceleration_are_limited():
+    made = follower([[0, 0], [20, 0]], Pose2(1.0, -0.15, 0.0), follow_turn_acceleration=1.0)
+    made._times.last_command = -0.1
+    made._motion.linear = 0.4
+    assert made.command(0.0).angular == pytest.approx(0.1)
+    made._times.last_command = -9.0
+    made._motion.angular = 0.8
+    assert made.command(0.0).angular <= 0.9
+
+
+def test_turning_on_the_spot_has_a_hysteresis():
+    """It begins beyond 0.9 rad and ends below 0.35 of that; the turn rate is twice the bearing."""
+    made = follower([[0, 0], [20, 0]], Pose2(1.0, 0.0, -1.0))
+    command = steady(made, speed=0.0)
+    assert (command.linear, command.reason) == (0.0, 'turning to the plan')
+    assert command.angular == pytest.approx(0.9)
+    cases = ((-0.5, True), (-0.33, True), (-0.30, False), (-0.8, False))
+    for now, (heading, turns) in zip((0.1, 0.2, 0.3, 0.4), cases, strict=True):
+        tell(made, now, Pose2(1.0, 0.0, heading))
+        command = made.command(now)
+        assert (command.reason == 'turning to the plan') == turns
+        if turns:
+            assert command.angular == pytest.approx(min(2.0 * -heading, 0.9))
+
+
+def test_braking_for_the_goal():
+    made = follower([[0, 0], [2.0, 0]], Pose2(1.88 - 0.05, 0.0, 0.0))
+    assert steady(made).linear == pytest.approx(min(0.4, math.sqrt(2 * 0.5 * 0.17)))
+    slow = follower([[0, 0], [2.0, 0]], Pose2(1.83, 0.0, 0.0), follow_acceleration=0.05)
+    assert steady(slow, speed=0.13).linear == pytest.approx(math.sqrt(2 * 0.05 * 0.17))
+    assert slow.progress.remaining == pytest.approx(0.17)
+
+
+def test_the_last_centimetres_are_crept():
+    made = follower(
+        [[0, 0], [2.0, 0]], Pose2(1.97, 0.0, 0.0), follow_acceleration=0.05, arrival_tolerance=0.02
+    )
+    tell(made, 0.0, Pose2(1.975, 0.0, 0.0))
+    assert steady(made, speed=0.05).linear == pytest.approx(math.sqrt(2 * 0.05 * 0.025))
+    tighter = follower(
+        [[0, 0], [2.0, 0]], Pose2(1.985, 0.0, 0.0), follow_acceleration=0.05,
+        arrival_tolerance=0.01,
+    )  # fmt: skip
+    assert steady(tighter, speed=0.05).linear == 0.05
+
+
+def test_arrival_needs_the_end_of_the_path_not_only_its_place():
+    loop = [[0, 0], [2, 0], [2, 2], [0, 2], [0, 0.05]]
+    made = follower(loop, Pose2(0.0, 0.0, 0.0))
+    assert made.command(0.0).state is FollowerState.DRIVING
+    line = follower([[0, 0], [2, 0]], Pose2(1.9, 0.0, 0.0))
+    assert line.command(0.0).state is FollowerState.ARRIVED
+    tell(line, 0.1, Pose2(1.0, 0.0, 0.0))  # pushed away: a goal reached stays reached
+    assert line.command(0.1).state is FollowerState.ARRIVED
+    aside = follower([[0, 0], [2, 0]], Pose2(1.95, 0.13, 0.0))
+    assert aside.command(0.0).state is not FollowerState.ARRIVED
+
+
+@pytest.mark.parametrize('distance', [0.8, 1.0])
+def test_the_speed_before_an_obstacle_allows_to_stop(distance):
+    """Room = free - stop distance; 0.35 s of reaction, then 0.6 of the acceleration."""
+    made = follower([[0, 0], [20, 0]], points=[(distance, 0.0)], follow_speed=1.5)
+    speed = steady(made, speed=1.5 if distance > 2 else 0.5).linear
+    room = distance - 0.25 - 0.2  # body radius, stop distance
+    assert made.progress.free == pytest.approx(distance - 0.25, abs=1e-6)
+    assert speed * 0.35 + speed**2 / (2 * 0.6 * 0.5) == pytest.approx(room, abs=1e-6)
+
+
+def test_a_vehicle_stopped_by_an_obstacle_starts_again_with_5_cm_to_spare():
+    made = follower([[0, 0], [20, 0]], points=[(0.44, 0.0)])
+    stopped = made.command(0.0)
+    assert (stopped.linear, stopped.state) == (0.0, FollowerState.WAITING)
+    assert stopped.reason == 'obstacle 0.19 m ahead'
+    for distance, drives in ((0.49, False), (0.51, True), (0.46, True)):
+        made.set_scan(scan_of([(distance, 0.0)]), 0.0)
+        assert (made.command(0.0).state is FollowerState.DRIVING) == drives
+
+
+def test_before_an_obstacle_that_leaves_hardly_any_room_it_creeps():
+    made = follower([[0, 0], [20, 0]], points=[(0.4505, 0.0)])
+    assert steady(made, speed=0.02).linear == pytest.approx(0.02)
+
+
+def test_an_obstacle_blocks_after_its_timeout():
+    made = follower([[0, 0], [20, 0]], points=[(0.4, 0.0)], stuck_timeout=120.0)
+    for now, state in ((0.5, 'waiting'), (3.4, 'waiting'), (3.6, 'blocked')):
+        tell(made, now, IDENTITY)
+        made.set_scan(scan_of([(0.4, 0.0)]), now)
+        assert made.command(now).state.value == state
+
+
+def test_obstacles_count_on_the_arc_and_on_gentle_arcs_straight_ahead_too():
+    aside = [(1.0, -0.4)]
+    straight = follower([[0, 0], [20, 0]], points=aside)
+    straight.command(0.0)
+    assert straight.progress.free == math.inf
+    ahead = follower([[0, 0], [20, 1.0]], points=[(2.0, -0.15)])  # gentle: 0.5 m beside the arc
+    ahead.command(0.0)
+    assert ahead.progress.free < 2.0
+
+
+def test_the_scan_is_moved_by_the_odometry_since_then():
+    made = follower([[0, 0], [20, 0]], points=[(2.0, 0.0)])
+    tell(made, 0.1, Pose2(0.5, 0.0, 0.0))
+    made.command(0.1)
+    assert made.progress.free == pytest.approx(1.5 - 0.25, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ('part', 'limit', 'word'),
+    [('plan', 2.0, 'agent'), ('odometry', 0.5, 'odometry'), ('scan', 0.6, 'laser')],
+)
+def test_each_silence_stops_at_its_timeout(part, limit, word):
+    made = follower([[0, 0], [20, 0]])
+    for now, stops in ((limit - 0.01, False), (limit + 0.01, True)):
+        if part != 'plan':
+            made.set_plan(made.plan, now)
+        if part != 'odometry':
+            made.set_odometry(OdometryReading(now, IDENTITY), now)
+        if part != 'scan':
+            made.set_scan(scan_of(None), now)
+        command = made.command(now)
+        assert (command.reason == f'{word} silent for {now:.1f} s') == stops
+
+
+def test_an_old_map_pose_and_a_silent_heartbeat_stop():
+    made = follower([[0, 0], [20, 0]], pose_timeout=1.0)
+    made.set_plan(made.plan, 1.05)
+    made.set_odometry(OdometryReading(1.05, IDENTITY), 1.05)
+    made.set_scan(scan_of(None), 1.05)
+    assert made.command(1.05).reason == 'map pose silent for 1.1 s'
+    made = follower([[0, 0], [20, 0]])
+    assert made.command(0.0, 0.25).state is FollowerState.DRIVING
+    assert made.command(0.0, 0.26).reason == "agent's heartbeat silent for 0.3 s"
+
+
+def test_what_has_never_come_is_named_in_turn():
+    made = PathFollower(config_with({}))
+    assert made.command(0.0).reason == 'no plan yet'
+    made.set_plan(plan_along([[0, 0], [20, 0]]), 0.0)
+    assert made.command(0.0).reason == 'no odometry yet'
+    made.set_odometry(OdometryReading(0.0, IDENTITY), 0.0)
+    assert made.command(0.0).reason == 'no map pose yet'
+    made.set_pose(0.0, IDENTITY, 0.0)
+    assert made.command(0.0).reason == 'no laser yet'
+    made.configure(config_with({'obstacle_stop': False}))
+    assert made.command(0.0).state is FollowerState.DRIVING
+
+
+def test_no_progress_is_reported_and_a_plan_to_the_same_goal_is_no_progress():
+    made = follower([[0, 0], [20, 0]], stuck_timeout=2.0)
+    made.command(0.0)
+    for now, waypoints, blocked in (
+        (1.9, [[0, 0], [20, 0]], False),
+        (2.1, [[0, 0], [10, 0.0], [20, 0.04]], True),
+        (2.2, [[0, 0], [15, 0]], False),
+    ):
+        made.set_plan(plan_along(waypoints), now)
+        tell(made, now, IDENTITY)
+        made.set_scan(scan_of(None), now)
+        command = made.command(now)
+        assert (command.state is FollowerState.BLOCKED) == blocked
+        assert (command.reason == f'no progress for {now:.0f} s') == blocked
+
+
+def test_5_cm_or_005_rad_are_progress():
+    made = follower([[0, 0], [20, 0]], stuck_timeout=2.0, agent_timeout=60.0)
+    made.command(0.0)
+    for now, x, blocked in ((1.5, 0.04, False), (2.1, 0.04, True), (2.2, 0.06, False)):
+        tell(made, now, Pose2(x, 0.0, 0.0))
+        made.set_scan(scan_of(None), now)
+        assert (made.command(now).state is FollowerState.BLOCKED) == blocked
+    turning = follower([[0, 0], [20, 0]], Pose2(0.0, 0.0, 2.5), stuck_timeout=2.0)
+    turning.command(0.0)
+    for now, heading, blocked in ((1.5, 2.46, False), (2.1, 2.46, True), (2.2, 2.44, False)):
+        tell(turning, now, Pose2(0.0, 0.0, heading))
+        turning.set_plan(turning.plan, now)
+        turning.set_scan(scan_of(None), now)
+        assert (turning.command(now).state is FollowerState.BLOCKED) == blocked
+
+
+def test_deviation_is_reported_beyond_its_limit_with_its_sign():
+    for y, blocked in ((0.95, False), (-0.95, False), (1.05, True), (-1.05, True)):
+        made = follower([[0, 0], [20, 0]], Pose2(2.0, y, 0.0))
+        command = made.command(0.0)
+        assert made.progress.cross_track == pytest.approx(y)
+        assert made.progress.remaining == pytest.approx(18.0 + abs(y))
+        assert (command.reason == f'{abs(y):.2f} m off the plan') == blocked

@@ -130,3 +130,127 @@ def test_sonar_stops_where_it_is_asked_to():
     assert points[0] == pytest.approx([0.314, 0.053], abs=0.001)
     assert drive(gate(), 0.4, sonar_points=points).linear == 0.4
     assert drive(gate(sonar_stop=True), 0.4, sonar_points=points).linear == 0.0
+
+
+def points_at(*distances):
+    """Return points straight ahead, at distances (m) from the front of the body."""
+    return np.array([[0.25 + distance, 0.0] for distance in distances])
+
+
+@pytest.mark.parametrize('room', [0.05, 0.3, 0.8])
+def test_the_speed_allows_to_stop_at_the_guard_distance(room):
+    """Distance in 0.2 s at that speed plus braking at 0.6 m/s² is the room left."""
+    made = gate()
+    allowed = drive(made, 0.75, laser_points=points_at(0.15 + room, 9.0)).linear
+    if allowed < 0.75:
+        assert 0.2 * allowed + allowed**2 / (2.0 * 0.6) == pytest.approx(room)
+    assert (allowed < 0.75) == (room < 0.2 * 0.75 + 0.75**2 / 1.2)
+
+
+def test_what_slows_or_stops_the_vehicle_is_named():
+    slow = drive(gate(), 0.75, laser_points=points_at(0.35))
+    assert slow.reason == 'slow: obstacle 0.35 m ahead'
+    assert 0.0 < slow.linear < 0.75
+    stopped = drive(gate(), 0.75, 0.5, laser_points=points_at(0.14))
+    assert (stopped.linear, stopped.angular) == (0.0, 0.5)  # turning away stays allowed
+    assert stopped.reason == 'obstacle 0.14 m ahead'
+    assert drive(gate(), 0.75, laser_points=points_at(-0.1)).reason == 'obstacle 0.00 m ahead'
+
+
+def test_backing_is_stopped_by_what_lies_behind_and_only_by_that():
+    behind = -points_at(0.1)
+    result = drive(gate(), -0.3, laser_points=behind)
+    assert (result.linear, result.reason) == (0.0, 'obstacle 0.10 m ahead')
+    assert drive(gate(), 0.3, laser_points=behind).linear == 0.3
+    slow = drive(gate(), -0.7, laser_points=-points_at(0.25))
+    assert 0.2 * -slow.linear + slow.linear**2 / 1.2 == pytest.approx(0.1)
+    assert slow.linear < 0.0
+
+
+def test_bumpers_stop_their_own_direction_only():
+    made = gate()
+    assert drive(made, 0.3, bumpers_rear=True).linear == 0.3
+    assert drive(gate(), -0.3, bumpers_front=True).linear == -0.3
+    result = drive(gate(), -0.3, 0.4, bumpers_rear=True)
+    assert (result.linear, result.angular) == (0.0, 0.4)
+    assert result.reason == 'rear bumper pressed'
+
+
+def test_a_stall_forbids_to_go_on_in_its_direction_until_it_is_over():
+    made = gate()
+    drive(made, -0.4)
+    assert drive(made, -0.4, stalled=True).linear == 0.0
+    assert drive(made, 0.0, 0.5, stalled=True).angular == 0.0
+    assert drive(made, 0.3, stalled=True).linear == 0.3  # the other way
+    drive(made, 0.3)
+    assert drive(made, 0.3, stalled=True).linear == 0.0  # a new stall, in the other direction
+    assert drive(made, 0.3, stalled=False).linear == 0.3
+
+
+def test_a_stall_while_turning_on_the_spot_stops_all():
+    made = gate()
+    drive(made, 0.0, 1.0)
+    assert drive(made, 0.0, 1.0, stalled=True).angular == 0.0
+    assert drive(made, 0.3, stalled=True).linear == 0.0
+
+
+def test_acceleration_is_limited_by_the_time_between_updates():
+    made = gate(guard_acceleration=0.5, guard_turn_acceleration=2.0)
+
+    def update(now):
+        made.command(0.7, 1.4, now)
+        result = made.update(SafetyInputs(), now)
+        return result.linear, result.angular
+
+    assert update(100.0) == pytest.approx((0.025, 0.1))  # the first one counts as 50 ms
+    assert update(100.1) == pytest.approx((0.075, 0.3))
+    assert update(100.1) == pytest.approx((0.075, 0.3))
+    assert update(105.0) == pytest.approx((0.175, 0.7))  # 0.2 s at most
+    assert update(104.0) == pytest.approx((0.175, 0.7))  # time that goes back
+
+
+def test_turn_rate_slows_down_within_its_limit_and_speed_at_once():
+    made = gate(guard_turn_acceleration=2.0)
+    drive(made, 0.5, 1.0)
+    result = drive(made, 0.1, 0.0, seconds=0.05)
+    assert (result.linear, result.angular) == pytest.approx((0.1, 0.9))
+
+
+def test_reversing_starts_from_rest():
+    made = gate(guard_acceleration=0.5)
+    drive(made, 0.6)
+    assert drive(made, -0.6, seconds=0.05).linear == pytest.approx(-0.025)
+
+
+@pytest.mark.parametrize('timeout', ['command_timeout', 'laser_timeout'])
+def test_timeouts_hold_to_the_second(timeout):
+    made = gate(**{timeout: 0.5})
+    drive(made, 0.4)
+    now = made.time
+    heard = now if timeout == 'laser_timeout' else now + 9.0
+    for later, drives in ((0.49, True), (0.51, False)):
+        if timeout == 'laser_timeout':
+            made.command(0.4, 0.0, now + later)
+        assert (made.update(SafetyInputs(heard), now + later).linear > 0.0) == drives
+
+
+def test_the_first_reason_is_the_one_reported():
+    made = gate()
+    inputs = SafetyInputs(laser_heard=-math.inf, stalled=True, emergency_stop=True)
+    assert made.update(inputs, 1.0).reason == 'emergency stop pressed'
+    inputs.emergency_stop = False
+    assert made.update(inputs, 1.0).reason == 'no command yet'
+    made.command(0.1, 0.0, 1.0)
+    assert made.update(inputs, 1.0).reason == 'no laser yet'
+    inputs.laser_heard = 0.5
+    assert made.update(inputs, 1.0).reason == 'laser silent for 0.5 s'
+    inputs.laser_heard = 0.9
+    assert made.update(inputs, 1.0).reason == 'wheel stalled'
+    assert made.update(SafetyInputs(0.9), 1.5).reason == 'no command for 0.5 s'
+
+
+def test_sonar_readings_become_points_by_transducer():
+    assert sonar_points({}).shape == (0, 2)
+    assert sonar_points({0: 1.0}) == pytest.approx(np.array([[0.069, 1.136]]))
+    assert sonar_points({8: 2.0}) == pytest.approx(np.array([[-0.157, -2.136]]))
+    assert len(sonar_points({15: 0.5, 16: 0.5, 1: 0.0, 2: 5.0, 3: 4.99})) == 2

@@ -1,7 +1,6 @@
 """Every setting of follower and safety gate changes what is driven: none is there for show."""
 
 import dataclasses
-import math
 
 import numpy as np
 import pytest
@@ -16,9 +15,7 @@ from explore_slam.vehicle import (
     SafetyGate,
     SafetyInputs,
 )
-from explore_slam.vehicle.driver_config import BaseNoiseConfig
 from explore_slam.vehicle.lms200_scan import RawScan
-from explore_slam.vehicle.odometry_covariance import OdometryCovariance
 
 X = np.arange(0.0, 4.01, 0.05)
 SLALOM = np.column_stack([X, 0.4 * np.sin(2 * np.pi * X / 2.0)])
@@ -129,38 +126,6 @@ def test_every_setting_of_the_safety_gate_has_an_effect(name):
 
 def test_no_setting_of_the_safety_gate_is_left_out():
     assert {info.name for info, _ in settings_of(SafetyConfig())} == set(SAFETY)
-
-
-@pytest.mark.parametrize('name', [info.name for info, _ in settings_of(BaseNoiseConfig())])
-def test_every_setting_of_odometry_noise_has_an_effect(name):
-    def covariance(config):
-        made, pose = OdometryCovariance(config), Pose2(0.0, 0.0, 0.0)
-        for _ in range(20):
-            made.propagate(Pose2(0.1, 0.0, 0.1))
-            pose = pose.compose(Pose2(0.1, 0.0, 0.1))
-        return made.value(pose)
-
-    plain = covariance(BaseNoiseConfig())
-    assert np.all(np.linalg.eigvalsh(plain) > 0.0)
-    changed = covariance(dataclasses.replace(BaseNoiseConfig(), **{name: 0.1}))
-    assert not np.allclose(plain, changed)
-
-
-def test_covariance_grows_sideways_with_the_heading_error():
-    config = BaseNoiseConfig(
-        base_distance_variance=0.0,
-        base_heading_variance_distance=0.0,
-        base_heading_variance_turn=0.01,
-    )
-    made, pose = OdometryCovariance(config), Pose2(0.0, 0.0, 0.0)
-    for step in (Pose2(0.0, 0.0, 1.0), *([Pose2(0.1, 0.0, 0.0)] * 50)):
-        made.propagate(step)
-        pose = pose.compose(step)
-    covariance = made.value(pose)
-    across = np.array([-math.sin(1.0), math.cos(1.0), 0.0])
-    along = np.array([math.cos(1.0), math.sin(1.0), 0.0])
-    assert across @ covariance @ across == pytest.approx(0.01 * 5.0**2, rel=1e-6)
-    assert along @ covariance @ along == pytest.approx(0.0, abs=1e-9)
 
 
 def test_an_upside_down_laser_is_read_backwards():

@@ -19,6 +19,7 @@ from explore_slam.simulation.grid.grid_simulator import (
 )
 from explore_slam.simulation.worlds.grid_world import GridWorld
 from explore_slam.simulation.worlds.loading import load_grid_world
+from explore_slam.simulation.worlds.world import Block, World
 
 ROOM = ['##########', *['#........#'] * 6, '##########']  # 4 m x 3 m inside
 EXACT = GridSimulatorConfig(range_noise=0.0)
@@ -365,3 +366,229 @@ def test_bad_worlds_starts_and_settings_are_refused(tmp_path):
         GridSimulatorConfig(cruise_speed=-1.0)
     with pytest.raises(SimulationError, match='no place'):
         GridWorld.from_drawing(['###', '# #', '###'], 0.3).start_poses(1, 0, 0.26)
+
+
+# -- single time steps, by hand -------------------------------------------------------------------
+
+HALL = ['#' * 40, *['#' + ' ' * 38 + '#'] * 6, '#' * 40]  # 19 m x 3 m inside
+
+
+def at_speed(simulator, speed, vehicle=0):
+    simulator._drives[vehicle].speed = speed
+    return simulator
+
+
+def test_speed_rises_and_falls_with_acceleration_and_braking():
+    simulator = GridSimulator(GridWorld.from_drawing(HALL), {'a': Pose2(1.0, 2.0, 0.0)}, EXACT)
+    simulator.set_plan('a', plan('a', (1.0, 2.0), (15.0, 2.0)))
+    speeds = []
+    for _ in range(12):
+        simulator.step()
+        speeds.append(simulator._drives[0].speed)
+    assert speeds[:3] == pytest.approx([0.05, 0.1, 0.15])
+    assert speeds[-1] == pytest.approx(0.5)
+    simulator.set_plan('a', None)
+    simulator.step()
+    assert simulator._drives[0].speed == pytest.approx(0.4)
+    assert simulator.travelled('a') == pytest.approx(0.1 * (sum(speeds) + 0.4))
+
+
+def test_turn_rate_is_ramped_and_the_vehicle_moves_along_the_mean_heading():
+    simulator = GridSimulator(GridWorld.from_drawing(HALL), {'a': Pose2(2.0, 2.0, 0.0)}, EXACT)
+    simulator.set_plan('a', plan('a', (2.0, 2.0), (2.5, 2.4)))
+    at_speed(simulator, 0.3)
+    simulator.step()
+    drive_state, pose = simulator._drives[0], simulator.true_pose('a')
+    assert drive_state.turn == pytest.approx(0.2)  # 2 rad/s² for 0.1 s
+    moved = 0.1 * drive_state.speed
+    assert pose.theta == pytest.approx(0.02)
+    expected = (2.0 + moved * math.cos(0.01), 2.0 + moved * math.sin(0.01))
+    assert pose[:2] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(('gap', 'stops'), [(0.02, True), (0.2, False), (3.0, False)])
+def test_the_safe_speed_stops_before_a_wall(gap, stops):
+    """Room from the disc to the wall, less half a step at cruise speed; braking at 1 m/s²."""
+    wall = 19.5
+    simulator = GridSimulator(
+        GridWorld.from_drawing(HALL), {'a': Pose2(wall - 0.22 - gap, 2.0, 0.0)}, EXACT
+    )
+    allowed = simulator._safe_speed(0)
+    reach = 2.0 * (0.5**2 / 2.0 + 0.05)
+    room = min(gap - 0.003, reach) - 0.025
+    assert allowed == pytest.approx(math.sqrt(max(2.0 * room, 0.0)), abs=0.07)
+    assert (allowed == 0.0) == stops
+
+
+@pytest.mark.parametrize('gap', [0.5, 1.0, 9.0])
+def test_before_another_vehicle_half_of_the_room_is_used(gap):
+    starts = {'a': Pose2(2.0, 2.0, 0.0), 'b': Pose2(2.0 + 0.44 + gap, 2.0, 0.0)}
+    simulator = GridSimulator(GridWorld.from_drawing(HALL), starts, EXACT)
+    room = min(0.5 * (gap - 0.15), 2.0 * (0.125 + 0.05)) - 0.025
+    assert simulator._safe_speed(0) == pytest.approx(math.sqrt(2.0 * room))
+    behind = GridSimulator(
+        GridWorld.from_drawing(HALL), {**starts, 'a': Pose2(2.0, 2.0, math.pi)}, EXACT
+    )
+    assert behind._safe_speed(0) > 0.7
+
+
+def test_lookahead_is_twice_the_room_between_its_limits():
+    def lookahead(y):
+        world = GridWorld.from_drawing(HALL)
+        return GridSimulator(world, {'a': Pose2(9.0, y, 0.0)}, EXACT)._lookahead(0)
+
+    assert lookahead(2.0) == 0.35
+    assert lookahead(0.5 + 0.22 + 0.1) == pytest.approx(0.2, abs=0.03)
+    assert lookahead(0.5 + 0.23) == 0.12
+
+
+def test_a_blocked_vehicle_backs_off_after_4_s_and_stalls_all_the_while():
+    simulator = GridSimulator(GridWorld.from_drawing(HALL), {'a': Pose2(19.1, 2.0, 0.0)}, EXACT)
+    simulator.set_plan('a', plan('a', (19.1, 2.0), (25.0, 2.0)))
+    drive(simulator, 1.0)
+    front = simulator.true_pose('a').x
+    drive(simulator, 2.9)
+    assert simulator.true_pose('a').x == front
+    drive(simulator, 2.5)
+    assert front - simulator.true_pose('a').x == pytest.approx(0.3, abs=0.05)
+    assert simulator._drives[0].backing == pytest.approx(0.0, abs=0.02)
+    drive(simulator, 3.0)
+    assert simulator.true_pose('a').x == pytest.approx(front, abs=0.02)  # it tries again
+    assert simulator.stalled_for('a') == pytest.approx(simulator.time)
+
+
+@pytest.mark.parametrize('what', ['wall', 'vehicle'])
+def test_backing_off_ends_where_something_is_behind(what):
+    world = GridWorld.from_drawing(HALL)
+    x = 0.5 + 0.22 + 0.04 if what == 'wall' else 3.0
+    starts = {'a': Pose2(x, 2.0, 0.0)}
+    if what == 'vehicle':
+        starts['b'] = Pose2(3.0 - 0.44 - 0.12, 2.0, 0.0)
+    simulator = GridSimulator(world, starts, EXACT)
+    simulator._drives[0].backing = 0.3
+    drive(simulator, 1.0)
+    assert abs(simulator.true_pose('a').x - x) < 0.02
+    assert simulator._drives[0].backing == 0.0
+    assert simulator.collisions == []
+    free = GridSimulator(world, {'a': Pose2(9.0, 2.0, 0.0)}, EXACT)
+    free._drives[0].backing = 0.3
+    free.step()
+    assert free.true_pose('a').x == pytest.approx(9.0 - 0.015)
+    assert free._drives[0].backing == pytest.approx(0.285)
+    assert free.travelled('a') == pytest.approx(0.015)
+
+
+def test_at_its_goal_a_vehicle_turns_to_the_heading_of_the_plan():
+    simulator = GridSimulator(GridWorld.from_drawing(ROOM), {'a': Pose2(2.0, 2.0, 0.0)}, EXACT)
+    goal = Plan(0.0, 'a', Pose2(2.1, 2.0, -2.0), np.array([[2.0, 2.0], [2.1, 2.0]]))
+    simulator.set_plan('a', goal)
+    turns = []
+    while not simulator.is_idle('a') and simulator.time < 10.0:
+        simulator.step()
+        turns.append(simulator._drives[0].turn)
+    assert min(turns) == pytest.approx(-1.0)
+    assert max(turns) <= 0.0
+    assert abs(simulator.true_pose('a').theta + 2.0) <= 0.25
+    assert simulator.true_pose('a')[:2] == pytest.approx((2.0, 2.0))
+
+
+def test_contacts_are_told_apart_counted_once_and_only_when_coming_closer():
+    starts = {'a': Pose2(2.0, 2.0, 0.0), 'b': Pose2(2.5, 2.0, 0.0), 'c': Pose2(4.0, 2.0, 0.0)}
+    simulator = GridSimulator(GridWorld.from_drawing(HALL), starts, EXACT)
+    assert simulator._contact(0, (2.0, 2.0), (2.05, 2.0)) == ''
+    assert simulator._contact(0, (2.0, 2.0), (2.1, 2.0)) == 'b'
+    assert simulator._contact(0, (2.1, 2.0), (2.09, 2.0)) == ''  # away from it
+    assert simulator._contact(0, (0.75, 2.0), (0.70, 2.0)) == 'wall'
+    assert simulator._contact(0, (0.68, 2.0), (0.70, 2.0)) == ''
+    simulator._drives[1].speed = -0.5
+    simulator._steer = lambda _index: None
+    for _ in range(5):
+        simulator._drives[1].speed = -0.5
+        simulator.step()
+    assert [(hit.vehicle, hit.obstacle) for hit in simulator.collisions] == [('b', 'a')]
+    assert simulator.true_pose('b').x == pytest.approx(2.45)
+    assert simulator.collisions[0].stamp == pytest.approx(0.2)
+
+
+def test_a_scan_is_never_shorter_than_its_minimum_and_has_the_stamp_of_its_time():
+    config = GridSimulatorConfig(range_noise=0.5, beams=1)
+    simulator = GridSimulator(
+        GridWorld.from_drawing(['####', '#  #', '####']), {'a': Pose2(0.75, 0.75, 0.0)}, config
+    )
+    drive(simulator, 0.3)
+    scans = [simulator.scan('a') for _ in range(300)]
+    ranges = np.array([scan.ranges[0] for scan in scans])
+    assert ranges.min() == pytest.approx(0.02)
+    assert scans[0].stamp == pytest.approx(0.3)
+    assert (scans[0].angle_increment, scans[0].range_min, scans[0].range_max) == (0.0, 0.02, 8.0)
+
+
+def test_as_many_vehicles_as_there_are_bits():
+    world = GridWorld.from_drawing(['#' * 70, *['#' + ' ' * 68 + '#'] * 2, '#' * 70])
+    starts = {f'r{i}': Pose2(1.0 + i, 1.0, 0.0) for i in range(32)}
+    with pytest.raises(SimulationError, match='32 vehicles, expected 1 to 31'):
+        GridSimulator(world, starts)
+    del starts['r31']
+    simulator = GridSimulator(world, starts, EXACT)
+    simulator.scan('r30')
+    assert simulator.seen('r30').any()
+    assert not simulator.seen('r29').any()
+
+
+def test_an_idle_vehicle_does_not_stall_and_an_empty_plan_is_none():
+    simulator = GridSimulator(GridWorld.from_drawing(ROOM), {'a': Pose2(2.0, 2.0, 0.0)}, EXACT)
+    assert simulator.is_idle('a')
+    drive(simulator, 3.0)
+    assert simulator.stalled_for('a') == 0.0
+    simulator.set_plan('a', Plan(0.0, 'a', Pose2(3.0, 2.0, 0.0), np.empty((0, 2))))
+    assert simulator.is_idle('a')
+    simulator.set_plan('a', plan('a', (2.0, 2.0), (3.0, 2.0)))
+    assert simulator.stalled_for('a') == 0.0
+    drive(simulator, 1.0)
+    assert simulator.stalled_for('a') == pytest.approx(1.0)  # not yet 0.6 m away
+    drive(simulator, 1.0)
+    assert simulator.stalled_for('a') < 0.6
+
+
+def test_specks_are_up_to_ten_cells_and_hold_nothing_occupied(tmp_path):
+    def free_of(size, value):
+        values = np.full((12, 20), 254)
+        values[5, 3 : 3 + size] = 205
+        values[5, 3] = value
+        world = load_grid_world(write_map(tmp_path, values, f'map{size}{value}'))
+        return int(np.count_nonzero(world.cells == 0))
+
+    assert free_of(10, 205) == 240
+    assert free_of(11, 205) == 240 - 11
+    assert free_of(2, 0) == 240 - 2
+
+
+def test_cells_and_points_by_resolution_and_origin():
+    world = GridWorld(np.zeros((4, 6), np.int8), 0.5, (-1.0, 2.0))
+    assert world.to_cell([[-1.0, 2.0], [-0.51, 2.49], [-0.5, 2.5], [1.9, 3.9]]).tolist() == [
+        [0, 0], [0, 0], [1, 1], [3, 5],
+    ]  # fmt: skip
+    np.testing.assert_allclose(world.to_point([[0, 0], [3, 5]]), [[-0.75, 2.25], [1.75, 3.75]])
+    for point, inside in (((-1.0, 2.0), True), ((2.0, 3.0), False), ((0.0, 4.0), False)):
+        assert world.is_inside(point) == inside
+    assert not world.is_inside((-1.01, 3.0))
+    assert not world.is_inside((0.0, 1.99))
+
+
+def test_clearance_is_from_the_centre_to_the_edge_of_the_obstacle():
+    cells = np.zeros((7, 9), np.int8)
+    cells[3, 4] = 2
+    clearance = GridWorld(cells, 0.5).clearance
+    assert clearance[3, 4] == 0.0
+    assert clearance[3, 5] == pytest.approx(0.25)
+    assert clearance[3, 6] == pytest.approx(0.75)
+    assert clearance[2, 5] == pytest.approx(0.5 * (math.sqrt(2.0) - 0.5))
+    assert clearance[3, 0] == pytest.approx(0.25)  # the edge of the world counts as an obstacle
+
+
+def test_a_world_of_solids_keeps_its_origin_and_resolution():
+    solids = World('w', (-1.0, -1.0, 2.0, 1.0), (Block(0.5, 0.0, 0.3, 0.3, 0.0, 1.0),))
+    world = GridWorld.from_world(solids, 0.1)
+    assert (world.shape, world.resolution, world.origin) == ((20, 30), 0.1, (-1.0, -1.0))
+    assert np.count_nonzero(world.cells == 1) == 36
+    assert world.cells[10, 15] == 1
