@@ -15,13 +15,18 @@ class LaserMountConfig(Section):
     """Pose of the laser scanner in the vehicle frame."""
 
     laser_x: float = setting(
-        0.1, 'Laser ahead of the vehicle origin', unit='m', low=-10.0, high=10.0
+        0.1, 'Laser ahead of the vehicle origin', unit='m', low=-10.0, high=10.0, tier='basic'
     )
     laser_y: float = setting(
-        0.0, 'Laser left of the vehicle origin', unit='m', low=-10.0, high=10.0
+        0.0, 'Laser left of the vehicle origin', unit='m', low=-10.0, high=10.0, tier='basic'
     )
     laser_yaw: float = setting(
-        0.0, 'Heading of the laser in the vehicle frame', unit='rad', low=-3.2, high=3.2
+        0.0,
+        'Heading of the laser in the vehicle frame',
+        unit='rad',
+        low=-3.2,
+        high=3.2,
+        tier='basic',
     )
 
     @property
@@ -35,16 +40,25 @@ class CameraMountConfig(Section):
     """Pose of the camera body (x forward, y left, z up) in the vehicle frame."""
 
     camera_x: float = setting(
-        0.1, 'Camera ahead of the vehicle origin', unit='m', low=-10.0, high=10.0
+        0.1, 'Camera ahead of the vehicle origin', unit='m', low=-10.0, high=10.0, tier='basic'
     )
     camera_y: float = setting(
-        0.0, 'Camera left of the vehicle origin', unit='m', low=-10.0, high=10.0
+        0.0, 'Camera left of the vehicle origin', unit='m', low=-10.0, high=10.0, tier='basic'
     )
     camera_z: float = setting(
-        0.4, 'Camera above the vehicle origin', unit='m', low=-10.0, high=10.0
+        0.4, 'Camera above the vehicle origin', unit='m', low=-10.0, high=10.0, tier='basic'
     )
-    camera_roll: float = setting(0.0, 'Camera roll, fixed axes', unit='rad', low=-3.2, high=3.2)
+    camera_roll: float = setting(
+        0.0, 'Camera roll, fixed axes', unit='rad', low=-3.2, high=3.2, tier='basic'
+    )
     camera_pitch: float = setting(
-        0.0, 'Camera pitch, fixed axes; positive looks down', unit='rad', low=-3.2, high=3.2
+        0.0,
+        'Camera pitch, fixed axes; positive looks down',
+        unit='rad',
+        low=-3.2,
+        high=3.2,
+        tier='basic',
     )
-    camera_yaw: float = setting(0.0, 'Camera yaw, fixed axes', unit='rad', low=-3.2, high=3.2)
+    camera_yaw: float = setting(
+        0.0, 'Camera yaw, fixed axes', unit='rad', low=-3.2, high=3.2, tier='basic'
+    )

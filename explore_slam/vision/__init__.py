@@ -1,12 +1,14 @@
-"""Vision: RGB-D frames to landmark observations, keyframe choice, compressed images."""
+"""Vision: RGB-D frames to landmark observations, keyframe selection, compressed images."""
 
 from explore_slam.vision.camera_mount import CameraMount
 from explore_slam.vision.compression import decode_compressed, encode_depth, encode_rgb
 from explore_slam.vision.config import VisionConfig
-from explore_slam.vision.features import FeatureExtractor, Features
+from explore_slam.vision.detectors import DETECTORS, Features
+from explore_slam.vision.features import FeatureExtractor
 from explore_slam.vision.keyframes import KeyframeSelector
 
 __all__ = [
+    'DETECTORS',
     'CameraMount',
     'FeatureExtractor',
     'Features',

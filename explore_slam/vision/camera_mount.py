@@ -1,4 +1,4 @@
-"""Where the camera sits on the vehicle, and what that does to points and covariances."""
+"""Pose of the camera on the vehicle: transforms points and covariances into the vehicle frame."""
 
 import math
 from typing import NamedTuple
@@ -25,7 +25,7 @@ class CameraMount(NamedTuple):
 
     @classmethod
     def from_config(cls, config: CameraMountConfig) -> 'CameraMount':
-        """Make the mount that the settings describe."""
+        """Return the mount of the settings."""
         return cls(
             config.camera_x,
             config.camera_y,
@@ -46,17 +46,17 @@ class CameraMount(NamedTuple):
         return np.array([self.x, self.y, self.z])
 
     def to_vehicle(self, points: Array) -> Array:
-        """Move points (N, 3) m from the optical frame to the vehicle frame."""
+        """Transform points (N, 3) m from the optical frame into the vehicle frame."""
         moved: Array = points @ self.rotation.T + self.translation
         return moved
 
     def rotate_covariances(self, covariances: Array) -> Array:
-        """Turn covariances (N, 3, 3) of the optical frame into the vehicle frame."""
+        """Rotate covariances (N, 3, 3) from the optical frame into the vehicle frame."""
         turn = self.rotation
         turned: Array = turn @ covariances @ turn.T
         return turned
 
     def check(self) -> None:
-        """Raise VisionError when a coordinate is not finite."""
+        """Raise VisionError if a coordinate is not finite."""
         if not all(map(math.isfinite, self)):
             raise VisionError(f'camera mount is {tuple(self)}, expected finite m and rad')

@@ -1,4 +1,4 @@
-"""Images for thin links: JPEG colour and 16 bit PNG depth, as image_transport writes them."""
+"""Compressed images: JPEG colour and 16-bit PNG depth, as image_transport writes them."""
 
 import struct
 from typing import Any
@@ -10,15 +10,17 @@ from numpy.typing import NDArray
 from explore_slam.errors import VisionError
 from explore_slam.vision.depth import depth_in_metres
 
-_PNG = b'\x89PNG\r\n\x1a\n'
-_DEPTH_HEADER = struct.Struct('<iff')
+_PNG = b'\x89PNG\r\n\x1a\n'  # the first bytes of every PNG file
+_DEPTH_HEADER = struct.Struct('<iff')  # of compressed_depth_image_transport: format, a, b
+_LARGEST_DEPTH = 65535.0  # mm in 16 bits
+_FASTEST = 1  # PNG compression level: frames have to be encoded at the rate of the camera
 
 
 def encode_rgb(image: NDArray[np.uint8], quality: int = 90) -> bytes:
     """Return an RGB image (H, W, 3) or grey image (H, W) as JPEG; quality 1 to 100."""
     if image.dtype != np.uint8 or image.ndim not in (2, 3) or image.size == 0:
         raise VisionError(
-            f'image of type {image.dtype} and shape {image.shape} cannot become JPEG, '
+            f'image of type {image.dtype} and shape {image.shape} cannot be encoded as JPEG, '
             'expected uint8 (H, W, 3) or (H, W)'
         )
     bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image
@@ -26,16 +28,16 @@ def encode_rgb(image: NDArray[np.uint8], quality: int = 90) -> bytes:
 
 
 def encode_depth(depth: NDArray[np.uint16] | NDArray[np.float32]) -> bytes:
-    """Return depth (H, W) as 16 bit PNG in mm; no data and more than 65.535 m become 0."""
+    """Return depth (H, W) as 16-bit PNG in mm; missing and beyond 65.535 m become 0."""
     if depth.ndim != 2 or depth.size == 0 or depth.dtype not in (np.uint16, np.float32):
         raise VisionError(
-            f'depth of type {depth.dtype} and shape {depth.shape} cannot become PNG, '
+            f'depth of type {depth.dtype} and shape {depth.shape} cannot be encoded as PNG, '
             'expected uint16 mm or float32 m (H, W)'
         )
     if depth.dtype != np.uint16:
         millimetres = np.rint(depth_in_metres(depth) * np.float32(1000.0))
-        depth = np.where(millimetres <= 65535.0, millimetres, 0.0).astype(np.uint16)
-    return _encode('.png', depth, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+        depth = np.where(millimetres <= _LARGEST_DEPTH, millimetres, 0.0).astype(np.uint16)
+    return _encode('.png', depth, [cv2.IMWRITE_PNG_COMPRESSION, _FASTEST])
 
 
 def _encode(suffix: str, image: NDArray[Any], options: list[int]) -> bytes:
@@ -46,10 +48,10 @@ def _encode(suffix: str, image: NDArray[Any], options: list[int]) -> bytes:
 
 
 def decode_compressed(data: bytes) -> NDArray[Any]:
-    """Return the image in a CompressedImage's data.
+    """Return the image of a sensor_msgs/CompressedImage.
 
-    Colour comes as RGB uint8 (H, W, 3), grey as uint8 (H, W), depth as uint16 mm (H, W),
-    and depth quantised by compressed_depth_image_transport as float32 m (H, W), NaN without data.
+    Colour is returned as RGB uint8 (H, W, 3), grey as uint8 (H, W), depth as uint16 mm (H, W).
+    Depth quantised by compressed_depth_image_transport is float32 m (H, W), NaN if missing.
     """
     payload = bytes(data)
     header = None
@@ -62,7 +64,8 @@ def decode_compressed(data: bytes) -> NDArray[Any]:
         image = None
     if image is None:
         raise VisionError(
-            f'{len(data)} bytes starting with {payload[:8]!r} are no image, expected JPEG or PNG'
+            f'{len(data)} bytes starting with {payload[:8]!r} are not an image, '
+            'expected JPEG or PNG'
         )
     if header is not None and header[1] != 0.0 and image.dtype == np.uint16:
         return _from_inverse_depth(image, header[1], header[2])
@@ -73,7 +76,7 @@ def decode_compressed(data: bytes) -> NDArray[Any]:
 
 
 def _from_inverse_depth(image: NDArray[np.uint16], a: float, b: float) -> NDArray[np.float32]:
-    """Undo the quantisation of inverse depth, value = a / depth + b; 0 is no data."""
+    """Return depth (H, W) m from quantised inverse depth, value = a / depth + b; 0 is missing."""
     scaled = image.astype(np.float32) - np.float32(b)
     valid = (image > 0) & (scaled > 0.0)
     return np.where(valid, np.float32(a) / np.where(valid, scaled, 1.0), np.nan).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Depth images: both encodings to metres, what of them is valid, where their edges lie."""
+"""Depth images: conversion to metres, validity, edges, back-projection, covariance."""
 
 from typing import NamedTuple
 
@@ -8,24 +8,25 @@ from numpy.typing import NDArray
 
 from explore_slam.data import Intrinsics
 from explore_slam.geometry import Array
-from explore_slam.vision.config import DepthConfig
+from explore_slam.vision.sections import DepthConfig
 
-MILLIMETRE = np.float32(0.001)
-_EDGE_WINDOW = np.ones((5, 5), np.uint8)
-_FAR = np.float32(1e6)
+_METRES_PER_MILLIMETRE = np.float32(0.001)
+_MEDIAN_WINDOW = 3  # pixels; removes single wild values
+_EDGE_WINDOW = np.ones((5, 5), np.uint8)  # reaches an edge before the center of a feature does
+_FAR = np.float32(1e6)  # m; in place of missing values where the smallest depth is searched
 
 
 class DepthLayers(NamedTuple):
-    """Depth (H, W) m with 0 where invalid; spread (H, W) m of the valid depths around a pixel."""
+    """Depth (H, W) m, 0 if invalid; spread (H, W) m, the range of depths around each pixel."""
 
     depth: NDArray[np.float32]
     spread: NDArray[np.float32]
 
 
 def depth_in_metres(depth: NDArray[np.uint16] | NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return depth (H, W) in m from uint16 mm or float32 m; 0 where there is no data."""
+    """Return depth (H, W) in m from uint16 mm or float32 m; 0 if missing."""
     if depth.dtype == np.uint16:
-        return depth.astype(np.float32) * MILLIMETRE
+        return depth.astype(np.float32) * _METRES_PER_MILLIMETRE
     metres = np.asarray(depth, dtype=np.float32)
     return np.where(np.isfinite(metres) & (metres > 0.0), metres, np.float32(0.0))
 
@@ -33,14 +34,14 @@ def depth_in_metres(depth: NDArray[np.uint16] | NDArray[np.float32]) -> NDArray[
 def analyse_depth(
     depth: NDArray[np.uint16] | NDArray[np.float32], config: DepthConfig
 ) -> DepthLayers:
-    """Return depth freed of speckle and of values out of range, and its local spread.
+    """Return depth without speckle and values out of range, and its local spread.
 
-    The median of 3 x 3 removes single wild pixels; the spread over 5 x 5 sees an edge of depth
-    before the feature's centre lies on it. Depths out of range count for the spread: a feature
-    in front of a far wall is on an edge although the wall itself is no measurement.
+    Speckle is removed by a median of 3 x 3, edges are detected by the range over 5 x 5 pixels.
+    Depths out of range count for the spread: a feature in front of a far wall is on an edge,
+    though the wall itself is not a valid measurement.
     """
     metres = depth_in_metres(depth)
-    smooth = cv2.medianBlur(metres, 3)
+    smooth = cv2.medianBlur(metres, _MEDIAN_WINDOW)
     highest = cv2.dilate(metres, _EDGE_WINDOW)
     lowest = cv2.erode(np.where(metres > 0.0, metres, _FAR), _EDGE_WINDOW)
     valid = (metres > 0.0) & (smooth >= config.min_depth) & (smooth <= config.max_depth)
@@ -49,21 +50,21 @@ def analyse_depth(
 
 
 def back_project(pixels: Array, depths: Array, camera: Intrinsics) -> Array:
-    """Return points (N, 3) m in the optical frame of pixels (N, 2) (u, v) and depths (N,) m."""
+    """Return points (N, 3) m in the optical frame, from pixels (N, 2) (u, v) and depths (N,) m."""
     rays = camera_rays(pixels, camera)
     return np.stack([rays[:, 0] * depths, rays[:, 1] * depths, depths], axis=1)
 
 
 def camera_rays(pixels: Array, camera: Intrinsics) -> Array:
-    """Return x/z and y/z (N, 2) of pixels (N, 2) (u, v), the lens distortion undone."""
+    """Return x/z and y/z (N, 2) of pixels (N, 2) (u, v), with lens distortion removed."""
     if any(camera.distortion) and len(pixels):
         matrix = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0, 0, 1.0]])
         points = np.ascontiguousarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
-        undone = cv2.undistortPoints(points, matrix, np.array(camera.distortion))
-        return np.asarray(undone, dtype=np.float64).reshape(-1, 2)
-    centre = np.array([camera.cx, camera.cy])
-    rays: Array = (pixels - centre) / np.array([camera.fx, camera.fy])
-    return rays
+        rays = cv2.undistortPoints(points, matrix, np.array(camera.distortion))
+        return np.asarray(rays, dtype=np.float64).reshape(-1, 2)
+    center = np.array([camera.cx, camera.cy])
+    undistorted: Array = (pixels - center) / np.array([camera.fx, camera.fy])
+    return undistorted
 
 
 def point_covariances(
@@ -71,8 +72,8 @@ def point_covariances(
 ) -> Array:
     """Return covariances (N, 3, 3) m² of back-projected points (N, 3) m, to first order.
 
-    pixel_noise (N,) px and depth_noise (N,) m are standard deviations. With
-    X = (u - cx) z / fx: J = dX/d(u, v, z), covariance = J diag(noise²) Jᵀ.
+    pixel_noise (N,) px and depth_noise (N,) m: standard deviations.
+    The covariance is J diag(noise²) Jᵀ with J = ∂(x, y, z) / ∂(u, v, z) of x = (u - cx) z / fx.
     """
     depths = points[:, 2]
     jacobian = np.zeros((len(points), 3, 3))

@@ -5,7 +5,8 @@ import math
 
 from explore_slam.errors import VisionError
 from explore_slam.geometry import Pose2, moved_enough
-from explore_slam.vision.config import KeyframeConfig, VisionConfig
+from explore_slam.vision.config import VisionConfig
+from explore_slam.vision.sections import KeyframeConfig
 
 logger = logging.getLogger(__name__)
 

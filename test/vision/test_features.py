@@ -11,7 +11,8 @@ from explore_slam.errors import ConfigError, VisionError
 from explore_slam.geometry import rotation_matrix
 from explore_slam.settings import settings_of, with_values
 from explore_slam.vision import CameraMount, FeatureExtractor, VisionConfig
-from explore_slam.vision.features import normalise, spread_over_image
+from explore_slam.vision.detectors.sift import normalise
+from explore_slam.vision.features import spread_over_image
 
 CAMERA = Intrinsics(320, 240, 260.0, 262.0, 158.0, 121.0)
 
@@ -203,6 +204,20 @@ def test_spread_takes_the_best_of_each_cell_first():
     pixels = np.array([[1.0, 1.0], [2.0, 1.0], [3.0, 1.0], [90.0, 1.0]])
     rows = spread_over_image(pixels, np.array([5.0, 9.0, 7.0, 1.0]), (100, 10), config)
     assert rows.tolist() == [1, 3, 2]
+
+
+def test_spread_divides_the_image_into_rows_and_columns():
+    config = with_values(
+        VisionConfig(), {'feature_budget': 4, 'feature_grid_rows': 2, 'feature_grid_columns': 2}
+    ).features
+    corners = np.array([[10.0, 10.0], [90.0, 10.0], [10.0, 190.0], [90.0, 190.0]])
+    pixels = np.vstack([corners, corners + [5.0, -5.0]])
+    weak_first = np.array([1.0, 2.0, 3.0, 4.0, 9.0, 8.0, 7.0, 6.0])
+    rows = spread_over_image(pixels, weak_first, (100, 200), config)
+    assert rows.tolist() == [4, 5, 6, 7]
+    clustered = np.array([[49.0, 99.0], [51.0, 99.0], [49.0, 101.0], [51.0, 101.0], [1.0, 1.0]])
+    rows = spread_over_image(clustered, np.array([5.0, 4.0, 3.0, 2.0, 6.0]), (100, 200), config)
+    assert rows.tolist() == [4, 1, 2, 3]
 
 
 def test_same_result_whatever_the_number_of_threads():

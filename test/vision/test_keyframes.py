@@ -7,7 +7,7 @@ import pytest
 from explore_slam.errors import VisionError
 from explore_slam.geometry import Pose2
 from explore_slam.vision import KeyframeSelector, VisionConfig
-from explore_slam.vision.config import KeyframeConfig
+from explore_slam.vision.sections import KeyframeConfig
 
 
 @pytest.fixture

@@ -1,0 +1,120 @@
+"""Sections of the settings of vision; VisionConfig gathers them."""
+
+from dataclasses import dataclass
+
+from explore_slam.settings import Section, setting
+
+
+@dataclass(frozen=True)
+class FeatureConfig(Section):
+    """Which features of a frame become landmark observations."""
+
+    feature_budget: int = setting(
+        200,
+        'Maximum number of features taken from one frame',
+        unit='features',
+        low=1,
+        high=5000,
+        tier='basic',
+    )
+    feature_grid_rows: int = setting(
+        4, 'Rows of image cells that share the feature budget evenly', low=1, high=100
+    )
+    feature_grid_columns: int = setting(
+        6, 'Columns of image cells that share the feature budget evenly', low=1, high=100
+    )
+    sift_contrast_threshold: float = setting(
+        0.05,
+        'Minimum contrast of a SIFT feature; lower finds more and weaker ones',
+        low=0.0,
+        high=1.0,
+        tier='basic',
+    )
+    sift_edge_threshold: float = setting(
+        10.0,
+        'Maximum ratio of principal curvatures of a SIFT feature; higher keeps more edges',
+        low=1.0,
+        high=1000.0,
+    )
+    minimum_feature_size: float = setting(
+        3.0,
+        'Minimum diameter of a feature; small ones are seldom found again',
+        unit='pixels',
+        low=0.0,
+        high=100.0,
+    )
+    feature_orientation: str = setting(
+        'upright',
+        'Orientations of a SIFT feature: a single one per place, all of them, or upright for a '
+        'camera that never rolls',
+        choices=('single', 'all', 'upright'),
+    )
+    root_sift: bool = setting(
+        False, 'Compare descriptors as RootSIFT (Hellinger kernel) instead of by L2'
+    )
+
+
+@dataclass(frozen=True)
+class DepthConfig(Section):
+    """Which depth measurements are valid, and how accurate they are."""
+
+    min_depth: float = setting(
+        0.8, 'Nearest valid depth', unit='m', low=0.0, high=100.0, tier='basic'
+    )
+    max_depth: float = setting(
+        3.5, 'Farthest valid depth', unit='m', low=0.0, high=100.0, tier='basic'
+    )
+    pixel_noise: float = setting(
+        0.8,
+        'Standard deviation of the position of a feature in the image',
+        unit='pixels',
+        low=0.01,
+        high=100.0,
+    )
+    depth_noise: float = setting(
+        0.003,
+        'Standard deviation of depth at 1 m; grows with the square of depth',
+        unit='1/m',
+        low=1e-6,
+        high=1.0,
+    )
+    depth_edge_ratio: float = setting(
+        0.05,
+        'Range of depths around a feature, relative to its depth, from which it is on an edge',
+        low=1e-3,
+        high=10.0,
+    )
+    depth_edges: str = setting(
+        'drop',
+        'Features on a depth edge: drop them, or widen their depth noise to the range of depths',
+        choices=('drop', 'widen'),
+    )
+
+
+@dataclass(frozen=True)
+class KeyframeConfig(Section):
+    """Which frames become keyframes."""
+
+    minimum_travel_distance: float = setting(
+        0.2,
+        'Travel since the last keyframe from which a frame becomes a keyframe',
+        unit='m',
+        low=0.0,
+        high=100.0,
+        tier='basic',
+    )
+    minimum_travel_heading: float = setting(
+        0.17,
+        'Change of heading since the last keyframe from which a frame becomes a keyframe',
+        unit='rad',
+        low=0.0,
+        high=6.3,
+        tier='basic',
+    )
+    maximum_keyframe_gap: float = setting(
+        5.0,
+        'Time since the last keyframe after which a frame becomes a keyframe in any case',
+        unit='s',
+        low=0.0,
+        high=3600.0,
+    )
