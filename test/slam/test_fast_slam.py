@@ -68,7 +68,7 @@ def test_same_seed_same_bits_other_seed_other_bits(make_world, make_slam, drive_
     assert not np.array_equal(results[0][0], results[2][0])
 
 
-def test_path_of_a_lineage_that_goes_on_comes_again_bit_by_bit(
+def test_the_path_of_a_continuing_lineage_is_the_same_bit_by_bit(
     make_world, make_slam, drive_circles
 ):
     world = make_world()
@@ -85,7 +85,7 @@ def test_path_of_a_lineage_that_goes_on_comes_again_bit_by_bit(
     np.testing.assert_array_equal(poses, before[1::2])
 
 
-def test_estimate_includes_motion_told_since_the_update(make_slam):
+def test_estimate_includes_motion_since_the_update(make_slam):
     slam = make_slam({'a': Pose2(1.0, 2.0, np.pi / 2)})
     slam.predict('a', Pose2(1.0, 0.0, 0.0), np.diag([0.01, 0.04, 0.0001]))
     pose, covariance = slam.estimate('a')
@@ -94,7 +94,7 @@ def test_estimate_includes_motion_told_since_the_update(make_slam):
     assert slam.best_pose('a') == pytest.approx((1.0, 3.0, np.pi / 2))
 
 
-def test_without_covariance_the_noise_of_the_settings_is_taken(make_slam):
+def test_without_covariance_the_configured_noise_is_used(make_slam):
     slam = make_slam({'a': Pose2(0.0, 0.0, 0.0)}, forward_variance_per_metre=0.25)
     slam.predict('a', Pose2(1.0, 0.0, 0.0))
     assert slam.estimate('a')[1][0, 0] == pytest.approx(0.25)
@@ -123,9 +123,7 @@ def test_a_heading_uncertain_by_a_radian_is_found_by_landmarks(make_world, make_
     assert error[2] < 0.05
 
 
-def test_a_vehicle_that_all_particles_misplace_is_found_again(
-    make_world, make_slam, drive_circles
-):
+def test_a_lost_vehicle_is_relocalized(make_world, make_slam, drive_circles):
     world = make_world()
     slam = make_slam(world.start(a=STARTS['a']))
     drive_circles(slam, world, 25)
@@ -225,7 +223,7 @@ def bad_observations(world):
     ]
 
 
-def test_refused_calls_name_the_value_and_leave_the_state(make_world, make_slam, drive_circles):
+def test_rejected_calls_name_the_value_and_leave_the_state(make_world, make_slam, drive_circles):
     world = make_world()
     slam = make_slam(world.start(**STARTS))
     drive_circles(slam, world, 10)
@@ -252,7 +250,7 @@ def test_refused_calls_name_the_value_and_leave_the_state(make_world, make_slam,
     assert changed(slam, before) == []
 
 
-def test_update_before_predict_is_refused(make_world, make_slam):
+def test_update_before_predict_is_rejected(make_world, make_slam):
     world = make_world()
     slam = make_slam(world.start(**STARTS))
     before = slam.state_dict()
@@ -289,9 +287,7 @@ def test_the_number_of_threads_does_not_matter(make_world, make_slam, drive_circ
     np.testing.assert_array_equal(paths[0], paths[2])
 
 
-def test_descendants_of_one_particle_go_on_from_poses_of_their_own(
-    make_world, make_slam, drive_circles
-):
+def test_copies_of_one_particle_get_different_poses(make_world, make_slam, drive_circles):
     world = make_world()
     slam = make_slam(world.start(a=STARTS['a']), resampling_threshold=1.0)
     drive_circles(slam, world, 10)
@@ -321,7 +317,7 @@ def test_matches_name_the_landmarks_of_the_best_particle(make_world, make_slam):
             np.testing.assert_array_equal(landmarks.descriptors[row], descriptor)
 
 
-def test_textures_that_repeat_do_not_keep_new_landmarks_out(make_slam):
+def test_repeated_textures_do_not_prevent_new_landmarks(make_slam):
     random = np.random.default_rng(0)
     kind = np.abs(random.standard_normal((1, 128)))
     blur = 0.03 * random.standard_normal((40, 128))
@@ -338,7 +334,7 @@ def test_textures_that_repeat_do_not_keep_new_landmarks_out(make_slam):
     assert summary.inserted == 20
 
 
-def test_a_descriptor_that_is_unique_is_no_new_landmark_elsewhere(make_world, make_slam):
+def test_a_distinctive_descriptor_elsewhere_is_no_new_landmark(make_world, make_slam):
     world = make_world()
     slam = make_slam(world.start(a=STARTS['a']))
     slam.predict('a', Pose2(0.0, 0.0, 0.0), np.zeros((3, 3)))

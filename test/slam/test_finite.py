@@ -1,4 +1,4 @@
-"""Whatever is told that is not refused, the filter never holds a NaN."""
+"""No input that is accepted brings a NaN into the filter."""
 
 import numpy as np
 import pytest
@@ -30,10 +30,10 @@ def act(slam, random, stamp):
         step = random.standard_normal(3) * 10.0 ** random.uniform(-4, 1.5)
         slam.predict(name, Pose2(*step), matrix(random, 3))
     elif kind == 2:
-        sighting = InterRobotObservation(
+        observation = InterRobotObservation(
             stamp, NAMES[random.integers(0, 2)], random.normal(0, 5, 2), matrix(random, 2)
         )
-        slam.update_inter_robot(name, [sighting])
+        slam.update_inter_robot(name, [observation])
     elif kind == 3 and random.random() < 0.3:
         slam.set_pose(name, Pose2(*random.normal(0, 3, 3)), matrix(random, 3))
     else:

@@ -56,7 +56,7 @@ def test_the_dedicated_filter_of_a_vehicle_equals_a_filter_of_its_own(make_world
     np.testing.assert_array_equal(*paths)
 
 
-def test_a_sighting_ties_two_vehicles_together():
+def test_an_inter_robot_observation_ties_two_vehicles_together():
     errors = {}
     for used in (False, True):
         belief = TeamBelief(
@@ -72,7 +72,7 @@ def test_a_sighting_ties_two_vehicles_together():
     assert errors[False][1] == pytest.approx(0.3, rel=0.1)
 
 
-def test_a_sighting_moves_the_seer_too():
+def test_an_inter_robot_observation_moves_the_observer_too():
     belief = TeamBelief(STARTS, make('common', particles=2000), seed=2)
     P = np.diag([0.2, 0.2, 0.1]) ** 2
     belief.predict('a', Pose2(0.0, 0.0, 0.0), P)
@@ -86,16 +86,16 @@ def test_a_sighting_moves_the_seer_too():
     np.testing.assert_allclose(covariance, P - gain @ H @ P, atol=0.002)
 
 
-def test_an_impossible_sighting_is_left_out():
+def test_an_inter_robot_observation_beyond_the_gate_is_ignored():
     belief = TeamBelief(STARTS, make('common'), seed=2)
     belief.predict('b', Pose2(1.0, 0.0, 0.0), np.diag([0.01, 0.01, 0.01]) ** 2)
     before = belief.estimate('b')[0]
-    sighting = InterRobotObservation(1.0, 'b', np.array([-3.0, 2.0]), 0.02**2 * np.eye(2))
-    belief.update_inter_robot('a', [sighting])
+    observation = InterRobotObservation(1.0, 'b', np.array([-3.0, 2.0]), 0.02**2 * np.eye(2))
+    belief.update_inter_robot('a', [observation])
     assert belief.estimate('b')[0] == pytest.approx(before, abs=1e-9)
 
 
-def test_sightings_are_checked():
+def test_inter_robot_observations_are_checked():
     belief = TeamBelief(STARTS, make('common'))
     z = np.array([0.5, 0.5])
     with pytest.raises(SlamError, match="no vehicle 'x'"):

@@ -46,7 +46,7 @@ def unpacked(six: Array) -> Array:
 
 
 def exists(rows: Array) -> NDArray[np.bool_]:
-    """Return whether a landmark exists, (n,) for rows (n, 9) or (n, M) for blocks (n, 9, M)."""
+    """Return (n,) whether the landmarks of rows (n, 9) exist."""
     there: NDArray[np.bool_] = rows[:, COVARIANCE] > 0.0
     return there
 

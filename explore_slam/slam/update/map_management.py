@@ -11,7 +11,7 @@ from explore_slam.slam.association.state import AssociationState, Observed
 from explore_slam.slam.checkpoint import State
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.landmarks.landmark_map import LandmarkMap
-from explore_slam.slam.storage.row_format import Places, exists
+from explore_slam.slam.storage.row_format import COVARIANCE, Places
 from explore_slam.slam.update.engine import Engine
 from explore_slam.slam.update.landmark_update import fill_absent, insert_landmarks
 
@@ -101,7 +101,7 @@ class MapManager:
         entries, addresses = found.entries[changed], state.addresses[changed]
         store.discard(found.entries[~changed], state.addresses[~changed], state.tree)
         store.commit(entries, addresses, state.tree)
-        there = exists(store.workspace[addresses])[:, best]
+        there = store.workspace[addresses, COVARIANCE, best] > 0.0
         self.landmarks.reference[entries[there]] = store.workspace[addresses[there], :3, best]
         observed = found.entries[total > _MAJORITY]
         removed = self._update_evidence(state, agreed, observed, Pose2.from_array(poses[best]))
