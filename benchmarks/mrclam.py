@@ -137,7 +137,7 @@ def covariances(ranges: Array, bearings: Array, sr: float, sr_part: float, sb: f
 def observations(
     stamp: float, measured: Array, noise: tuple[float, float, float]
 ) -> tuple[LandmarkObservations, list[InterRobotObservation]]:
-    """Convert measurements to landmark observations (bar code as descriptor) and sightings."""
+    """Convert measurements to landmark observations (bar code as descriptor) and inter-robot ones."""
     subject, distance, bearing = measured.T
     xy = np.stack([distance * np.cos(bearing), distance * np.sin(bearing)], axis=1)
     R2 = covariances(distance, bearing, *noise)
@@ -151,8 +151,8 @@ def observations(
         R[marks],
         np.eye(128, dtype=np.float32)[subject[marks].astype(int)],
     )
-    sightings = [
+    inter_robot = [
         InterRobotObservation(stamp, f'robot{int(subject[i])}', xy[i], R2[i])
         for i in np.flatnonzero(~marks)
     ]
-    return seen, sightings
+    return seen, inter_robot

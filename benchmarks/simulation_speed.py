@@ -94,13 +94,13 @@ def measure_team(world: World) -> None:
 
 def count_features(world: World, views: int) -> None:
     """Print the number of SIFT features with valid depth in random views."""
-    room, rng = Obstacles(world).clearance, np.random.default_rng(0)
+    clearance, rng = Obstacles(world).clearance, np.random.default_rng(0)
     extractor = FeatureExtractor(with_values(VisionConfig(), {'feature_budget': 5000}))
     x0, y0, x1, y1 = world.bounds
     counts = []
     while len(counts) < views:
         pose = Pose2(rng.uniform(x0, x1), rng.uniform(y0, y1), rng.uniform(-math.pi, math.pi))
-        if not 0.4 < room(pose.x, pose.y) < 5.0:
+        if not 0.4 < clearance(pose.x, pose.y) < 5.0:
             continue
         counts.append((pose, 0))
     kept = []

@@ -1,6 +1,6 @@
 """Accuracy on MR.CLAM 6: five robots, online estimates, common or dedicated maps, several seeds.
 
-python benchmarks/slam_mrclam.py FOLDER [--seeds 10] [--particles 500] [--sightings]
+python benchmarks/slam_mrclam.py FOLDER [--seeds 10] [--particles 500] [--inter-robot]
 Prints, for each seed, the RMS position error of each robot and their mean (m), the largest error
 and the RMS error of the landmarks, in the frame of the true start poses, without alignment.
 """
@@ -30,7 +30,7 @@ CAMERA = (0.03, 0.035, 0.014)
 
 
 def drive(
-    team: mrclam.Team, config: FastSlamConfig, seed: int, sightings: bool
+    team: mrclam.Team, config: FastSlamConfig, seed: int, inter_robot: bool
 ) -> tuple[Array, Array, TeamBelief]:
     """Run the filter; return errors (T, robots, 2) m, stamps (T,) s and the filter."""
     belief = TeamBelief(mrclam.start_poses(team), config, seed)
@@ -51,7 +51,7 @@ def drive(
         seen, others = mrclam.observations(event.stamp, event.measured, CAMERA)
         if len(seen):
             belief.update(name, seen)
-        if sightings and others:
+        if inter_robot and others:
             belief.update_inter_robot(name, others)
     return np.array(list(errors.values())), np.array(list(errors)), belief
 
@@ -71,7 +71,7 @@ def main() -> None:
     parser.add_argument('--first', type=int, default=0)
     parser.add_argument('--particles', type=int, default=500)
     parser.add_argument('--maps', default='common', choices=('common', 'dedicated'))
-    parser.add_argument('--sightings', action='store_true')
+    parser.add_argument('--inter-robot', action='store_true')
     parser.add_argument('--set', nargs='*', default=[], metavar='NAME=VALUE')
     arguments = parser.parse_args()
     values = {
@@ -87,7 +87,7 @@ def main() -> None:
     means, marks = [], []
     for seed in range(arguments.first, arguments.first + arguments.seeds):
         begin = time.perf_counter()
-        errors, _, belief = drive(team, config, seed, arguments.sightings)
+        errors, _, belief = drive(team, config, seed, arguments.inter_robot)
         lengths = np.linalg.norm(errors, axis=2)
         rms = np.sqrt(np.mean(lengths**2, axis=0))
         mark = np.sqrt(np.mean(np.sum(landmark_errors(team, belief) ** 2, axis=1)))

@@ -49,7 +49,7 @@ class Scene:
         self.node = rclpy.create_node('agent_stand_in')
         self.executor = SingleThreadedExecutor()
         self.executor.add_node(self.node)
-        self.heard = {'odom': 0, 'scan': 0}
+        self.received = {'odom': 0, 'scan': 0}
         self.odometry = None
         self.node.create_subscription(Odometry, 'robot1/odom', self._on_odometry, 10)
         self.node.create_subscription(LaserScan, 'robot1/scan', self._on_scan, 10)
@@ -76,11 +76,11 @@ class Scene:
         )  # fmt: skip
 
     def _on_odometry(self, message: Odometry) -> None:
-        self.heard['odom'] += 1
+        self.received['odom'] += 1
         self.odometry = odometry_record(message)
 
     def _on_scan(self, _: LaserScan) -> None:
-        self.heard['scan'] += 1
+        self.received['scan'] += 1
 
     def _send_pose(self) -> None:
         if self.odometry is not None:
@@ -135,9 +135,9 @@ class Scene:
             if fault.endswith('base')
             else (self.emulator.laser_line, 'scan')
         )
-        count = self.heard[topic]
+        count = self.received[topic]
         line.plug()
-        return f'{topic} again', self.wait(lambda: self.heard[topic] > count, 10.0)
+        return f'{topic} again', self.wait(lambda: self.received[topic] > count, 10.0)
 
     def close(self) -> None:
         """Stop all processes and the emulators."""

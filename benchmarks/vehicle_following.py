@@ -125,7 +125,7 @@ def main() -> int:
     x = np.arange(2.0, 14.01, 0.1)
     slalom = np.column_stack([x, 4.0 + 0.5 * np.sin(2.0 * np.pi * (x - 2.0) / 4.0)])
     line = np.array([[2.0, 4.0], [14.0, 4.0]])
-    errors, rooms = [], []
+    errors, distances = [], []
     for seed in range(arguments.seeds):
         truth, state, speed = Run(slalom, seed, HALL).drive(80.0)
         rms = float(np.sqrt(np.mean(cross_track(truth, slalom) ** 2)))
@@ -135,11 +135,11 @@ def main() -> int:
             f'seed {seed}: slalom RMS {rms:.3f} m, largest {worst:.3f} m, {speed:.2f} m/s, {state}'
         )
         truth, state, _ = Run(line, seed, HALL + BOX).drive(60.0)
-        room = 8.0 - 0.3 - truth[:, 1].max() - 0.25
-        rooms.append(room)
-        print(f'seed {seed}: stopped {room:.3f} m before the box; {state}')
+        distance = 8.0 - 0.3 - truth[:, 1].max() - 0.25
+        distances.append(distance)
+        print(f'seed {seed}: stopped {distance:.3f} m before the box; {state}')
     print(f'cross-track RMS: largest {max(errors):.3f} m (required 0.05 m)')
-    print(f'distance to an obstacle: smallest {min(rooms):.3f} m (required 0.15 m)')
+    print(f'distance to an obstacle: smallest {min(distances):.3f} m (required 0.15 m)')
     return 0
 
 

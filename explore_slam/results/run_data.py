@@ -166,7 +166,7 @@ class RunData:
 
 
 class RunRecorder:
-    """Records a run while it goes on; live demo, replay and experiments use it alike."""
+    """Records a run while it is in progress: live, in a replay or in a closed loop."""
 
     def __init__(
         self,

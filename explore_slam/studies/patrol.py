@@ -1,4 +1,4 @@
-"""Patrol of a mapped world: vehicles drive to random waypoints, one after the other, forever."""
+"""Patrol of a mapped world: vehicles drive to random waypoints without end."""
 
 import math
 
@@ -25,7 +25,7 @@ LEG_TIMEOUT = 120.0
 
 
 class _Leg:
-    """The way of a vehicle to its current waypoint, since a time (s)."""
+    """The current waypoint of a vehicle, and the time (s) at which it was drawn."""
 
     def __init__(self, waypoint: Pose2, since: float) -> None:
         self.waypoint = waypoint

@@ -1,4 +1,4 @@
-"""`explore_slam benchmark exploration`."""
+"""The command `explore_slam benchmark exploration`, and lists of numbers as options."""
 
 import argparse
 

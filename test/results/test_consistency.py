@@ -1,4 +1,4 @@
-"""NEES of published estimates: known cases, statistics, what is left out."""
+"""NEES of published estimates: known cases, statistics, estimates that do not count."""
 
 import math
 

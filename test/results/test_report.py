@@ -1,4 +1,4 @@
-"""The report: one page that needs nothing else and shows what the run holds."""
+"""The report: a self-contained page with the data of the run."""
 
 import re
 from html.parser import HTMLParser

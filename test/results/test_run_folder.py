@@ -1,4 +1,4 @@
-"""What a run leaves behind: files that others can read, and metrics of known runs."""
+"""Run folders: files in common formats, and metrics of runs with known errors."""
 
 import json
 from datetime import UTC, datetime

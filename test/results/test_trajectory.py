@@ -1,4 +1,4 @@
-"""Trajectory errors: known cases, and the same numbers as the tool evo."""
+"""Trajectory errors: known cases, and equality with evo."""
 
 import math
 

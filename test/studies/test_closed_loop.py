@@ -1,4 +1,4 @@
-"""Exploration in one process: the same seed gives the same run; coverage is judged by reach."""
+"""Closed loop in one process: reproducibility, accuracy; coverage of the reachable area."""
 
 from pathlib import Path
 

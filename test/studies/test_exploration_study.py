@@ -1,4 +1,4 @@
-"""Studies of the planner in the grid world: they end, in the right status, without contacts."""
+"""Exploration studies in the grid world: termination, status, collisions, tables."""
 
 import math
 

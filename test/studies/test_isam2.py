@@ -1,4 +1,4 @@
-"""iSAM2, the yardstick: it must be right before anything is measured with it."""
+"""The reference method iSAM2 on exact and noisy data."""
 
 import math
 import sys

@@ -35,7 +35,7 @@ TRUTH_OFFSET = -0.015
 
 @dataclass(frozen=True)
 class TumFrame:
-    """One frame: observations in the planar vehicle frame and what is true of them.
+    """One frame: observations in the planar vehicle frame, true pose and true points.
 
     pose: true planar pose. points (K, 3): observed points in the world by the true pose (m).
     descriptors (A, 128): of all features of the image, with or without depth.

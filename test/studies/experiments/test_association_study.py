@@ -37,7 +37,7 @@ def test_perfect_frames_match_perfectly():
 
 
 def test_features_that_repeat_fool_descriptors_but_not_geometry():
-    """Twenty keys of a keyboard that look alike, 0.3 m or more apart."""
+    """Twenty points with nearly equal descriptors, at least 0.3 m apart."""
     grid = np.stack(np.meshgrid([1.5, 2.0, 2.5, 3.0], [-1, -0.5, 0, 0.5, 1]), -1).reshape(-1, 2)
     points = np.column_stack([grid, np.full(20, 0.5)])
     rng = np.random.default_rng(2)

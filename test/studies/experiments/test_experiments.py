@@ -1,4 +1,4 @@
-"""The experiments end to end, small; tables, plots, the command."""
+"""The experiments end to end at small size: tables, plots, command."""
 
 import argparse
 import json

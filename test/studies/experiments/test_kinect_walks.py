@@ -1,4 +1,4 @@
-"""Walks of the simulated Kinect, and the scenarios made of them."""
+"""Recorded paths of the simulated Kinect, and scenarios with odometry noise."""
 
 import numpy as np
 import pytest

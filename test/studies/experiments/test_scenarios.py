@@ -1,4 +1,4 @@
-"""Scenarios of experiment 1: paths, noise of table I, what is observed."""
+"""Scenarios of experiment 1: paths, noise of table I, observations."""
 
 import itertools
 import math
@@ -70,7 +70,7 @@ def test_motion_noise_is_that_of_table_one():
     assert sideways[1, 1] == pytest.approx(covariance[0, 0])
 
 
-def test_drawn_noise_has_the_covariance_that_is_told():
+def test_drawn_noise_has_the_published_covariance():
     apart = []
     for seed in range(200):
         scenario = draw_scenario('separate', seed)
@@ -100,5 +100,5 @@ def test_covariance_of_observations_is_that_of_sampled_noise():
     azimuth = 0.7 + noise.angle * 0.5 * rng.standard_normal(100_000)
     elevation = 0.3 + noise.angle * 0.5 * rng.standard_normal(100_000)
     positions, _ = from_polar(tau, azimuth, elevation, noise)
-    _, told = from_polar(np.array([3.0]), np.array([0.7]), np.array([0.3]), noise)
-    np.testing.assert_allclose(np.cov(positions.T), told[0], rtol=0.03, atol=3e-6)
+    _, expected = from_polar(np.array([3.0]), np.array([0.7]), np.array([0.3]), noise)
+    np.testing.assert_allclose(np.cov(positions.T), expected[0], rtol=0.03, atol=3e-6)

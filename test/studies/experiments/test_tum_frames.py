@@ -1,4 +1,4 @@
-"""Real Kinect frames with truth, seen from a planar vehicle."""
+"""Real Kinect frames with ground truth as observations of a planar vehicle."""
 
 import itertools
 import math
