@@ -137,7 +137,7 @@ def covariances(ranges: Array, bearings: Array, sr: float, sr_part: float, sb: f
 def observations(
     stamp: float, measured: Array, noise: tuple[float, float, float]
 ) -> tuple[LandmarkObservations, list[InterRobotObservation]]:
-    """Convert measurements to landmark observations (bar code as descriptor) and inter-robot ones."""
+    """Convert measurements to observations of landmarks (bar code as descriptor) and of robots."""
     subject, distance, bearing = measured.T
     xy = np.stack([distance * np.cos(bearing), distance * np.sin(bearing)], axis=1)
     R2 = covariances(distance, bearing, *noise)
