@@ -163,8 +163,8 @@ def _replace[S: Section](tree: S, values: Mapping[str, Any]) -> S:
     return dataclasses.replace(tree, **changes)
 
 
-def load_settings[S: Section](tree: S, path: Path) -> S:
-    """Return the tree with the values of a ROS parameter file (`/**: ros__parameters: ...`)."""
+def read_parameters(path: Path) -> dict[str, Any]:
+    """Return the values of a ROS parameter file (`/**: ros__parameters: ...`) by name."""
     try:
         content = yaml.safe_load(path.read_text(encoding='utf-8'))
     except (OSError, UnicodeDecodeError) as error:
@@ -180,6 +180,12 @@ def load_settings[S: Section](tree: S, path: Path) -> S:
             values.update(parameters)
     elif content is not None:
         raise ConfigError(f'{path}: expected a mapping, found {type(content).__name__}')
+    return values
+
+
+def load_settings[S: Section](tree: S, path: Path) -> S:
+    """Return the tree with the values of a ROS parameter file; ConfigError for unknown names."""
+    values = read_parameters(path)
     try:
         return with_values(tree, values)
     except ConfigError as error:

@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from explore_slam.agent.agent import Agent
 from explore_slam.agent.config import AgentConfig
 from explore_slam.data import OdometryReading
-from explore_slam.errors import ConfigError, RecordingError
+from explore_slam.errors import RecordingError
 from explore_slam.geometry import Pose2
 from explore_slam.messages.topics import TopicKind
 from explore_slam.recording.bag import BagReader
@@ -21,7 +20,7 @@ from explore_slam.recording.importers.importing import SETTINGS_FILE
 from explore_slam.recording.replay import Replay
 from explore_slam.results.landmark_agreement import evaluate_frames
 from explore_slam.results.run_data import RunData, RunRecorder
-from explore_slam.settings import values_of, with_values
+from explore_slam.settings import read_parameters, values_of, with_values
 
 logger = logging.getLogger(__name__)
 
@@ -37,16 +36,7 @@ def bag_settings(bag: Path) -> dict[str, Any]:
     """
     files = [bag / SETTINGS_FILE, bag.parent / SETTINGS_FILE] if bag.is_dir() else []
     file = next((file for file in files if file.exists()), None)
-    if file is None:
-        return {}
-    try:
-        content = yaml.safe_load(file.read_text(encoding='utf-8')) or {}
-        found: dict[str, Any] = {}
-        for node in content.values():
-            found.update(node['ros__parameters'])
-    except (OSError, yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError) as error:
-        raise ConfigError(f'{file} is not a ROS parameter file: {error!r}') from error
-    return found
+    return {} if file is None else read_parameters(file)
 
 
 def recorded_starts(bag: Path) -> dict[str, Pose2]:

@@ -41,15 +41,10 @@ class Isam2:
     """Planar poses of all vehicles and landmarks in space, smoothed after every update.
 
     Methods are those of the filter, with the identities (K,) of the observed landmarks.
-    cauchy_width: scale of a Cauchy loss on observations, in standard deviations; None for a
-    quadratic loss.
     """
 
-    def __init__(
-        self, start_poses: Mapping[str, Pose2], *, cauchy_width: float | None = None
-    ) -> None:
+    def __init__(self, start_poses: Mapping[str, Pose2]) -> None:
         self._gtsam = load_gtsam()
-        self._cauchy_width = cauchy_width
         parameters = self._gtsam.ISAM2Params()
         parameters.setRelinearizeThreshold(RELINEARIZE_THRESHOLD)
         parameters.relinearizeSkip = 1
@@ -92,9 +87,6 @@ class Isam2:
                 self._known.add(identity)
                 self._values.insert(landmark, placed[row])
             noise = self._gtsam.noiseModel.Gaussian.Covariance(observations.covariances[row])
-            if self._cauchy_width is not None:
-                loss = self._gtsam.noiseModel.mEstimator.Cauchy.Create(self._cauchy_width)
-                noise = self._gtsam.noiseModel.Robust.Create(loss, noise)
             self._graph.add(
                 self._gtsam.CustomFactor(
                     noise, [key, landmark], _position_error(observations.positions[row])

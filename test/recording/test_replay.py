@@ -278,7 +278,7 @@ def test_the_settings_in_a_bag_count_unless_told_otherwise(team_bag, tmp_path):
     with pytest.raises(ConfigError, match='particels'):
         configuration(bag, None, {'particels': 5})
     (bag / 'settings.yaml').write_text('just text')
-    with pytest.raises(ConfigError, match=r'settings\.yaml is not a ROS parameter file'):
+    with pytest.raises(ConfigError, match=r'settings\.yaml: expected a mapping, found str'):
         configuration(bag)
 
 
