@@ -114,12 +114,8 @@ def _search(
         steps = (other_than.x - centre.x) / RESOLUTION, (other_than.y - centre.y) / RESOLUTION
         excluded[:] = (*steps, wrap_angle(other_than.theta - centre.theta), apart, turned)
     penalties = (window.position_penalty * RESOLUTION**2, window.heading_penalty)
-    cells = _cells_of_points(
-        points,
-        (centre.x - grid.x, centre.y - grid.y, centre.theta),
-        window.turns,
-        window.angle_step,
-    )
+    start = (centre.x, centre.y, centre.theta)
+    cells = _cells_of_points(points, start, grid.origin, window.turns, window.angle_step)
     found, score, dx, dy, turn = _branch_and_bound(
         levels, cells, window.cells, window.angle_step, penalties, excluded, least_score
     )
@@ -144,13 +140,17 @@ def score_profile(
     if not len(points):
         return np.zeros(len(offsets))
     levels = grid.levels(1)
-    start = (pose.x - grid.x, pose.y - grid.y, pose.theta)
-    return _profile(levels[0], points, start, direction, offsets)
+    start = (pose.x, pose.y, pose.theta)
+    return _profile(levels[0], grid.origin, points, start, direction, offsets)
 
 
 @kernel
 def _cells_of_points(
-    points: Array, start: tuple[float, float, float], turns: int, step: float
+    points: Array,
+    start: tuple[float, float, float],
+    origin: tuple[int, int],
+    turns: int,
+    step: float,
 ) -> NDArray[np.int32]:
     """Return column and row (2 turns + 1, n, 2) of the points at each heading of the window."""
     cells = np.empty((2 * turns + 1, len(points), 2), np.int32)
@@ -160,8 +160,8 @@ def _cells_of_points(
         for n in range(len(points)):
             x = start[0] + c * points[n, 0] - s * points[n, 1]
             y = start[1] + s * points[n, 0] + c * points[n, 1]
-            cells[k, n, 0] = math.floor(x / RESOLUTION)
-            cells[k, n, 1] = math.floor(y / RESOLUTION)
+            cells[k, n, 0] = math.floor(x / RESOLUTION) - origin[0]
+            cells[k, n, 1] = math.floor(y / RESOLUTION) - origin[1]
     return cells
 
 
@@ -314,6 +314,7 @@ def _branch_and_bound(
 @kernel
 def _profile(
     level: Levels,
+    origin: tuple[int, int],
     points: Array,
     start: tuple[float, float, float],
     direction: tuple[float, float],
@@ -328,6 +329,7 @@ def _profile(
         for n in range(len(points)):
             column = math.floor((x + c * points[n, 0] - s * points[n, 1]) / RESOLUTION)
             row = math.floor((y + s * points[n, 0] + c * points[n, 1]) / RESOLUTION)
+            column, row = column - origin[0], row - origin[1]
             if 0 <= column < columns and 0 <= row < rows:
                 total += level[row, column]
         scores[k] = total / (FULL * len(points))

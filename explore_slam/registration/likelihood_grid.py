@@ -5,8 +5,6 @@ bound finds the exact best pose without looking at every one (Olson, "Real-time 
 matching", ICRA 2009; Hess et al., "Real-time loop closure in 2D LIDAR SLAM", ICRA 2016).
 """
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,6 +31,7 @@ _KERNEL = _gaussian()
 class LikelihoodGrid:
     """Likelihood in 0..255 over the surroundings of points (n, 2).
 
+    Cells are counted from the origin of the frame; `origin` is the first one's column and row.
     Cell (row, column) of level l holds the largest likelihood in the 2^l x 2^l cells from there
     upwards, so that all levels share one indexing. Everything outside has likelihood 0.
     """
@@ -41,8 +40,7 @@ class LikelihoodGrid:
         self._points = points
         self._built = 0
         self._levels: Levels = np.zeros((0, 0, 0), np.uint8)
-        self.x = 0.0
-        self.y = 0.0
+        self.origin = (0, 0)
 
     def levels(self, count: int) -> Levels:
         """Return at least the given number of levels (L, rows, columns), level 0 the finest."""
@@ -53,11 +51,11 @@ class LikelihoodGrid:
     def _build(self, count: int) -> None:
         """Draw the points and take maxima; the margin keeps every square that holds a point."""
         margin = _HALF_KERNEL + 2**count
-        low = self._points.min(axis=0) - margin * RESOLUTION
-        size = (self._points.max(axis=0) - low) / RESOLUTION
-        columns, rows = (size.astype(np.int64) + _HALF_KERNEL + 2).tolist()
+        cells = np.floor(self._points / RESOLUTION).astype(np.int64)
+        first = cells.min(axis=0) - margin
+        columns, rows = (cells.max(axis=0) - first + _HALF_KERNEL + 1).tolist()
         levels = np.zeros((count, rows, columns), np.uint8)
-        _draw(levels[0], self._points, low[0], low[1], _KERNEL)
+        _draw(levels[0], cells - first, _KERNEL)
         for level in range(1, count):
             half = 2 ** (level - 1)
             below, above = levels[level - 1], levels[level]
@@ -65,18 +63,18 @@ class LikelihoodGrid:
             np.maximum(above[:, :-half], below[:, half:], out=above[:, :-half])
             wide = above.copy()
             np.maximum(above[:-half], wide[half:], out=above[:-half])
-        self.x, self.y = low.tolist()
+        column, row = first.tolist()
+        self.origin = (column, row)
         self._levels, self._built = levels, count
 
 
 @kernel
-def _draw(grid: Levels, points: Array, x: float, y: float, gaussian: Levels) -> None:
-    """Raise the likelihood around each point to the Gaussian; one point per cell is enough."""
+def _draw(grid: Levels, cells: NDArray[np.int64], gaussian: Levels) -> None:
+    """Raise the likelihood around each cell (column, row) to the Gaussian; once per cell."""
     width = len(gaussian)
     half = width // 2
-    for n in range(len(points)):
-        column = math.floor((points[n, 0] - x) / RESOLUTION)
-        row = math.floor((points[n, 1] - y) / RESOLUTION)
+    for n in range(len(cells)):
+        column, row = cells[n, 0], cells[n, 1]
         if grid[row, column] == FULL:
             continue
         for r in range(width):

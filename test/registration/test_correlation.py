@@ -19,7 +19,7 @@ def likelihoods(grid):
     level = grid.levels(1)[0]
 
     def at(points):
-        cells = np.floor((points - (grid.x, grid.y)) / RESOLUTION).astype(int)
+        cells = np.floor(points / RESOLUTION).astype(int) - grid.origin
         inside = (cells >= 0).all(axis=1) & (cells < level.shape[::-1]).all(axis=1)
         values = np.zeros(len(points))
         values[inside] = level[cells[inside, 1], cells[inside, 0]] / 255.0

@@ -1,8 +1,10 @@
 """Anchors: keyframes with the point cloud that was measured there, and regions of them."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from functools import cached_property
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,13 +12,14 @@ from numpy.typing import NDArray
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Array, Pose2, between
 from explore_slam.registration import LocalMap, PointCloud, merged
+from explore_slam.slam.checkpoint import State, text_array, text_value
 
 Integers = NDArray[np.int64]
 
 REGION_SPACING = 3.0  # m of way between the centres of regions; neighbours overlap
 REGION_HALF = 5.0  # m of way on either side of the centre that a region's map is made of
 _MOST_IN_REGION = 40  # anchors; more of them are taken in turn
-_QUERY_ANCHORS = 12
+_QUERY_ANCHORS = 12  # spread over the way
 QUERY_WAY = 6.0  # m; one scan is ambiguous, 6 m of building hardly ever are
 # A region's map is used again until a pose in it has moved by this: a fifth of a grid cell.
 _SAME_POSITION = 0.01  # m
@@ -43,30 +46,41 @@ class Anchor:
 class Query:
     """The last anchors of a vehicle as one cloud in the frame of the newest.
 
-    surfaces: returns with a normal, for alignment; points (n, 2): all, thinned for correlation.
+    surfaces: returns with a normal, for alignment; points (n, 2): all, thinned for correlation;
+    way (m): driven from the first to the newest of the anchors.
     """
 
     anchor: Anchor
     surfaces: PointCloud
     points: Array
+    way: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Region:
-    """The map of the anchors around a centre, in the frame of the centre's anchor."""
+    """The anchors around a centre, and the map that they make in the frame of its anchor.
+
+    offsets (n, 3): poses of the anchors in that frame.
+    """
 
     centre: Anchor
     anchors: tuple[Anchor, ...]
-    offsets: Array  # (n, 3): poses of the anchors in the frame of the centre
-    map: LocalMap
+    offsets: Array
+
+    @cached_property
+    def map(self) -> LocalMap:
+        """The clouds of the anchors at their poses."""
+        poses = [Pose2.from_array(at) for at in self.offsets]
+        return LocalMap.of([anchor.cloud for anchor in self.anchors], poses)
 
 
 @dataclass
 class _Trail:
-    """Anchors of one vehicle in the order of its way."""
+    """Anchors of one vehicle in the order of its way; added counts removed ones too."""
 
     anchors: list[Anchor] = field(default_factory=list)
     ways: list[float] = field(default_factory=list)
+    added: int = 0
 
     def around(self, way: float, half: float, newest_way: float) -> list[Anchor]:
         """Return the anchors within half (m of way), none beyond newest_way."""
@@ -105,6 +119,51 @@ class Anchors:
     def __contains__(self, keyframe: int) -> bool:
         return keyframe in self._by_keyframe
 
+    def state_dict(self) -> State:
+        """Return the anchors and the poses in the maps of regions as named arrays."""
+        table, clouds = self.table(), [anchor.cloud for anchor in self]
+        regions = [
+            (key, region.centre.keyframe, [anchor.keyframe for anchor in region.anchors])
+            for key, region in self._maps.items()
+        ]
+        offsets = [region.offsets for region in self._maps.values()]
+        return {
+            'keyframes': table.keyframes,
+            'vehicles': table.vehicles,
+            'ways': table.ways,
+            'stamps': table.stamps,
+            'counts': np.array([len(cloud) for cloud in clouds], np.int64),
+            'clouds': np.concatenate(
+                [np.c_[c.points, c.normals, c.times] for c in clouds] or [np.empty((0, 5))]
+            ),
+            'added': np.array([(v, trail.added) for v, trail in self._trails.items()], np.int64),
+            'regions': text_array(regions),
+            'offsets': np.concatenate(offsets or [np.empty((0, 3))]),
+        }
+
+    @classmethod
+    def from_state(cls, state: State) -> Self:
+        """Make the anchors that `state_dict` returned."""
+        made = cls()
+        parts = np.split(state['clouds'], np.cumsum(state['counts'])[:-1])
+        columns = (state[name].tolist() for name in ('keyframes', 'vehicles', 'ways', 'stamps'))
+        for (keyframe, vehicle, way, stamp), part in zip(
+            zip(*columns, strict=True), parts, strict=False
+        ):
+            points, normals, times = np.split(part, (2, 4), axis=1)
+            cloud = PointCloud(points.copy(), normals.copy(), times.ravel())
+            made.add(Anchor(keyframe, vehicle, way, stamp, cloud))
+        for vehicle, added in state['added'].tolist():
+            made._trails.setdefault(vehicle, _Trail()).added = added
+        first = 0
+        for key, centre, keyframes in text_value(state['regions']):
+            anchors = tuple(made._by_keyframe[keyframe] for keyframe in keyframes)
+            offsets = state['offsets'][first : first + len(anchors)]
+            first += len(anchors)
+            vehicle, number = key
+            made._maps[vehicle, number] = Region(made._by_keyframe[centre], anchors, offsets)
+        return made
+
     def table(self) -> AnchorTable:
         """Return all anchors as arrays."""
         known = len(self._rows)
@@ -139,6 +198,7 @@ class Anchors:
             )
         trail.anchors.append(anchor)
         trail.ways.append(anchor.way)
+        trail.added += 1
         self._by_keyframe[anchor.keyframe] = anchor
 
     def remove(self, keyframe: int) -> None:
@@ -148,20 +208,23 @@ class Anchors:
         at = trail.anchors.index(anchor)
         del trail.anchors[at], trail.ways[at], self._by_keyframe[keyframe]
         self._rows = np.empty((0, 4))
+        self._maps = {k: r for k, r in self._maps.items() if anchor not in r.anchors}
 
-    def number_in_trail(self, anchor: Anchor) -> int:
-        """Return the place of an anchor among those of its vehicle, counted from 1."""
-        return self._trails[anchor.vehicle].anchors.index(anchor) + 1
+    def number_added(self, vehicle: int) -> int:
+        """Return how many anchors of a vehicle were ever added."""
+        return self._trails[vehicle].added
+
+    def newest_way(self, vehicle: int) -> float:
+        """Return the way (m) of a vehicle at its newest anchor."""
+        return self._trails[vehicle].ways[-1]
 
     def query(self, anchor: Anchor, poses: Array, way: float = QUERY_WAY) -> Query:
         """Return the anchor and those on the way just driven as one cloud in its frame."""
         trail = self._trails[anchor.vehicle]
-        last = trail.anchors.index(anchor)
-        chosen = [
-            other
-            for other in trail.anchors[max(last - _QUERY_ANCHORS + 1, 0) : last + 1]
-            if anchor.way - other.way <= way
-        ]
+        recent = trail.anchors[: trail.anchors.index(anchor) + 1]
+        recent = [other for other in recent if anchor.way - other.way <= way]
+        spread = np.linspace(0, len(recent) - 1, min(len(recent), _QUERY_ANCHORS))
+        chosen = [recent[n] for n in np.round(spread).astype(int)]
         offsets = between(
             pose_of(poses, anchor.keyframe), np.array([pose_of(poses, a.keyframe) for a in chosen])
         )
@@ -169,9 +232,18 @@ class Anchors:
         on_surfaces = cloud.only(cloud.on_surfaces)
         step = 1 + (len(on_surfaces) - 1) // _QUERY_SURFACES
         taken = np.arange(len(on_surfaces)) % step == 0
-        return Query(anchor, on_surfaces.only(taken), cloud.query_points)
+        way = anchor.way - chosen[0].way
+        return Query(anchor, on_surfaces.only(taken), cloud.query_points, way)
 
-    def region(self, vehicle: int, number: int, poses: Array, newest_way: float) -> Region | None:
+    def region_numbers(self, vehicle: int) -> list[int]:
+        """Return the numbers of the regions that a vehicle has anchors in, ascending."""
+        trail = self._trails.get(vehicle)
+        ways = [] if trail is None else trail.ways
+        return sorted({round(way / REGION_SPACING) for way in ways})
+
+    def region(
+        self, vehicle: int, number: int, poses: Array, newest_way: float = math.inf
+    ) -> Region | None:
         """Return the map of a region, None where it has no anchors up to newest_way (m).
 
         number: of the centre, in steps of REGION_SPACING along the way of the vehicle.
@@ -187,7 +259,7 @@ class Anchors:
         )
         known = self._maps.pop((vehicle, number), None)
         if known is None or not _is_same(known, tuple(anchors), offsets):
-            known = Region(centre, tuple(anchors), offsets, local_map_at(anchors, offsets))
+            known = Region(centre, tuple(anchors), offsets)
         self._maps[vehicle, number] = known
         if len(self._maps) > _MAPS_KEPT:
             del self._maps[next(iter(self._maps))]
@@ -206,13 +278,6 @@ def merged_at(anchors: list[Anchor], offsets: Array) -> PointCloud:
     """Return the clouds of anchors at poses (n, 3) as one."""
     placed = zip(anchors, offsets, strict=True)
     return merged([anchor.cloud.moved(Pose2.from_array(at)) for anchor, at in placed])
-
-
-def local_map_at(anchors: list[Anchor], offsets: Array) -> LocalMap:
-    """Return the map of the clouds of anchors at poses (n, 3)."""
-    return LocalMap.of(
-        [anchor.cloud for anchor in anchors], [Pose2.from_array(at) for at in offsets]
-    )
 
 
 def _is_same(region: Region, anchors: tuple[Anchor, ...], offsets: Array) -> bool:

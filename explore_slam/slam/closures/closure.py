@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -20,7 +21,7 @@ _TEMPERATURE = 0.02  # of the scores: differences below it mean nothing
 _LEAST_INFORMATION = 1e-2  # 1/m², 1/rad²: a deviation of 10 m
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Closure:
     """The pose of keyframe b in the frame of keyframe a, as their scans tell.
 
@@ -40,6 +41,20 @@ class Closure:
         """Return the pose (3,) of b that the closure tells, given the pose of a."""
         told: Array = compose(poses[self.keyframe_a], np.asarray(self.pose))
         return told
+
+    def row(self) -> Array:
+        """Return all values as one row (17,)."""
+        information = self.information.ravel()
+        keyframes = (self.keyframe_a, self.keyframe_b)
+        return np.array([*keyframes, *self.pose, *information, self.score, self.overlap, self.rms])
+
+    @classmethod
+    def from_row(cls, row: Array) -> Self:
+        """Make a closure of the values that `row` returned."""
+        pose = Pose2(float(row[2]), float(row[3]), float(row[4]))
+        information = row[5:14].reshape(3, 3).copy()
+        score, overlap, rms = row[14:17].tolist()
+        return cls(int(row[0]), int(row[1]), pose, information, score, overlap, rms)
 
 
 def acceptable(found: Alignment | None, config: ClosureConfig) -> bool:

@@ -10,12 +10,14 @@
 import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Array, Pose2, between, compose
 from explore_slam.registration import Alignment, PointCloud, SearchWindow
+from explore_slam.slam.checkpoint import State, part, under
 from explore_slam.slam.closures.agreement import Candidate, largest_agreement, span
 from explore_slam.slam.closures.anchors import (
     REGION_SPACING,
@@ -108,7 +110,7 @@ class LoopSearch:
         anchor = self.anchors.of_keyframe(keyframe)
         if poses.ndim != 2 or poses.shape[1] != 3 or not np.isfinite(poses).all():
             raise SlamError(f'poses have shape {poses.shape}, expected finite values (K, 3)')
-        number = self.anchors.number_in_trail(anchor)
+        number = self.anchors.number_added(anchor.vehicle)
         if number % self.config.closure_every:
             return []
         windows = self._regions_in_reach(anchor, poses, covariance, tied)
@@ -310,6 +312,35 @@ class LoopSearch:
             for end in (candidate.a, candidate.b):
                 self._closed_at[end.vehicle] = max(self._closed_at.get(end.vehicle, 0.0), end.way)
         return accepted
+
+    # ---- state
+
+    def state_dict(self) -> State:
+        """Return the whole state as named arrays; see `from_state`."""
+        rows = [closure.row() for closure in self.closures]
+        pending = [np.r_[c.closure.row(), c.a.keyframe, c.b.keyframe] for c in self.pending]
+        return {
+            **under('anchors', self.anchors.state_dict()),
+            'closures': np.array(rows).reshape(-1, 17),
+            'pending': np.array(pending).reshape(-1, 19),
+            'closed_at': np.array(list(self._closed_at.items()), np.float64).reshape(-1, 2),
+            'inconsistent': np.array(
+                [(*key, count) for key, count in self._inconsistent.items()], np.int64
+            ).reshape(-1, 3),
+        }
+
+    @classmethod
+    def from_state(cls, state: State, config: ClosureConfig) -> Self:
+        """Make a search that goes on, bit by bit, where `state_dict` was called."""
+        made = cls(config)
+        made.anchors = Anchors.from_state(part('anchors', state))
+        made.closures = [Closure.from_row(row) for row in state['closures']]
+        for row in state['pending']:
+            a, b = (made.anchors.of_keyframe(int(keyframe)) for keyframe in row[17:])
+            made.pending.append(Candidate(a, b, Closure.from_row(row)))
+        made._closed_at = {int(vehicle): float(way) for vehicle, way in state['closed_at']}
+        made._inconsistent = {(int(a), int(b)): int(n) for a, b, n in state['inconsistent']}
+        return made
 
     # ---- taking back
 

@@ -1,0 +1,151 @@
+"""Search for a vehicle whose pose in the map is unknown: every region, every heading.
+
+A search takes up to a second; it is done region by region, so that it can run in slices between
+other work or in a thread of its own.
+"""
+
+import math
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from explore_slam.errors import SlamError
+from explore_slam.geometry import IDENTITY, Array, Pose2, compose, wrap_angle
+from explore_slam.registration import Peak, SearchWindow
+from explore_slam.slam.closures.agreement import Candidate, largest_agreement, span
+from explore_slam.slam.closures.anchors import (
+    REGION_SPACING,
+    Anchors,
+    Query,
+    Region,
+    pose_of,
+)
+from explore_slam.slam.closures.closure import Closure, acceptable, apart, closure_information
+from explore_slam.slam.closures.config import ClosureConfig
+
+QUERY_WAY = 8.0  # m
+_LEAST_QUERY_WAY = 6.0  # m; less does not tell rooms apart
+_WINDOW = 0.5 * 2.0 * REGION_SPACING + 1.0  # m: half the distance of the centres used, and 1 m
+_ANGLE_STEP = math.radians(2.0)
+_SAME_PLACE = (2.0, math.radians(45.0))  # m, rad: one region per place and heading is enough
+_REACH = 0.4  # m
+_MODES_APART = (0.5, 0.17)  # m, rad
+_AGREEMENTS = 4  # candidates from different scans
+_AGREEMENT_SPAN = 6.0  # m of way
+_PENDING_WAY = 30.0  # m
+
+
+@dataclass(frozen=True)
+class _Found:
+    region: Region
+    peak: Peak
+    pose: Array  # (3,) in the map
+
+
+class GlobalSearch:
+    """Candidates for where vehicles of unknown start are, until enough of them agree."""
+
+    def __init__(self, config: ClosureConfig, anchors: Anchors) -> None:
+        self.config = config
+        self.anchors = anchors
+        self.pending: list[Candidate] = []
+
+    def search(
+        self, keyframe: int, poses: Array, settled: Collection[int]
+    ) -> Iterator[list[Closure]]:
+        """Search for the anchor of a keyframe among those of settled vehicles.
+
+        poses (K, 3): of all keyframes, by number; those of the settled vehicles are in one frame,
+        those of the keyframe's vehicle in another. Yields after each region the closures that
+        join the two: none until the last step, and then only if enough candidates agree.
+        Poses and anchors must not change during a search: pass a copy.
+        """
+        anchor = self.anchors.of_keyframe(keyframe)
+        if anchor.vehicle in settled:
+            raise SlamError(f'vehicle {anchor.vehicle} is settled, expected one of unknown start')
+        pose_of(poses, keyframe)
+        query = self.anchors.query(anchor, poses, QUERY_WAY)
+        if query.way < _LEAST_QUERY_WAY:
+            return
+        found: list[_Found] = []
+        for region in self._regions(poses, settled):
+            best = max((match.peak.score for match in found), default=0.0)
+            least = max(self.config.closure_score, self.config.closure_other_mode * best)
+            window = SearchWindow(IDENTITY, _WINDOW, math.pi, _ANGLE_STEP)
+            peak = region.map.find_peak(query.points, window, least)
+            if peak is not None:
+                pose = compose(poses[region.centre.keyframe], np.asarray(peak.pose))
+                found.append(_Found(region, peak, pose))
+            yield []
+        candidate = self._candidate(query, found)
+        yield [] if candidate is None else self._join(candidate, poses)
+
+    def _regions(self, poses: Array, settled: Collection[int]) -> Iterator[Region]:
+        """Yield a region for each place and heading of the settled vehicles."""
+        seen: list[Array] = []
+        for vehicle in sorted(settled):
+            for number in self.anchors.region_numbers(vehicle):
+                if number % 2:
+                    continue
+                region = self.anchors.region(vehicle, number, poses)
+                if region is None:
+                    continue
+                pose = poses[region.centre.keyframe]
+                if all(apart(pose, other, *_SAME_PLACE) for other in seen):
+                    seen.append(pose)
+                    yield region
+
+    def _candidate(self, query: Query, found: list[_Found]) -> Candidate | None:
+        """Return the best match if it passes all tests and nothing else is nearly as good."""
+        if not found:
+            return None
+        best = max(found, key=lambda match: match.peak.score)
+        needed = self.config.closure_other_mode * best.peak.score
+        for match in found:
+            if match.peak.score > needed and apart(match.pose, best.pose, *_MODES_APART):
+                return None
+        region = best.region
+        window = SearchWindow(IDENTITY, _WINDOW, math.pi, _ANGLE_STEP)
+        if region.map.find_other_mode(query.points, window, best.peak.pose, _MODES_APART, needed):
+            return None
+        alignment = region.map.align(query.surfaces, best.peak.pose, _REACH)
+        if alignment is None or not acceptable(alignment, self.config):
+            return None
+        information = closure_information(region.map, query, alignment)
+        closure = Closure(
+            region.centre.keyframe,
+            query.anchor.keyframe,
+            alignment.pose,
+            information,
+            best.peak.score,
+            alignment.share,
+            alignment.rms,
+        )
+        return Candidate(region.centre, query.anchor, closure)
+
+    def _join(self, candidate: Candidate, poses: Array) -> list[Closure]:
+        """Hold the candidate; return the closures that join the vehicles if enough agree."""
+        b = candidate.b
+        self.pending = [
+            c for c in self.pending if c.b.vehicle != b.vehicle or b.way - c.b.way < _PENDING_WAY
+        ]
+        group = largest_agreement(candidate, self.pending, poses)
+        self.pending.append(candidate)
+        if len(group) < _AGREEMENTS or span(group) <= _AGREEMENT_SPAN:
+            return []
+        self.pending = [c for c in self.pending if c.b.vehicle != b.vehicle]
+        return [member.closure for member in reversed(group)]
+
+
+def join_transform(closures: Collection[Closure], poses: Array) -> Pose2:
+    """Return the pose of the newcomer's frame in the map that the closures tell on average."""
+    if not closures:
+        raise SlamError('no closures, expected one or more')
+    told = []
+    for closure in closures:
+        in_map = Pose2.from_array(closure.query_pose(poses))
+        told.append(in_map.compose(Pose2.from_array(poses[closure.keyframe_b]).inverse()))
+    values = np.array(told)
+    heading = math.atan2(np.sin(values[:, 2]).mean(), np.cos(values[:, 2]).mean())
+    return Pose2(float(values[:, 0].mean()), float(values[:, 1].mean()), wrap_angle(heading))

@@ -1,0 +1,84 @@
+"""Anchors of places that are known already: those that may go, so that the area bounds them."""
+
+import math
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from explore_slam.geometry import Array, Pose2, between
+from explore_slam.slam.closures.anchors import Anchor, Anchors
+from explore_slam.slam.closures.loop_search import RelativeCovariance
+
+_RECENT_WAY = 15.0  # m of each vehicle that are kept: queries and the nearest loops need them
+_SAME_PLACE = 1.5  # m; older anchors nearer than this may show the same
+_MOST_OLDER = 8  # anchors of the same place that are compared, the nearest
+_OVERLAP = 0.9  # share of the returns that older anchors show too
+_KNOWN = 0.1  # m, deviation of the pose relative to the older anchors
+_ON_SURFACE = 0.15  # m: a return this near one of an older anchor is the same
+
+
+class Thinning:
+    """Which anchors repeat what older ones show; each is judged once."""
+
+    def __init__(self, anchors: Anchors) -> None:
+        self.anchors = anchors
+        self.judged: set[int] = set()
+
+    def redundant(self, poses: Array, covariance: RelativeCovariance) -> list[int]:
+        """Return the keyframes whose anchors may be removed.
+
+        poses (K, 3): of all keyframes in the map; covariance: of relative poses, see
+        LoopSearch.search. An anchor may go when kept older anchors of the same place show 90 %
+        of its returns and its pose relative to them is known to 0.1 m.
+        """
+        gone: list[int] = []
+        removed: set[int] = set()
+        newest = {anchor.vehicle: anchor.way for anchor in self.anchors}
+        for anchor in self.anchors:
+            settled = newest[anchor.vehicle] - anchor.way > _RECENT_WAY
+            if not settled or anchor.keyframe in self.judged:
+                continue
+            self.judged.add(anchor.keyframe)
+            older = self._older(anchor, poses, removed)
+            if older and self._is_known(anchor, older, covariance):
+                shown = _share_shown(anchor, older, poses)
+                if shown > _OVERLAP:
+                    gone.append(anchor.keyframe)
+                    removed.add(anchor.keyframe)
+        return gone
+
+    def _older(self, anchor: Anchor, poses: Array, removed: set[int]) -> list[Anchor]:
+        """Return the nearest kept anchors of the same place from another visit."""
+        x, y, _ = poses[anchor.keyframe]
+        near: list[tuple[float, int, Anchor]] = []
+        for other in self.anchors:
+            if other.keyframe >= anchor.keyframe or other.keyframe in removed:
+                continue
+            same_visit = other.vehicle == anchor.vehicle and anchor.way - other.way < _RECENT_WAY
+            distance = math.hypot(poses[other.keyframe, 0] - x, poses[other.keyframe, 1] - y)
+            if not same_visit and distance < _SAME_PLACE:
+                near.append((distance, other.keyframe, other))
+        return [other for _, _, other in sorted(near)[:_MOST_OLDER]]
+
+    def _is_known(
+        self, anchor: Anchor, older: list[Anchor], covariance: RelativeCovariance
+    ) -> bool:
+        keyframes = np.array([other.keyframe for other in older], np.int64)
+        P = covariance(anchor.keyframe, keyframes)
+        return bool(np.linalg.eigvalsh(P[:, :2, :2])[:, 1].min() < _KNOWN**2)
+
+
+def _share_shown(anchor: Anchor, older: list[Anchor], poses: Array) -> float:
+    """Return the share of an anchor's returns that lie on returns of older anchors."""
+    offsets = between(poses[anchor.keyframe], np.array([poses[other.keyframe] for other in older]))
+    known = np.concatenate(
+        [
+            other.cloud.moved(Pose2.from_array(at)).sparse_points
+            for other, at in zip(older, offsets, strict=True)
+        ]
+    )
+    points = anchor.cloud.query_points
+    if not len(points) or not len(known):
+        return 0.0
+    distances, _ = cKDTree(known).query(points)
+    return float((distances < _ON_SURFACE).mean())

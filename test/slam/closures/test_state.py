@@ -1,0 +1,62 @@
+"""A search goes on from its saved state bit by bit; anchors of known places may go."""
+
+import math
+
+import numpy as np
+from registration.ray_caster import scan_of
+from slam.closures.drives import Vehicle, along, drive
+from slam.closures.test_loop_search import FURNITURE, LAP, OFFICE
+
+from explore_slam.registration import scan_cloud
+from explore_slam.slam import checkpoint
+from explore_slam.slam.closures import ClosureConfig, LoopSearch, Thinning
+
+
+def test_a_restored_search_goes_on_bit_by_bit(tmp_path):
+    walls, path = np.vstack([OFFICE, FURNITURE]), along(*LAP, *LAP[1:])
+    poses = np.array(path)
+    poses[:, :2] *= 1.004
+    ways = np.cumsum([0.0, *np.hypot(*np.diff(poses[:, :2], axis=0).T)])
+    random = np.random.default_rng(3)
+    clouds = [scan_cloud(scan_of(walls, pose, 0.01, random)) for pose in path]
+
+    def go_on(search, numbers):
+        for k in numbers:
+            search.add_anchor(k, 0, clouds[k], float(ways[k]), float(k))
+            search.search(k, poses * (1.0 + 1e-5 * k))
+
+    cut = len(path) * 2 // 3
+    search = LoopSearch(ClosureConfig())
+    go_on(search, range(cut))
+    assert len(search.closures) >= 2
+    search.recheck(np.r_[np.full(len(search.closures) - 1, 1.0), 1e3])
+    checkpoint.write(tmp_path / 'state.npz', search.state_dict())
+    restored = LoopSearch.from_state(checkpoint.read(tmp_path / 'state.npz'), ClosureConfig())
+    for one in (search, restored):
+        go_on(one, range(cut, len(path)))
+    assert len(search.closures) > 5
+    one, other = search.state_dict(), restored.state_dict()
+    assert one.keys() == other.keys()
+    for name in one:
+        np.testing.assert_array_equal(one[name], other[name], err_msg=name)
+
+
+def test_anchors_of_places_seen_often_are_bounded_by_the_area():
+    walls = np.vstack([OFFICE, FURNITURE])
+    laps = along(*LAP, *LAP[1:], *LAP[1:], *LAP[1:])
+    run = drive(lambda *_: walls, [Vehicle(laps, way_scale=1.003)])
+    thinning, poses = Thinning(run.search.anchors), run.graph.path()
+    one_lap = len(along(*LAP))
+    assert len(run.search.anchors) > 3.5 * one_lap
+    gone = thinning.redundant(poses, run.graph.relative_covariance)
+    for keyframe in gone:
+        run.search.remove_anchor(keyframe)
+    assert min(gone) >= 0.8 * one_lap
+    assert len(run.search.anchors) < 2.0 * one_lap
+    assert thinning.redundant(poses, run.graph.relative_covariance) == []
+    # loops are still found with what is left
+    last = len(laps) - 1
+    closures = [run.search.search(last, poses)]
+    assert all(math.isfinite(c.score) for found in closures for c in found)
+    unsure = Thinning(run.search.anchors)
+    assert unsure.redundant(poses, lambda _, others: np.tile(np.eye(3), (len(others), 1, 1))) == []
