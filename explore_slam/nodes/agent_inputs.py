@@ -13,7 +13,7 @@ from explore_slam.messages.measurement_kinds import MEASUREMENT_KINDS
 from explore_slam.messages.topics import Topic, TopicKind, VehicleTopic
 from explore_slam.nodes.endpoints import subscribe
 from explore_slam.nodes.inbox import Inbox
-from explore_slam.nodes.node_support import SILENCE, explain_silence, now_seconds
+from explore_slam.nodes.node_support import SILENCE, WARNING_PERIOD, explain_silence, now_seconds
 
 # records per vehicle that may wait for the worker
 LIMITS: Mapping[str, int] = {
@@ -79,7 +79,7 @@ class VehicleInputs:
                 self.malformed += 1
                 self._node.get_logger().warning(
                     f'{self.vehicle}/{topic.value}: {error}; message omitted',
-                    throttle_duration_sec=5.0,
+                    throttle_duration_sec=WARNING_PERIOD,
                 )
 
         subscribe(self._node, topic, on_message, self.vehicle)

@@ -32,6 +32,7 @@ from explore_slam.nodes.endpoints import publisher, subscribe
 from explore_slam.nodes.heartbeat import Heartbeat
 from explore_slam.nodes.inbox import Inbox, Item
 from explore_slam.nodes.node_support import (
+    REPORT_PERIOD,
     SILENCE,
     RosLogHandler,
     changed_settings,
@@ -41,6 +42,7 @@ from explore_slam.nodes.node_support import (
     run_node,
 )
 
+POLL_PERIOD = 0.05  # s that the worker waits for an item before it does periodic work
 # parameters that other nodes rely on, or that the agent is built from: fixed after the start
 FIXED = {
     'vehicles', 'start_poses', 'seed', 'vision', 'frame_queue', 'map_frame', 'odom_frame',
@@ -189,7 +191,7 @@ class AgentNode(Node):
 
     def _work(self) -> None:
         while not self.inbox.closed:
-            item = self.inbox.get(timeout=0.05)
+            item = self.inbox.get(timeout=POLL_PERIOD)
             try:
                 if item is not None:
                     with self.statistics.timed(item.kind):
@@ -279,7 +281,7 @@ class AgentNode(Node):
                 self.get_logger().warning(text)
 
     def _publish_diagnostics(self) -> None:
-        if time.monotonic() < self._reported + 1.0:
+        if time.monotonic() < self._reported + REPORT_PERIOD:
             return
         self._reported = time.monotonic()
         parts = self.statistics.parts(

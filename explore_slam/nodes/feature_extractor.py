@@ -28,7 +28,9 @@ from explore_slam.nodes.endpoints import publisher, subscribe
 from explore_slam.nodes.inbox import Inbox
 from explore_slam.nodes.node_support import (
     OK,
+    REPORT_PERIOD,
     WARN,
+    WARNING_PERIOD,
     declare_settings,
     diagnostics_message,
     run_node,
@@ -39,6 +41,7 @@ from explore_slam.settings import Section, section, setting
 from explore_slam.vision import FeatureExtractor, KeyframeSelector, VisionConfig
 
 _INPUTS = InputConfig()  # the defaults of the agent
+POLL_PERIOD = 0.2  # s that the worker waits for a frame before it looks at the time
 ODOMETRY_WAIT = 0.5  # s that a frame waits for odometry that reaches its stamp
 
 
@@ -88,7 +91,9 @@ class FeatureExtractorNode(Node):
             frame = self._pairing.read(topic, message)
         except ExploreSlamError as error:
             self._malformed += 1
-            self.get_logger().warning(f'{topic.value}: {error}', throttle_duration_sec=5.0)
+            self.get_logger().warning(
+                f'{topic.value}: {error}', throttle_duration_sec=WARNING_PERIOD
+            )
             return
         if frame is not None:
             self._inbox.put(FRAME.name, self.vehicle, self._extract, frame)
@@ -98,7 +103,7 @@ class FeatureExtractorNode(Node):
             reading = odometry_record(message)
         except ExploreSlamError as error:
             self._malformed += 1
-            self.get_logger().warning(f'odom: {error}', throttle_duration_sec=5.0)
+            self.get_logger().warning(f'odom: {error}', throttle_duration_sec=WARNING_PERIOD)
             return
         with self._odometry_came:
             self._odometry.add(reading)
@@ -106,13 +111,13 @@ class FeatureExtractorNode(Node):
 
     def _work(self) -> None:
         while not self._inbox.closed:
-            item = self._inbox.get(timeout=0.2)
+            item = self._inbox.get(timeout=POLL_PERIOD)
             try:
                 if item is not None:
                     item.take(item.payload)
             except ExploreSlamError as error:
-                self.get_logger().warning(f'frame: {error}', throttle_duration_sec=5.0)
-            if time.monotonic() > self._reported + 1.0:
+                self.get_logger().warning(f'frame: {error}', throttle_duration_sec=WARNING_PERIOD)
+            if time.monotonic() > self._reported + REPORT_PERIOD:
                 self._report()
 
     def _extract(self, frame: RgbdFrame) -> None:

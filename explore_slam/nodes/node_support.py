@@ -27,6 +27,8 @@ from explore_slam.settings import Section, Setting, settings_of, with_values
 
 _NICENESS = -10  # granted to root, and where limits.conf allows it
 SILENCE = 5.0  # s without a message after which its possible causes are logged
+REPORT_PERIOD = 1.0  # s between diagnostics
+WARNING_PERIOD = 5.0  # s between warnings of the same place in the code
 OK, WARN, ERROR, STALE = (
     DiagnosticStatus.OK,
     DiagnosticStatus.WARN,

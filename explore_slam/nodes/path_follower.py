@@ -40,6 +40,7 @@ from explore_slam.nodes.node_support import (
     OK,
     SILENCE,
     WARN,
+    WARNING_PERIOD,
     ask_for_priority,
     changed_settings,
     declare_settings,
@@ -134,7 +135,9 @@ class PathFollowerNode(Node):
             self._counts[topic] += 1
         except DataError as error:
             self._malformed += 1
-            self.get_logger().warning(f'{topic.value}: {error}', throttle_duration_sec=5.0)
+            self.get_logger().warning(
+                f'{topic.value}: {error}', throttle_duration_sec=WARNING_PERIOD
+            )
 
     def _on_timer(self) -> None:
         now = now_seconds(self)

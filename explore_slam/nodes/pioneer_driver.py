@@ -32,7 +32,9 @@ from explore_slam.nodes.endpoints import subscribe
 from explore_slam.nodes.node_support import (
     ERROR,
     OK,
+    REPORT_PERIOD,
     WARN,
+    WARNING_PERIOD,
     RosLogHandler,
     ask_for_priority,
     changed_settings,
@@ -58,7 +60,6 @@ from explore_slam.vehicle import (
 from explore_slam.vehicle.dead_reckoning import DeadReckoning
 
 CONTROL_PERIOD = 0.02  # s between velocities sent to the base
-_REPORT_PERIOD = 1.0  # s between diagnostics
 _MOTOR_GRACE = 1.0  # s until a base reports that its motors were switched on
 _BASE_STOP_TIMEOUT, _STOP_TIMEOUT = 3.0, 1.0  # s for a device to close; a base brakes first
 _NO_POINTS = np.empty((0, 2))
@@ -124,7 +125,7 @@ class PioneerDriverNode(Node):
             subscribe(self, TopicKind.SCAN, self._on_watched_scan)
         self.add_on_set_parameters_callback(self._on_parameters)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_REPORT_PERIOD, self._report, clock=steady)
+        self.create_timer(REPORT_PERIOD, self._report, clock=steady)
 
     def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         fixed = [item.name for item in parameters if item.name not in _CHANGEABLE]
@@ -157,7 +158,7 @@ class PioneerDriverNode(Node):
             self._keep_points(scan_record(message))
             self._watched_scan = time.monotonic()
         except DataError as error:
-            self.get_logger().warning(f'scan: {error}', throttle_duration_sec=5.0)
+            self.get_logger().warning(f'scan: {error}', throttle_duration_sec=WARNING_PERIOD)
 
     # -- thread of the base ----------------------------------------------------------------------
 

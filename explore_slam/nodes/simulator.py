@@ -27,7 +27,9 @@ from explore_slam.nodes import shared_parameters
 from explore_slam.nodes.endpoints import publisher, subscribe
 from explore_slam.nodes.node_support import (
     OK,
+    REPORT_PERIOD,
     WARN,
+    WARNING_PERIOD,
     RosLogHandler,
     changed_settings,
     declare_settings,
@@ -46,7 +48,6 @@ from explore_slam.simulation import (
 )
 from explore_slam.simulation.emulators.hardware_bridge import HardwareBridge
 
-REPORT_PERIOD = 1.0  # wall s between diagnostics
 CLOCK_REPEAT = 0.02  # wall s after which /clock is repeated while time is held
 # settings that may change at run time
 CHANGEABLE = {field.name for field in fields(PaceConfig)} | {'command_timeout', 'use_sim_time'}
@@ -166,7 +167,7 @@ class SimulatorNode(Node):
             self.get_logger().warning(
                 f'{vehicle}/cmd_vel is ({linear}, {angular}), expected finite m/s and rad/s; '
                 'the vehicle stops',
-                throttle_duration_sec=5.0,
+                throttle_duration_sec=WARNING_PERIOD,
             )
             linear = angular = 0.0
         with self._wake:
