@@ -35,7 +35,7 @@ class Pose2(NamedTuple):
     theta: float
 
     def compose(self, increment: 'Pose2') -> 'Pose2':
-        """Return this pose moved by an increment given in its own frame (self ⊕ increment)."""
+        """Return self ⊕ increment: this pose moved by an increment in its own frame."""
         c, s = math.cos(self.theta), math.sin(self.theta)
         return Pose2(
             self.x + c * increment.x - s * increment.y,
@@ -55,12 +55,12 @@ class Pose2(NamedTuple):
         return Pose2(c * dx + s * dy, -s * dx + c * dy, wrap_angle(other.theta - self.theta))
 
     def is_finite(self) -> bool:
-        """Tell whether no coordinate is NaN or infinite."""
+        """Return whether all coordinates are finite."""
         return all(map(math.isfinite, self))
 
     @classmethod
     def from_array(cls, values: ArrayLike) -> 'Pose2':
-        """Make a pose of an array of shape (3,)."""
+        """Return the pose of an array (3,)."""
         x, y, theta = np.asarray(values, dtype=np.float64)
         return cls(float(x), float(y), wrap_angle(float(theta)))
 
@@ -96,7 +96,7 @@ def between(poses: ArrayLike, others: ArrayLike) -> Array:
 
 
 def to_world(pose: ArrayLike, points: ArrayLike) -> Array:
-    """Move points (N, 2) or (N, 3) from the frame of one pose (3,) to the world; z is kept."""
+    """Transform points (N, 2) or (N, 3) from the frame of a pose (3,) to the world; z is kept."""
     x, y, theta = np.asarray(pose, dtype=np.float64)
     moved = np.array(points, dtype=np.float64)
     c, s = math.cos(theta), math.sin(theta)

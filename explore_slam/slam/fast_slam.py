@@ -14,7 +14,7 @@ from explore_slam.geometry import Array, Pose2, compose, wrap_angles
 from explore_slam.settings import values_of, with_values
 from explore_slam.slam import checks
 from explore_slam.slam.association.candidates import find_candidates
-from explore_slam.slam.association.state import AssociationState, CandidateSet
+from explore_slam.slam.association.state import MAJORITY, AssociationState, CandidateSet
 from explore_slam.slam.checkpoint import Checkpointed, State, part, text_array, text_value, under
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.descriptors.kinds import kind_named
@@ -36,8 +36,6 @@ from explore_slam.slam.update.fastslam2_engine import pair_likelihoods
 from explore_slam.slam.update.inter_robot import condition_on_observation
 from explore_slam.slam.update.landmark_update import update_associated
 from explore_slam.slam.update.map_management import MapManager
-
-_MAJORITY = 0.5  # part of the particles' weight that speaks for all of them
 
 
 class FastSlam(Checkpointed):
@@ -160,7 +158,7 @@ class FastSlam(Checkpointed):
         if self._engine.completes_round(number, self.vehicles):
             self._end_round()
             resampled = True
-        agreed = support.sum(axis=1) > _MAJORITY
+        agreed = support.sum(axis=1) > MAJORITY
         lost, relocated = self._relocalize(number, found, agreed)
         return UpdateSummary(
             stamp=observations.stamp,

@@ -13,6 +13,9 @@ from explore_slam.slam.storage.ancestry import AncestryTree, Index
 from explore_slam.slam.storage.row_format import Choice, Places
 from explore_slam.slam.storage.row_store import RowStore
 
+#: Part of the particles' weight that decides for all of them.
+MAJORITY = 0.5
+
 
 class Observed(NamedTuple):
     """Observations in the vehicle frame: positions z (K, 3) m, packed covariances R (K, 6) m²."""

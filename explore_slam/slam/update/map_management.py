@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from explore_slam.compiled import kernel
 from explore_slam.geometry import Array, Pose2
-from explore_slam.slam.association.state import AssociationState, Observed
+from explore_slam.slam.association.state import MAJORITY, AssociationState, Observed
 from explore_slam.slam.checkpoint import State
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.landmarks.landmark_map import LandmarkMap
@@ -20,8 +20,6 @@ from explore_slam.slam.update.landmark_update import fill_absent, insert_landmar
 _LEAST_OBSERVATIONS = 8
 _CONFIRMING = 3
 _CONFIRMING_PART = 0.5
-# Part of the particles' weight that decides for all of them.
-_MAJORITY = 0.5
 # Bin of azimuth and elevation (rad) in which views are compared: about the spacing of features of
 # an image with some hundred of them.
 _BIN = 0.1
@@ -89,7 +87,7 @@ class MapManager:
         support (K, J): weight of the particles that chose each candidate; best: the best particle.
         """
         found, store = state.found, self.landmarks.rows
-        agreed = support.sum(axis=1) > _MAJORITY
+        agreed = support.sum(axis=1) > MAJORITY
         wanted = self.engine.needs_landmark(state, agreed)
         if self.config.insertion_policy == 'unmapped_region':
             wanted &= self._is_unmapped(vehicle, found.observed.z, poses[best])[:, None]
@@ -103,7 +101,7 @@ class MapManager:
         store.commit(entries, addresses, state.tree)
         there = store.workspace[addresses, COVARIANCE, best] > 0.0
         self.landmarks.reference[entries[there]] = store.workspace[addresses[there], :3, best]
-        observed = found.entries[total > _MAJORITY]
+        observed = found.entries[total > MAJORITY]
         removed = self._update_evidence(state, agreed, observed, Pose2.from_array(poses[best]))
         return self._insert(vehicle, state, poses, wanted), removed
 
