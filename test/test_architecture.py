@@ -86,6 +86,21 @@ def test_the_document_describes_every_package():
     assert described - RANK.keys() == set()
 
 
+def test_the_document_describes_every_subpackage_and_no_other():
+    text = DOCUMENT.read_text(encoding='utf-8')
+    described = set(re.findall(r'^\| `(\w+/\w+)` \|', text, re.MULTILINE))
+    root = import_graph.PACKAGE
+    present = {path.parent.relative_to(root).as_posix() for path in root.glob('*/*/__init__.py')}
+    assert described == present, 'correct the table of subpackages in doc/architecture.md'
+
+
+def test_paths_named_in_the_document_exist():
+    text = DOCUMENT.read_text(encoding='utf-8')
+    for name in re.findall(r'`((?:\w+/)+(?:\w+\.(?:py|md))?)`', text):
+        inside, beside = import_graph.PACKAGE / name, REPOSITORY / name
+        assert inside.exists() or beside.exists(), name
+
+
 def test_one_version_number():
     from importlib.metadata import version
 
