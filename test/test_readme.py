@@ -17,9 +17,11 @@ from explore_slam.cli.main import COMMANDS, build_parser
 from explore_slam.geometry import Pose2
 from explore_slam.messages.topics import TopicKind
 from explore_slam.nodes.agent_parameters import AgentNodeConfig
+from explore_slam.nodes.driver_parameters import DriverNodeConfig
 from explore_slam.recording.bag import BagWriter
 from explore_slam.recording.events import Event, odometry_event, start_event, write_event
 from explore_slam.settings import save_settings, values_of
+from explore_slam.vehicle import PathFollowerConfig
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 DOCUMENTS = [REPOSITORY / 'README.md', REPOSITORY / 'CONTRIBUTING.md']
@@ -236,6 +238,16 @@ def test_every_topic_of_a_vehicle_is_in_the_table():
         plain = kind.value.removesuffix('/compressed').removesuffix('/compressedDepth')
         if kind is not TopicKind.GROUND_TRUTH:
             assert f'`<v>/{plain}`' in table, kind
+
+
+def test_settings_named_for_safety_exist():
+    text = (REPOSITORY / 'doc' / 'hardware.md').read_text(encoding='utf-8')
+    table = text[text.index('## What stops the vehicle') : text.index('## Without hardware')]
+    known = {*values_of(DriverNodeConfig()), *values_of(PathFollowerConfig())}
+    services_and_topics = {'enable_motors', 'cmd_vel'}
+    named = set(re.findall(r'`(\w+)`', table)) - services_and_topics
+    assert len(named) > 8
+    assert named <= known
 
 
 def test_citation_and_changelog_have_the_version_of_the_package():
