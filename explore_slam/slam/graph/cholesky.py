@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from explore_slam.compiled import kernel
 from explore_slam.geometry import Array
 from explore_slam.slam.graph.factors import Integers
-from explore_slam.slam.graph.ordering import find_block
 
 Flags = NDArray[np.bool_]
 
@@ -173,20 +172,24 @@ def _inverse_lower(D: Array, out: Array) -> None:
     out[2, 0] = -(D[2, 0] * out[0, 0] + D[2, 1] * out[1, 0]) * out[2, 2]
 
 
-@kernel
-def _subtract_product(T: Array, M: Array, Y: Array) -> None:
-    """Subtract M Y (3, 3) from T."""
+@kernel(inline='always')
+def _subtract_product(T: Array, t: int, M: Array, m: int, Y: Array, y: int) -> None:
+    """Subtract M[m] Y[y] (3, 3) from T[t]; numbers instead of views, which cost more than this."""
     for r in range(3):
-        for c in range(3):
-            T[r, c] -= M[r, 0] * Y[0, c] + M[r, 1] * Y[1, c] + M[r, 2] * Y[2, c]
+        u, v, w = M[m, r, 0], M[m, r, 1], M[m, r, 2]
+        T[t, r, 0] -= u * Y[y, 0, 0] + v * Y[y, 1, 0] + w * Y[y, 2, 0]
+        T[t, r, 1] -= u * Y[y, 0, 1] + v * Y[y, 1, 1] + w * Y[y, 2, 1]
+        T[t, r, 2] -= u * Y[y, 0, 2] + v * Y[y, 1, 2] + w * Y[y, 2, 2]
 
 
-@kernel
-def _subtract_transposed_product(T: Array, M: Array, Y: Array) -> None:
-    """Subtract Mᵀ Y (3, 3) from T."""
+@kernel(inline='always')
+def _subtract_transposed_product(T: Array, t: int, M: Array, m: int, Y: Array, y: int) -> None:
+    """Subtract M[m]ᵀ Y[y] (3, 3) from T[t]."""
     for r in range(3):
-        for c in range(3):
-            T[r, c] -= M[0, r] * Y[0, c] + M[1, r] * Y[1, c] + M[2, r] * Y[2, c]
+        u, v, w = M[m, 0, r], M[m, 1, r], M[m, 2, r]
+        T[t, r, 0] -= u * Y[y, 0, 0] + v * Y[y, 1, 0] + w * Y[y, 2, 0]
+        T[t, r, 1] -= u * Y[y, 0, 1] + v * Y[y, 1, 1] + w * Y[y, 2, 1]
+        T[t, r, 2] -= u * Y[y, 0, 2] + v * Y[y, 1, 2] + w * Y[y, 2, 2]
 
 
 @kernel
@@ -199,20 +202,23 @@ def inverse_diagonal(first: Integers, rows: Integers, diagonal: Array, blocks: A
     """
     nodes = len(diagonal)
     on, below = np.zeros((nodes, 3, 3)), np.zeros((len(rows), 3, 3))  # Σ, laid out like L
-    Y, inverse = np.zeros((len(rows), 3, 3)), np.empty((3, 3))
+    Y, inverse = np.zeros((len(rows), 3, 3)), np.empty((2, 3, 3))  # L_jj⁻¹ and −L_jj⁻¹
     for j in range(nodes - 1, -1, -1):
         begin, end = first[j], first[j + 1]
-        _inverse_lower(diagonal[j], inverse)
+        _inverse_lower(diagonal[j], inverse[0])
+        inverse[1] = -inverse[0]
         for p in range(begin, end):
-            _subtract_product(Y[p], blocks[p], -inverse)
+            _subtract_product(Y, p, blocks, p, inverse, 1)
         for p in range(begin, end):
             b = rows[p]
-            _subtract_product(below[p], on[b], Y[p])
+            _subtract_product(below, p, on, b, Y, p)
+            at = first[b]  # the rows after b are also rows of its column
             for q in range(p + 1, end):
-                M = below[find_block(first, rows, rows[q], b)]
-                _subtract_product(below[q], M, Y[p])
-                _subtract_transposed_product(below[p], M, Y[q])
-        _subtract_transposed_product(on[j], inverse, -inverse)
+                while rows[at] != rows[q]:
+                    at += 1
+                _subtract_product(below, q, below, at, Y, p)
+                _subtract_transposed_product(below, p, below, at, Y, q)
+        _subtract_transposed_product(on, j, inverse, 0, inverse, 1)
         for p in range(begin, end):
-            _subtract_transposed_product(on[j], Y[p], below[p])
+            _subtract_transposed_product(on, j, Y, p, below, p)
     return on

@@ -54,6 +54,7 @@ class JointGraph:
         self.config = config or GraphConfig()
         self._storage = Storage()
         self._posteriors: dict[Component, Solution] = {}
+        self._ties: tuple[int, dict[int, Component]] = (-1, {})  # at which number of changes
 
     def state_dict(self) -> State:
         """Return the whole state as named arrays; see `from_state`."""
@@ -446,12 +447,17 @@ class JointGraph:
     def _component(self, vehicle: int) -> Component:
         if vehicle not in self._storage.newest:
             raise SlamError(f'vehicle {vehicle} is not in the graph')
-        return components(self._storage)[vehicle]
+        return self._tied_vehicles()[vehicle]
 
     def _components(self, vehicle: int | None) -> list[Component]:
         if vehicle is not None:
             return [self._component(vehicle)]
-        return sorted(set(components(self._storage).values()))
+        return sorted(set(self._tied_vehicles().values()))
+
+    def _tied_vehicles(self) -> dict[int, Component]:
+        if self._ties[0] != self._storage.changes:
+            self._ties = (self._storage.changes, components(self._storage))
+        return self._ties[1]
 
     def _ends(self, a: int, b: int) -> tuple[int, int]:
         """Return the rows of the two keyframes of a factor."""

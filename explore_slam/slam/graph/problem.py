@@ -52,9 +52,15 @@ def chosen_landmarks(
     keyframe, landmark: (O,) rows of all observations.
     """
     counts = np.bincount(landmark)
-    candidates = np.flatnonzero(counts[landmark] >= minimum)
+    often = counts >= minimum
+    candidates = np.flatnonzero(often[landmark])
+    if not len(candidates) or np.bincount(keyframe[candidates]).max() <= per_keyframe:
+        return often
     frame, seen = keyframe[candidates], landmark[candidates]
-    order = np.lexsort((seen, -counts[seen], frame))
+    # by keyframe, then the most observed first, then by row
+    rank_of = np.empty(len(counts), np.int64)
+    rank_of[np.lexsort((np.arange(len(counts)), -counts))] = np.arange(len(counts))
+    order = np.argsort(frame * len(counts) + rank_of[seen])
     frame = frame[order]
     rank = np.arange(len(frame)) - np.searchsorted(frame, frame)
     chosen = np.zeros(len(counts), np.bool_)

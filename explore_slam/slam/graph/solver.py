@@ -169,7 +169,7 @@ class Solution:
     def covariance(self, keyframe: int) -> Array:
         """Return the covariance (3, 3) of a pose (m, m, rad) in the axes of the map."""
         node = self.node_of(keyframe)
-        return _turned(self.factorization.marginals[node], self.nodes[node, 2])
+        return _turned(self.factorization.columns(node)[node], self.nodes[node, 2])
 
     def relative_covariance(self, reference: int, others: Integers) -> Array:
         """Return covariances (n, 3, 3) of the poses of others in the frame of a reference.

@@ -68,6 +68,7 @@ class Storage:
         self.landmark_rows: dict[int, int] = {}
         self.newest: dict[int, int] = {}  # vehicle -> row of its newest keyframe
         self.versions: dict[int, int] = {}  # vehicle -> changes that concern it
+        self.changes = 0  # of anything
         # (landmark id, vehicle) -> ordinal of the keyframe that observed it last, visits
         self.visits: dict[tuple[int, int], tuple[int, int]] = {}
         self.next_factor = 0
@@ -149,6 +150,7 @@ class Storage:
 
     def touch(self, rows: Iterable[int] | None = None) -> None:
         """Count a change that concerns the vehicles of some keyframes, or of all."""
+        self.changes += 1
         changed = self.newest if rows is None else {self.vehicle_of(row) for row in rows}
         for vehicle in changed:
             self.versions[vehicle] = self.versions.get(vehicle, 0) + 1
