@@ -48,16 +48,18 @@ def retire_oldest(storage: Storage, vehicle: int, config: GraphConfig) -> None:
 
 
 def _is_needed(storage: Storage, row: int, config: GraphConfig) -> bool:
-    """Tell whether a keyframe observes a landmark of which too little is kept.
+    """Tell whether too little is kept of the landmarks that a keyframe observes.
 
-    That is: too few observations of the present visit are kept, and too few visits before it
-    have any that are.
+    Too little of a landmark is kept if few observations of the present visit are, and few visits
+    before it have any that are. Only the landmarks count that this keyframe makes variables.
     """
     table, vehicle = storage.observations, storage.keyframes['vehicle']
+    sightings = storage.landmarks['sightings']
     owners, frames = table['landmark'], table['keyframe']
     own = np.flatnonzero((owners >= 0) & (frames == row))
-    often = storage.landmarks['sightings'][owners[own]] >= config.graph_minimum_sightings
-    own = own[often]
+    own = own[sightings[owners[own]] >= config.graph_minimum_sightings]
+    most = np.argsort(-sightings[owners[own]], kind='stable')
+    own = own[most[: config.graph_observations_per_keyframe]]
     visit_of = np.full(len(storage.landmarks) + 1, -1)  # the last entry is that of row −1
     visit_of[owners[own]] = table['visit'][own]
     kept = (visit_of[owners] >= 0) & (frames < row) & (vehicle[frames] == vehicle[row])
@@ -67,7 +69,7 @@ def _is_needed(storage: Storage, row: int, config: GraphConfig) -> bool:
     earlier = np.unique(np.stack([landmarks, visits], axis=1)[~now], axis=0)
     earlier_visits = np.bincount(earlier[:, 0], minlength=len(visit_of))
     few = (this_visit < config.graph_visit_sightings) & (earlier_visits < config.graph_visits)
-    return bool(few[owners[own]].any())
+    return int(few[owners[own]].sum()) > config.graph_needed_share * len(own)
 
 
 def drop_if_free(storage: Storage, row: int) -> None:

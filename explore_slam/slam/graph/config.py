@@ -79,3 +79,10 @@ class GraphConfig(Section):
     graph_visit_sightings: int = setting(
         3, 'Observations of a landmark that are kept of each visit', low=1, high=100
     )
+    graph_needed_share: float = setting(
+        0.125,
+        'A keyframe stays if it has more than this share of landmarks of which observations or '
+        'visits are missing',
+        low=0.0,
+        high=1.0,
+    )

@@ -25,8 +25,9 @@ from explore_slam.slam.graph.factors import (
 from explore_slam.slam.graph.ordering import Structure, eliminate
 from explore_slam.slam.graph.problem import Problem
 
-FIRST_DAMPING = 1e-4  # of the diagonal; Marquardt's λ after the first step that raised the cost
-DAMPING_FACTOR = 10.0
+# Marquardt's λ, relative to the diagonal: after the first step that raised the cost; what it
+# changes by after each step; below the least it is zero
+FIRST_DAMPING, DAMPING_FACTOR, LEAST_DAMPING = 1e-4, 10.0, 1e-7
 LARGEST_DAMPING = 1e8
 ROUNDING = 1e-12  # of the cost: what summing it up may err by
 PAIRS_AT_ONCE = 16  # samples that are solved for together, so that they stay in the cache
@@ -229,7 +230,7 @@ def optimize(problem: Problem, iterations: int, tolerance: float) -> Solution:
     system = Factorization(factors, x, structure)
     before = cost = system.cost
     damping, converged, steps = 0.0, False, 0
-    while steps < iterations and not converged and damping < LARGEST_DAMPING:
+    while steps < iterations and damping < LARGEST_DAMPING:
         steps += 1
         definite = system.factorize(damping)
         if definite:
@@ -238,14 +239,15 @@ def optimize(problem: Problem, iterations: int, tolerance: float) -> Solution:
             candidate = moved(x, step, structure.place, problem.poses)
             reached = total_cost(factors, candidate)
         if definite and reached <= cost * (1.0 + ROUNDING):
-            converged = promised <= tolerance and damping == 0.0
+            converged = promised <= tolerance and damping <= FIRST_DAMPING
             linearized_at, x, cost = x, candidate, reached
-            damping = 0.0 if damping <= FIRST_DAMPING else damping / DAMPING_FACTOR
+            if converged:
+                break
+            damping = damping / DAMPING_FACTOR if damping > LEAST_DAMPING else 0.0
         else:
             damping = max(FIRST_DAMPING, damping * DAMPING_FACTOR)
-        if not converged:
-            system = Factorization(factors, x, structure)
-    if not converged:
+        system = Factorization(factors, x, structure)
+    if not converged or damping > 0.0:
         linearized_at, system = x, linearized(problem, structure, x)
     summary = OptimizeSummary(
         steps, converged, before, cost,
