@@ -73,10 +73,14 @@ def _is_needed(storage: Storage, row: int, config: GraphConfig) -> bool:
 
 
 def drop_if_free(storage: Storage, row: int) -> None:
-    """Drop a keyframe that is retired, holds no landmarks and is neither pinned nor measured."""
+    """Drop a keyframe that is retired, holds no landmarks and is neither pinned nor measured.
+
+    The first one of a vehicle, at which its path begins, stays.
+    """
     keyframes, factors = storage.keyframes, storage.factors
     if (
-        not keyframes['retired'][row]
+        keyframes['previous'][row] < 0
+        or not keyframes['retired'][row]
         or not keyframes['live'][row]
         or keyframes['holds_landmarks'][row]
         or keyframes['pins'][row] > 0

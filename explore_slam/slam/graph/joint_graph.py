@@ -118,11 +118,12 @@ class JointGraph:
     ) -> None:
         """Add a keyframe at the end of a vehicle's path.
 
-        increment: measured motion since the vehicle's keyframe before, in its frame; covariance
-        (3, 3): of that motion's random walk, zero where it is exact. white (3, 3): covariance, in
-        the axes of this keyframe, of an error of the measured pose that the next motion takes
-        back, as matching a scan against a map has it: increments then lead from measured pose to
-        measured pose, and neighbours share a white error with opposite signs.
+        increment (3,): measured motion since the vehicle's keyframe before, in its frame.
+        covariance (3, 3): of the random walk of that motion; zero where it is exact.
+        white (3, 3): covariance, in the axes of this keyframe, of an error of the measured pose
+        that the next motion takes back, as matching a scan against a map has it: increments then
+        lead from measured pose to measured pose, and neighbours share a white error with opposite
+        signs.
         """
         store = self._storage
         if vehicle not in store.newest:
@@ -364,20 +365,19 @@ class JointGraph:
         return poses[:, :, 0]
 
     def complete(self, draws: Draws) -> Draws:
-        """Return samples of all keyframes ever added of the vehicles drawn, dropped ones included.
+        """Return the samples with those of dropped keyframes filled in.
 
-        Those hang between their neighbours by the motion that was measured, in every sample.
+        These hang between their neighbours by the motion that was measured, in every sample.
         """
         store = self._storage
         rows = np.searchsorted(store.keyframes['number'], draws.keyframes)
-        chains = np.empty((len(store.keyframes), *draws.poses.shape[1:]))
-        poses = np.empty_like(chains)
-        chains[rows], poses[rows] = draws.chains, draws.poses
+        poses = np.full((len(store.keyframes), *draws.poses.shape[1:]), np.nan)
+        chains = poses.copy()
+        poses[rows], chains[rows] = draws.poses, draws.chains
         bounding.hang_dropped(store, rows, chains, poses)
-        vehicle = store.keyframes['vehicle']
-        drawn = np.flatnonzero(np.isin(vehicle, vehicle[rows]))
-        chains[drawn], chains[rows] = poses[drawn], draws.chains
-        return Draws(store.keyframes['number'][drawn], poses[drawn], chains[drawn])
+        chains = np.where(np.isnan(chains), poses, chains)
+        known = np.flatnonzero(~np.isnan(poses[:, 0, 0]))
+        return Draws(store.keyframes['number'][known], poses[known], chains[known])
 
     def covariance(self, keyframe: int) -> Array:
         """Return the covariance (3, 3) of a keyframe's pose in the axes of the map."""

@@ -196,3 +196,30 @@ def test_last_chain_is_where_the_next_motion_starts(bounded_world):
     graph.add_keyframe(0, 5, STEP, NOISE, white)
     np.testing.assert_allclose(graph.estimate(5), compose(chain, STEP), atol=1e-12)
     assert np.abs(chain - graph.estimate(4))[0] > 0.005
+
+
+def test_path_begins_at_the_first_keyframe_even_without_its_prior(bounded_world):
+    graph = bounded_world().graph
+    start = graph.add_start(0, 0, [0.0, 0.0, 0.0])
+    graph.add_keyframe(0, 1, STEP, NOISE)
+    graph.add_prior(1, STEP)
+    graph.remove_factor(start)
+    for k in range(2, 30):
+        graph.add_keyframe(0, k, STEP, NOISE)
+    graph.optimize()
+    assert graph.live_keyframes().tolist() == [0, 1, *range(22, 30)]
+    np.testing.assert_allclose(graph.path()[0], 0.0, atol=1e-6)
+
+
+def test_keyframes_that_came_after_the_samples_are_left_out(bounded_world):
+    graph = bounded_world().graph
+    graph.add_start(0, 0, [0.0, 0.0, 0.0])
+    for k in range(1, 20):
+        graph.add_keyframe(0, k, STEP, NOISE)
+    draws = graph.draw(4, np.random.default_rng(0))
+    for k in range(20, 23):
+        graph.add_keyframe(0, k, STEP, NOISE)
+    whole = graph.complete(draws)
+    assert whole.keyframes.tolist() == list(range(20))
+    assert np.isfinite(whole.poses).all()
+    assert np.isfinite(whole.chains).all()
