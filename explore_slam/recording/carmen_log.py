@@ -222,6 +222,9 @@ def _read_lines(path: Path) -> _Content:
     lines = [(number, words) for number, words in lines if words and words[0][0] != '#']
     kinds = [words[0] for _, words in lines]
     rear = not _FRONT & set(kinds)
+    # loggers write a scan of ROBOTLASER1 as FLASER too, without its angles
+    repeated = {'FLASER'} if 'ROBOTLASER1' in kinds else set()
+    repeated |= {'RLASER'} if rear and 'ROBOTLASER2' in kinds else set()
     problems = _Problems()
     content = _Content([], {}, rear, 'NEFF' in kinds, problems)
     range_max = DEFAULT_RANGE_MAX
@@ -230,7 +233,7 @@ def _read_lines(path: Path) -> _Content:
         if kind == 'PARAM' and len(words) >= 3:
             content.parameters[words[1]] = words[2]
             range_max = _range_max(content.parameters, rear)
-        if kind in _IGNORED:
+        if kind in _IGNORED or kind in repeated:
             continue
         try:
             entry = _entry(number, words, rear, range_max)

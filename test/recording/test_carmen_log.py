@@ -84,6 +84,16 @@ def test_robotlaser_states_its_own_angles_and_range(tmp_path):
     assert len(log.scans) == len(drive.scans)
 
 
+def test_a_scan_that_is_written_twice_counts_once(tmp_path):
+    drive = Drive()
+    lines = []
+    for old, new in zip(drive.raw(), drive.raw('ROBOTLASER1'), strict=True):
+        lines.extend([old, new] if old != new else [old])
+    log = read_carmen(write_log(tmp_path / 'log', lines))
+    assert len(log.scans) == len(drive.scans)
+    assert log.scans[0].range_max == 30.0
+
+
 def test_a_rear_laser_alone_looks_back(tmp_path):
     drive = Drive(mount=Pose2(-0.2, 0.0, math.pi))
     log = read_carmen(write_log(tmp_path / 'log', drive.raw('RLASER')))
