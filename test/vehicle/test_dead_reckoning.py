@@ -84,7 +84,7 @@ def test_a_pose_older_than_all_odometry_is_ignored():
     made = reckoning((10.0, 0.0, 0.0, 0.0), (11.0, 1.0, 0.0, 0.0))
     made.set_pose(9.6, Pose2(5.0, 0.0, 0.0))
     assert made.map_pose(11.0) is None
-    made.set_pose(9.8, Pose2(5.0, 0.0, 0.0))
+    made.set_pose(10.0 - 0.3, Pose2(5.0, 0.0, 0.0))
     assert made.map_pose(11.0) == pytest.approx(Pose2(6.0, 0.0, 0.0))
 
 

@@ -40,6 +40,21 @@ def driver(port, clock=time.time, **settings):
     return make_base(with_values(DriverConfig(), {'base_port': str(port), **settings}), clock)
 
 
+def wait(condition, seconds=3.0):
+    end = time.monotonic() + seconds
+    while not (met := condition()) and time.monotonic() < end:
+        time.sleep(0.01)
+    return met
+
+
+def connects(robot):
+    try:
+        robot.connect()
+    except VehicleError:
+        return False
+    return True
+
+
 def run(robot, seconds, velocity=None, until=lambda _: False):
     states = []
     end = time.monotonic() + seconds
@@ -113,9 +128,8 @@ def test_closing_brings_the_vehicle_to_rest_and_switches_motors_off(rig):
     assert device.body.velocity()[0] > 0.3
     robot.close()
     assert device.body.velocity() == (0.0, 0.0)
-    time.sleep(0.1)
+    assert wait(lambda: not device.session_open)
     assert not device.motors_on
-    assert not device.session_open
 
 
 def test_the_robots_watchdog_is_fed_while_driving_and_while_idle(rig):
@@ -182,8 +196,7 @@ def test_a_pulled_cable_and_a_silent_robot_are_told(rig):
         run(robot, 3.0)
     line.faults.silent = False
     device.reset(time.monotonic())
-    time.sleep(1.1)
-    robot.connect()
+    assert wait(lambda: connects(robot), 10.0)  # when it has booted
     assert run(robot, 0.4)[-1].odometry.pose == pose  # counters begin at 0 again
 
 
