@@ -73,6 +73,34 @@ def test_anything_may_be_parsed(data):
             parse_identity(head + data)
 
 
+@pytest.mark.parametrize(('byte', 'degrees'), [(0, 0), (1, 1), (127, 127), (128, -128), (255, -1)])
+def test_temperatures_are_signed_bytes(byte, degrees):
+    rest = bytes(5) + bytes(9) + bytes([byte])
+    assert parse_status(status(rest=rest)).temperature == degrees
+
+
+@pytest.mark.parametrize('length', [0, 1, 2, 3, 4, 5, 7, 9, 10, 11])
+def test_each_trailing_field_needs_its_bytes(length):
+    packet = parse_status(status(rest=bytes(5) + bytes(length)))
+    present = {
+        'charge_state': 3, 'rotational_velocity': 5, 'faults': 7, 'temperature': 10,
+        'state_of_charge': 11,
+    }  # fmt: skip
+    for name, needed in present.items():
+        assert (getattr(packet, name) is not None) == (length >= needed), name
+    assert packet.battery == pytest.approx(12.3 if length < 2 else 0.0)
+
+
+def test_incomplete_packets_are_none():
+    assert parse_status(status()[:19]) is None
+    two = b'\x02' + b'\x03\x01\x02' + b'\x04\x01'  # two readings announced, the second cut
+    assert parse_status(status(payload_sonar=two)) is None
+    assert parse_status(b'\x34' + status()[1:]) is None
+    whole = ArcosRobot(KinematicBody()).configuration_payload()
+    assert parse_configuration(whole[:20]) is None
+    assert parse_configuration(b'\x21' + whole[1:]) is None
+
+
 def test_identity():
     assert parse_identity(b'\x02MyBot\0Pioneer\0p3dx-sh\0') == ('MyBot', 'Pioneer', 'p3dx-sh')
     assert parse_identity(b'\x02MyBot') == ('MyBot', '', '')
@@ -83,7 +111,11 @@ def test_configuration_of_the_emulator():
     configuration = parse_configuration(robot.configuration_payload())
     assert configuration is not None
     assert (configuration.subclass, configuration.name) == ('p3dx-sh', 'Bob')
-    assert (configuration.translational_top, configuration.watchdog_ms) == (2200, 2000)
+    assert (configuration.robot_class, configuration.serial_number) == ('Pioneer', 'SIM_0001')
+    assert (configuration.rotational_top, configuration.translational_top) == (500, 2200)
+    assert configuration.rotational_acceleration_top == 300
+    assert configuration.translational_acceleration_top == 2000
+    assert (configuration.status_period_ms, configuration.watchdog_ms) == (100, 2000)
 
 
 def test_scale_factors_of_known_unknown_and_given():

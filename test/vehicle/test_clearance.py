@@ -1,7 +1,8 @@
 import math
 
 import numpy as np
-from hypothesis import given
+import pytest
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from explore_slam.data import LaserScan
@@ -36,13 +37,13 @@ def stepped(points, curvature, radius, forward):
 )
 def test_free_distance_agrees_with_small_steps(points, curvature, forward):
     points = np.array(points)
+    wider, narrower = (stepped(points, curvature, radius, forward) for radius in (0.302, 0.298))
+    assume((wider == math.inf) == (narrower == math.inf))  # else a point is only grazed
     found = free_distance(points, curvature, 0.3, forward)
-    grazing = free_distance(points, curvature, 0.299, forward)
-    expected = stepped(points, curvature, 0.3, forward)
-    if expected == math.inf:
-        assert found > 4.9 or abs(curvature * found) > 3.1 or found != grazing
+    if wider == math.inf:
+        assert found > 4.9 or abs(curvature * found) > 3.1
     else:
-        assert abs(found - expected) < 0.003 or found < expected + 0.003 < grazing + 0.1
+        assert wider - 0.003 <= found <= narrower + 0.003
 
 
 def test_scan_points_take_too_close_as_an_obstacle_and_skip_the_rest():
@@ -56,3 +57,42 @@ def test_scan_points_lie_in_the_vehicle_frame():
     scan = LaserScan(0.0, 0.0, 1.0, np.array([2.0], np.float32), 0.01, 8.0)
     points = scan_points(scan, Pose2(0.1, 0.0, math.pi / 2))
     np.testing.assert_allclose(points, [[0.1, 2.0]], atol=1e-9)
+
+
+@pytest.mark.parametrize('side', [1.0, -1.0])
+@pytest.mark.parametrize('forward', [True, False])
+def test_free_distance_on_an_arc_by_hand(side, forward):
+    """A point on the arc is touched one chord of the disc's radius before it."""
+    turn, radius, angle = 2.0, 0.3, 1.2
+    x, y = turn * math.sin(angle), side * turn * (1.0 - math.cos(angle))
+    point = np.array([[x if forward else -x, y]])
+    contact = angle - 2.0 * math.asin(0.5 * radius / turn)
+    found = free_distance(point, side / turn, radius, forward)
+    assert found == pytest.approx(turn * contact)
+    assert free_distance(point, -side / turn, radius, forward) == math.inf
+    assert free_distance(point, side / turn, radius, not forward) == math.inf
+
+
+def test_free_distance_on_a_line_by_hand():
+    points = np.array([[3.0, 0.0], [2.0, 0.18], [1.0, 0.31], [-1.0, 0.0]])
+    assert free_distance(points, 0.0, 0.3) == pytest.approx(2.0 - 0.24)
+    assert free_distance(points[2:], 0.0, 0.3) == math.inf
+    assert free_distance(points, 0.0, 0.3, forward=False) == pytest.approx(0.7)
+    assert free_distance(np.empty((0, 2)), 0.0, 0.3) == math.inf
+
+
+def test_points_inside_the_disc_stop_only_motion_towards_them():
+    ahead, behind = np.array([[0.1, 0.05]]), np.array([[-0.1, 0.05]])
+    for curvature in (0.0, 1.0, -1.0):
+        assert free_distance(ahead, curvature, 0.3) == 0.0
+        assert free_distance(behind, curvature, 0.3) == math.inf
+        assert free_distance(behind, curvature, 0.3, forward=False) == 0.0
+
+
+def test_only_half_a_turn_is_looked_at():
+    almost, beyond = math.pi - 0.2, math.pi + 0.5
+    for angle, touched in ((almost, True), (beyond, False)):
+        point = np.array([[math.sin(angle), 1.0 - math.cos(angle)]])
+        assert (free_distance(point, 1.0, 0.1) < math.inf) == touched
+    center = np.array([[0.0, 1.0]])  # of the turn: never nearer than its radius
+    assert free_distance(center, 1.0, 0.3) == math.inf

@@ -7,8 +7,15 @@ from hypothesis import strategies as st
 
 from explore_slam.vehicle import LaserConfig, Lms200, Lms200Config
 from explore_slam.vehicle.lms200_scan import (
+    BEYOND,
     CENTIMETRES,
+    CHANNEL_ERROR,
+    DAZZLE,
+    LOW_SIGNAL,
     MILLIMETRES,
+    NO_ECHO,
+    OVERFLOW,
+    RANGE_BITS,
     RawScan,
     ScannerConfiguration,
     maximum_range,
@@ -49,6 +56,8 @@ def test_centimetres_and_status_byte():
     assert scan_ranges(raw, 13)[0] == pytest.approx(2.5)
     assert parse_status_byte(0x10) == (0, False, False)
     assert parse_status_byte(0xC3) == (3, True, True)
+    assert parse_status_byte(0x44) == (4, True, False)
+    assert parse_status_byte(0x81) == (1, False, True)
 
 
 @pytest.mark.data
@@ -112,6 +121,17 @@ def test_the_configuration_has_mode_and_unit_and_keeps_the_rest():
 )
 def test_bits_of_a_distance_by_measuring_mode(mode, bits):
     assert ScannerConfiguration(bytes([0, 0, 0, 0, 0, mode, 1])).value_bits == bits
+
+
+def test_codes_are_those_of_the_manual():
+    codes = {
+        NO_ECHO: 0x1FFF, DAZZLE: 0x1FFE, OVERFLOW: 0x1FFD, LOW_SIGNAL: 0x1FFB,
+        CHANNEL_ERROR: 0x1FFA, BEYOND: 0x1FF7,
+    }  # fmt: skip
+    assert {(1 << 13) - 16 + digit: value for digit, value in codes.items()} == {
+        value: value for value in codes.values()
+    }
+    assert RANGE_BITS == {8: 13, 16: 14, 32: 15}
 
 
 def test_a_record_has_angles_and_range_of_its_configuration():

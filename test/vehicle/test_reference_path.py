@@ -39,6 +39,20 @@ def test_projection_by_hand(position, start, window, expected):
         assert math.copysign(1.0, distance) == math.copysign(1.0, expected[1])
 
 
+@pytest.mark.parametrize(
+    ('position', 'side'), [((0.5, 1.5), 1), ((1.5, 0.5), -1), ((0.9, 1.0), 1), ((2.5, -0.2), -1)]
+)
+def test_the_distance_is_positive_on_the_left_of_a_slanting_path(position, side):
+    diagonal = ReferencePath(np.array([[0.0, 0.0], [2.0, 2.0]]))
+    _, distance = diagonal.project(np.array(position), 0.0, 9.0)
+    assert distance == pytest.approx((position[1] - position[0]) / math.sqrt(2.0))
+    assert distance * side > 0.0
+    _, behind = ReferencePath(np.array([[2.0, 2.0], [0.0, 0.0]])).project(
+        np.array(position), 0.0, 9.0
+    )
+    assert behind == pytest.approx(-distance)
+
+
 def test_a_single_waypoint_has_no_length():
     path = ReferencePath(np.array([[1.0, 2.0]]))
     assert path.length == 0.0

@@ -25,7 +25,9 @@ from explore_slam.vehicle.arcos_status import CONFIG_PACKET, MOVING, STOPPED, sc
 STATUS_PERIOD = 0.1  # s between status packets
 WATCHDOG = 2.0  # s without a packet of the host until the robot stops
 _REBOOT = 1.0  # s that a reset takes
-_TOP_SPEED, _TOP_TURN_RATE = 2200, 300  # mm/s, °/s: limits in the configuration of a P3-DX
+# limits in the configuration of a P3-DX: °/s, mm/s, °/s², mm/s², PWM
+_TOPS = (500, 2200, 300, 2000, 500)
+_SETV_DEFAULT, _SETRV_DEFAULT = 2200, 300  # mm/s, °/s until SETV and SETRV set other limits
 _VEL2_UNIT = 0.02  # m/s
 _MOVING = 0.001  # m/s, rad/s
 _BAUD_OF_CODE = {code: baud for baud, code in BAUD_CODES.items()}
@@ -250,10 +252,10 @@ class ArcosRobot:
             if not argument:
                 session.velocity = (0.0, 0.0)
         elif command == Command.VEL:
-            limit = session.limits.get(Command.SETV, _TOP_SPEED)
+            limit = session.limits.get(Command.SETV, _SETV_DEFAULT)
             session.velocity = (0.001 * max(-limit, min(limit, argument)), angular)
         elif command == Command.RVEL:
-            limit = session.limits.get(Command.SETRV, _TOP_TURN_RATE)
+            limit = session.limits.get(Command.SETRV, _SETRV_DEFAULT)
             session.velocity = (linear, math.radians(max(-limit, min(limit, argument))))
         elif command == Command.VEL2:
             self._obey_wheels(argument)
@@ -331,9 +333,7 @@ class ArcosRobot:
         """Return a CONFIG packet with the values of a P3-DX as delivered."""
         _, robot_class, subclass = self.identity
         texts = b'\0'.join((robot_class.encode(), subclass.encode(), b'SIM_0001')) + b'\0'
-        tops = b''.join(
-            value.to_bytes(2, 'little') for value in (500, _TOP_SPEED, _TOP_TURN_RATE, 2000, 500)
-        )
+        tops = b''.join(value.to_bytes(2, 'little') for value in _TOPS)
         name = self.identity[0].encode() + b'\0'
         return bytes([CONFIG_PACKET]) + texts + bytes(1) + tops + name + _CONFIGURATION
 
