@@ -37,6 +37,7 @@ RESTART_SHARE = 0.9  # of the scans must be followed by a restart in a corrected
 SAME_POSE = 1e-6  # m, rad: a restart repeats the digits of the scan's pose
 MOUNT_SPREAD = 0.01  # m, rad: between scans; larger differences are no mount
 
+LONGEST_NAME = 40  # characters of a message's name; longer ones are none
 _IGNORED = {
     'PARAM',
     'SYNC',
@@ -241,11 +242,18 @@ def _read_lines(path: Path) -> _Content:
             problems.add(str(reason), number)
             continue
         if entry is None:
-            what = 'a second laser' if kind in _REAR else 'unknown message'
-            problems.add(f'{what} {kind}: not used', number)
+            problems.add(f'{_what(kind)}: not used', number)
         else:
             content.entries.append(entry)
     return content
+
+
+def _what(kind: str) -> str:
+    """Name a line that holds neither odometry nor a scan of the laser in use."""
+    if kind in _REAR:
+        return f'a second laser {kind}'
+    is_name = len(kind) <= LONGEST_NAME and kind.isascii() and kind.isidentifier()
+    return f'unknown message {kind}' if is_name else 'no message'
 
 
 def _range_max(parameters: dict[str, str], rear: bool) -> float:

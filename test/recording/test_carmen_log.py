@@ -155,6 +155,14 @@ def test_many_lines_of_one_kind_give_one_note(tmp_path):
     assert 'and 45 more' in note
 
 
+def test_binary_content_gives_one_note(tmp_path):
+    good = '\n'.join(Drive().raw()).encode()
+    (tmp_path / 'log').write_bytes(good + b'\n' + bytes(range(256)) * 50)
+    notes = read_carmen(tmp_path / 'log').notes
+    (note,) = [note for note in notes if 'no message' in note]
+    assert note.isprintable()
+
+
 @pytest.mark.parametrize('content', ['', 'hello world\n', 'ODOM 0 0 0 0 0 0 1 host 1\n'])
 def test_a_file_without_scans_is_an_error(tmp_path, content):
     (tmp_path / 'log').write_text(content)
