@@ -1,4 +1,4 @@
-"""Every setting of paths, frontiers and traffic changes what comes out."""
+"""Every setting of exploration changes what comes out; a new one without a test fails here."""
 
 import math
 
@@ -7,17 +7,22 @@ import pytest
 from exploration_maps import grid_of, point_of
 
 from explore_slam.exploration import (
+    STRATEGIES,
     ExplorationConfig,
+    Frontier,
     Planner,
     PlanningMode,
     VehicleSnapshot,
     find_frontiers,
     make_cost_map,
 )
+from explore_slam.exploration.blacklist import Blacklist
 from explore_slam.exploration.scene import Scene
+from explore_slam.exploration.strategies.strategy import Situation
 from explore_slam.exploration.traffic import Traffic, Traveler
 from explore_slam.geometry import Pose2
-from explore_slam.settings import with_values
+from explore_slam.mapping import OccupancyGrid
+from explore_slam.settings import settings_of, with_values
 
 HALL = """
 ????????????????????????
@@ -28,77 +33,206 @@ HALL = """
 #......................#
 ########################
 """
+CLOSED = """
+##########
+#........#
+#........#
+##########
+"""
 LETTER = 4
-
-
-def config(**values):
-    return with_values(ExplorationConfig(), values)
 
 
 def hall():
     return grid_of(HALL, resolution=0.125, cells_per_letter=LETTER)
 
 
-def place(row, col):
-    return point_of(row, col, HALL, resolution=0.125, cells_per_letter=LETTER)
+def place(row, col, text=HALL):
+    return point_of(row, col, text, resolution=0.125, cells_per_letter=LETTER)
 
 
-def vehicles(*columns):
-    return {f'r{c}': VehicleSnapshot(Pose2(*place(3, c), 0.0)) for c in columns}
+def vehicle(row, col, text=HALL, home=None):
+    return VehicleSnapshot(Pose2(*place(row, col, text), 0.0), True, home)
 
 
-@pytest.mark.parametrize(
-    ('name', 'value'),
-    [
-        ('planning_radius', 0.5), ('minimum_planning_radius', 0.1), ('occ_max', 0.99),
-        ('cost_floor', 0.1), ('clearance_distance', 0.0), ('clearance_weight', 0.0),
-    ],
-)  # fmt: skip
-def test_cost_maps(name, value):
-    plain = make_cost_map(hall(), config().paths)
-    other = make_cost_map(hall(), config(**{name: value}).paths)
-    if name == 'cost_floor':  # counts only where cells are less certain than that
-        grid = hall()
-        probability = np.where(grid.probability() > 0.5, 0.97, 0.3)
-        unsure = type(grid).from_probability(probability, grid.known(), config=grid.config)
-        plain = make_cost_map(unsure, config().paths)
-        other = make_cost_map(unsure, config(cost_floor=0.1).paths)
-    same = np.array_equal(plain.cost, other.cost)
-    assert not (same and np.array_equal(plain.tight_cost, other.tight_cost))
+# -- experiments: from settings to something that can be compared ---------------------------------
 
 
-@pytest.mark.parametrize(
-    ('name', 'value'),
-    [
-        ('min_frontier_size', 3.0), ('max_frontier_size', 0.6), ('min_frontier_gain', 50.0),
-        ('sensor_range', 2.0),
-    ],
-)  # fmt: skip
-def test_frontiers(name, value):
-    def found(settings):
-        return [(f.target, f.size, f.gain) for f in find_frontiers(hall(), settings)]
-
-    assert found(config()) != found(config(**{name: value}))
+def cost_map(config):
+    costs = make_cost_map(hall(), config.paths)
+    return costs.cost.tobytes(), costs.tight_cost.tobytes()
 
 
-def test_escape_distance():
+def cost_map_of_unsure_cells(config):
+    """Costs where free cells are not certain."""
+    grid = hall()
+    probability = np.where(grid.probability() > 0.5, 0.97, 0.3)
+    unsure = type(grid).from_probability(probability, grid.known(), config=grid.config)
+    return make_cost_map(unsure, config.paths).cost.tobytes()
+
+
+def frontiers(config):
+    return [(f.target, f.size, f.gain) for f in find_frontiers(hall(), config)]
+
+
+def frontiers_behind_a_gap(config):
+    """Frontiers that can only be seen from a distance."""
+    narrow = """
+    ##########
+    #.....####
+    #........?
+    #.....####
+    ##########
+    """
+    grid = grid_of(narrow, cells_per_letter=2)
+    wide = with_values(config, {'min_frontier_size': 0.2, 'min_frontier_gain': 0.0})
+    return [f.target for f in find_frontiers(grid, wide)]
+
+
+def start_beside_a_wall(config):
     stuck = {'a': VehicleSnapshot(Pose2(0.3, place(3, 1)[1], 0.0))}
-    assert Scene(hall(), 0.0, config(), stuck).starts
-    assert not Scene(hall(), 0.0, config(escape_distance=0.1), stuck).starts
+    return Scene(hall(), 0.0, config, stuck).starts
 
 
-def test_arrival_distance_decides_who_is_home():
+def who_is_home(config):
     x, y = place(3, 5)
     away = {'a': VehicleSnapshot(Pose2(x + 0.5, y, 0.0), True, Pose2(x, y, 0.0))}
-    near, wide = Planner(config()), Planner(config(arrival_distance=0.6))
-    assert near.plan(hall(), 0.0, away, PlanningMode.RETURN_HOME).plans
-    assert not wide.plan(hall(), 0.0, away, PlanningMode.RETURN_HOME).plans
+    return list(Planner(config).plan(hall(), 0.0, away, PlanningMode.RETURN_HOME).plans)
 
 
-def test_route_resolution_changes_the_blocks():
-    fine = Scene(hall(), 0.0, config(route_resolution=0.125), vehicles(3)).routes()
-    coarse = Scene(hall(), 0.0, config(), vehicles(3)).routes()
-    assert fine.block < coarse.block
+def blocks(config):
+    return Scene(hall(), 0.0, config, {'a': vehicle(3, 3)}).routes().block
+
+
+def situation(costs, targets, gains, current):
+    found = [
+        Frontier(np.zeros((1, 2), np.int64), target, target, (0, i), 1.0, gain)
+        for i, (target, gain) in enumerate(zip(targets, gains, strict=True))
+    ]
+    matrix = np.array(costs, float)
+    names = tuple(f'robot{i}' for i in range(len(matrix)))
+    return Situation(StraightLines(targets), names, found, matrix, current, [0] * len(matrix))
+
+
+class StraightLines:
+    """Travel costs between targets are their distances; the cell of a target is its number."""
+
+    def __init__(self, targets):
+        self._targets = np.array(targets, float)
+
+    def routes(self):
+        return self
+
+    @staticmethod
+    def blocks(cells):
+        return cells
+
+    def values_from(self, block):
+        class Distances:
+            @staticmethod
+            def at(blocks):
+                here = self._targets[block[1]]
+                return np.hypot(*(self._targets[blocks[:, 1]] - here).T)
+
+        return Distances()
+
+
+def assignment(config, strategy, costs, targets, gains=None, current=None):
+    planner = STRATEGIES[strategy].create(config.assignment, config.frontiers.sensor_range)
+    given = situation(costs, targets, gains or [10.0] * len(targets), current or [-1] * len(costs))
+    return planner.assign(given)
+
+
+def paper_choice(config):
+    """Two targets close together, and one far away that nobody else sees."""
+    targets = [(0.0, 0.0), (1.0, 0.0), (9.0, 0.0)]
+    return assignment(config, 'paper', [[0.1, 0.2, 0.9], [0.3, 0.35, 0.9]], targets)
+
+
+def kept_choice(config):
+    return assignment(config, 'nearest', [[5.0, 4.0]], [(0.0, 0.0), (9.0, 0.0)], None, [0])
+
+
+def kept_tour(config):
+    targets = [(6.0, 0.0), (-6.0, 0.0)]
+    return assignment(config, 'default', [[10.0, 2.0]], targets, None, [0])
+
+
+def tours(config):
+    """First targets of two vehicles, for stops on a line with different gains."""
+    at = [-2.0, -2.5, 2.2, 9.0, 14.0]
+    gains = [4.0, 0.4, 20.0, 90.0, 3.0]
+    found = []
+    for starts in ((0.0, 1.0), (0.5, 13.0), (-1.0, -4.0), (0.0, 0.1), (2.0, 20.0), (5.0, 5.5)):
+        costs = [[abs(x - start) for x in at] for start in starts]
+        found.append(assignment(config, 'default', costs, [(x, 0.0) for x in at], gains))
+    return found
+
+
+def clusters(config):
+    """First targets of two vehicles among clusters of frontiers."""
+    found = []
+    for seed in range(8):
+        generator = np.random.default_rng(seed)
+        centers = generator.uniform(-10.0, 10.0, (4, 2)).repeat(3, axis=0)
+        targets = centers + generator.uniform(-0.7, 0.7, (12, 2))
+        starts = generator.uniform(-3.0, 3.0, (2, 2))
+        costs = np.linalg.norm(starts[:, None] - targets[None], axis=2)
+        gains = generator.uniform(0.2, 8.0, 12).tolist()
+        found.append(assignment(config, 'default', costs, list(map(tuple, targets)), gains))
+    return found
+
+
+def idle_choice(config):
+    """One stop for three vehicles: two are idle, and frontiers beside each other are nearest."""
+    targets = [(40.0, 0.0), (41.0, 0.0), (41.2, 0.0), (45.0, 0.0)]
+    costs = [[x + away for x, _ in targets] for away in (0.0, 4.0, 4.0)]
+    return sorted(assignment(config, 'default', costs, targets))
+
+
+def random_targets(config):
+    costs = np.ones((1, 50))
+    targets = [(float(i), 0.0) for i in range(50)]
+    return [assignment(config, 'random', costs, targets) for _ in range(3)]
+
+
+def plans_of_a_team(config):
+    planner = Planner(config)
+    team = {'a': vehicle(3, 3), 'b': vehicle(3, 10)}
+    plans = planner.plan(hall(), 0.0, team).plans
+    return {name: plan.waypoints.tolist() for name, plan in plans.items()}
+
+
+def blacklisted(config):
+    """Which places are blacklisted when, and which are given up."""
+    known = np.ones((60, 60), bool)
+    grid = OccupancyGrid.from_probability(np.full((60, 60), 0.1), known)
+    entries = Blacklist(config.blacklist)
+    found = []
+    for now in (0.0, 1000.0, 5000.0):
+        entries.report((1.5, 1.5))
+        entries.update(now, grid, known)
+        places = [(1.5 + 0.2 * i, 1.5) for i in range(8)]
+        found.append([(entries.blocks(p, now + 400.0), entries.gave_up(p)) for p in places])
+    return found
+
+
+def cycles_until_failure(config):
+    """How long a vehicle that does not move keeps its target."""
+    planner = Planner(config)
+    team = {'a': vehicle(3, 3)}
+    first = planner.plan(hall(), 0.0, team).plans['a'].goal
+    for cycle in range(1, 60):
+        plan = planner.plan(hall(), 2.0 * cycle, team).plans.get('a')
+        if plan is None or plan.goal != first:
+            return cycle
+    return 60
+
+
+def searches_until_complete(config):
+    planner = Planner(config)
+    grid = grid_of(CLOSED, resolution=0.125, cells_per_letter=LETTER)
+    team = {'a': vehicle(1, 2, CLOSED, Pose2(*place(2, 7, CLOSED), 0.0))}
+    return [planner.plan(grid, float(k), team).status for k in range(4)]
 
 
 def straight(name, y, x0, x1):
@@ -107,29 +241,79 @@ def straight(name, y, x0, x1):
 
 
 class NoWayOut:
-    def retreat(self, _one, _winners):
+    def retreat(self, _one, _others):
         return None, math.inf
 
 
-def rights(settings, *travelers):
-    grants = Traffic(settings.traffic).grant({t.name: t for t in travelers}, NoWayOut())
+def rights(config, *travelers):
+    grants = Traffic(config.traffic).grant({t.name: t for t in travelers}, NoWayOut())
     return [(g.right, g.limit) for g in grants.values()]
 
 
-@pytest.mark.parametrize(
-    ('name', 'value', 'gap', 'lead'),
-    [
-        ('vehicle_separation', 0.3, 0.6, 0.0),
-        ('traffic_horizon', 3.0, 0.2, 0.0),
-        ('traffic_margin', 0.0, 0.2, 2.2),
-        ('nominal_speed', 0.05, 0.2, 0.0),
-    ],
-)
-def test_traffic(name, value, gap, lead):
-    crossing = np.array([[4.0 + lead, -4.0], [4.0 + lead, 4.0]])
-    pairs = {
-        True: (straight('a', 0.0, 0.0, 9.0), straight('b', gap, 9.0, 0.0)),
-        False: (straight('a', 0.0, 0.0, 9.0), Traveler('b', crossing[0], crossing)),
-    }
-    pair = pairs[lead == 0.0]
-    assert rights(config(), *pair) != rights(config(**{name: value}), *pair)
+def opposite_traffic(gap):
+    return lambda config: rights(
+        config, straight('a', 0.0, 0.0, 9.0), straight('b', gap, 9.0, 0.0)
+    )
+
+
+def crossing_traffic(config):
+    crossing = np.array([[6.2, -4.0], [6.2, 4.0]])
+    return rights(config, straight('a', 0.0, 0.0, 9.0), Traveler('b', crossing[0], crossing))
+
+
+# -- one line per setting -------------------------------------------------------------------------
+
+EFFECTS = {
+    'strategy': ('nearest', plans_of_a_team),
+    'planning_radius': (0.5, cost_map),
+    'minimum_planning_radius': (0.1, cost_map),
+    'occ_max': (0.99, cost_map),
+    'cost_floor': (0.1, cost_map_of_unsure_cells),
+    'clearance_distance': (0.0, cost_map),
+    'clearance_weight': (0.0, cost_map),
+    'route_resolution': (0.125, blocks),
+    'escape_distance': (0.1, start_beside_a_wall),
+    'arrival_distance': (0.6, who_is_home),
+    'min_frontier_size': (3.0, frontiers),
+    'max_frontier_size': (0.6, frontiers),
+    'viewpoint_distance': (2.5, frontiers_behind_a_gap),
+    'min_frontier_gain': (50.0, frontiers),
+    'sensor_range': (2.0, frontiers),
+    'travel_weight': (10.0, paper_choice),
+    'hysteresis': (0.5, kept_choice),
+    'tour_hysteresis': (100.0, kept_tour),
+    'work_per_area': (5.0, tours),
+    'waiting_weight': (20.0, tours),
+    'longest_weight': (0.0, tours),
+    'gain_per_detour': (5.0, tours),
+    'merge_distance': (0.5, clusters),
+    'overlap_weight': (0.0, idle_choice),
+    'exploration_seed': (1, random_targets),
+    'blacklist_radius': (1.0, blacklisted),
+    'blacklist_expiry': (300.0, blacklisted),
+    'maximum_attempts': (1, blacklisted),
+    'progress_timeout': (10.0, cycles_until_failure),
+    'vehicle_separation': (0.3, opposite_traffic(0.6)),
+    'nominal_speed': (0.05, opposite_traffic(0.2)),
+    'traffic_margin': (0.0, crossing_traffic),
+    'traffic_horizon': (3.0, opposite_traffic(0.2)),
+    'empty_searches': (1, searches_until_complete),
+    'return_to_init': (True, searches_until_complete),
+}
+
+
+@pytest.mark.parametrize('name', [info.name for info, _ in settings_of(ExplorationConfig())])
+def test_every_setting_changes_what_comes_out(name):
+    value, experiment = EFFECTS[name]
+    usual = ExplorationConfig()
+    assert experiment(usual) == experiment(usual)
+    assert experiment(usual) != experiment(with_values(usual, {name: value}))
+
+
+def test_no_effect_is_listed_for_a_setting_that_does_not_exist():
+    assert EFFECTS.keys() == {info.name for info, _ in settings_of(ExplorationConfig())}
+
+
+@pytest.mark.parametrize('strategy', list(STRATEGIES))
+def test_every_strategy_sends_a_vehicle_somewhere(strategy):
+    assert plans_of_a_team(with_values(ExplorationConfig(), {'strategy': strategy}))
