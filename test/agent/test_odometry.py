@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from explore_slam.agent.odometry import OdometryBuffer
+from explore_slam.agent.odometry import OdometryBuffer, interpolate
 from explore_slam.data import OdometryReading
 from explore_slam.geometry import IDENTITY, Pose2
 
@@ -111,3 +111,96 @@ def test_a_correction_beyond_the_newest_reading_is_left_out(buffer):
     poses = [buffer.at(t) for t in (0.2, 0.9)]
     buffer.correct(0.0, 5.0, Pose2(9.0, 9.0, 0.0), np.eye(3))
     assert [buffer.at(t) for t in (0.2, 0.9)] == poses
+
+
+def test_interpolation_is_linear_in_position_and_heading():
+    a, b = Pose2(1.0, 2.0, 0.2), Pose2(3.0, -2.0, 0.6)
+    assert tuple(interpolate(a, b, 0.0)) == pytest.approx(a)
+    assert tuple(interpolate(a, b, 0.25)) == pytest.approx((1.5, 1.0, 0.3))
+    assert tuple(interpolate(a, b, 1.0)) == pytest.approx(b)
+    across = interpolate(Pose2(0.0, 0.0, 3.0), Pose2(0.0, 0.0, -3.0), 0.75)
+    assert across.theta == pytest.approx(3.0 + 0.75 * (2.0 * math.pi - 6.0) - 2.0 * math.pi)
+
+
+def test_poses_between_readings_divide_the_time_between_them():
+    made = OdometryBuffer('robot1', 10.0, 2.0, 1.0)
+    made.add(OdometryReading(1.0, Pose2(1.0, 0.0, 0.0)))
+    made.add(OdometryReading(3.0, Pose2(2.0, 0.0, 0.8)))
+    assert tuple(made.at(1.5)) == pytest.approx((1.25, 0.0, 0.2))
+    assert made.at(3.0) == Pose2(2.0, 0.0, 0.8)
+    (step,) = made.steps(1.5, 2.5)
+    assert tuple(step.increment) == pytest.approx(made.at(1.5).between(made.at(2.5)))
+
+
+def test_no_time_is_one_step_without_motion(buffer):
+    (step,) = buffer.steps(0.35, 0.35)
+    assert tuple(step.increment) == pytest.approx(IDENTITY)
+
+
+def test_steps_beyond_the_newest_reading_end_there(buffer):
+    steps = buffer.steps(0.95, 1.5)
+    assert sum(step.increment.x for step in steps) == pytest.approx(0.025)
+
+
+def test_a_correction_grows_linearly_and_so_does_its_covariance(buffer):
+    measured = buffer.at(0.8)
+    buffer.correct(0.2, 0.8, Pose2(measured.x, 0.06, 0.0), np.diag([6e-4, 0.0, 0.0]))
+    for stamp, offset in (
+        (0.1, 0.0),
+        (0.2, 0.0),
+        (0.3, 0.01),
+        (0.5, 0.03),
+        (0.8, 0.06),
+        (1.0, 0.06),
+    ):
+        assert buffer.at(stamp).y == pytest.approx(offset, abs=1e-12)
+        assert buffer.at(stamp).x == pytest.approx(0.5 * stamp)
+    steps = buffer.steps(0.2, 0.8)
+    np.testing.assert_allclose([s.covariance[0, 0] for s in steps], 1e-4)
+    (part,) = buffer.steps(0.32, 0.37)
+    assert part.covariance[0, 0] == pytest.approx(0.5e-4)
+
+
+def test_a_second_correction_is_added_to_the_first(buffer):
+    buffer.correct(0.0, 0.5, Pose2(0.25, 0.1, 0.0), np.zeros((3, 3)))
+    buffer.correct(0.5, 1.0, Pose2(0.5, 0.3, 0.0), np.zeros((3, 3)))
+    assert buffer.at(0.75).y == pytest.approx(0.2, abs=0.011)
+    buffer.add(OdometryReading(1.1, Pose2(0.55, 0.0, 0.0)))
+    assert tuple(buffer.pose) == pytest.approx((0.55, 0.3, 0.0))
+
+
+def test_nothing_is_corrected_without_time(buffer):
+    before = buffer.at(0.5)
+    buffer.correct(0.5, 0.5, Pose2(9.0, 9.0, 0.0), np.eye(3))
+    assert buffer.at(0.5) == before
+
+
+def test_the_speed_limit_has_some_slack_for_stamps(caplog):
+    made = OdometryBuffer('robot1', 10.0, 2.0, 1.0)
+    made.add(OdometryReading(0.0, IDENTITY))
+    made.add(OdometryReading(0.1, Pose2(0.29, 0.0, 0.0)))
+    assert made.pose.x == 0.29
+    assert made.resets == 0
+    made.add(OdometryReading(0.2, Pose2(0.6, 0.0, 0.0)))
+    assert made.pose.x == 0.29
+    assert made.resets == 1
+    assert 'jumped from (0.29, 0.00) to (0.60, 0.00) in 0.100 s' in caplog.text
+
+
+def test_a_clock_that_goes_back_by_less_than_the_threshold_is_late(buffer):
+    assert not buffer.add(OdometryReading(0.01, IDENTITY))
+    assert buffer.last == 1.0
+    assert buffer.add(OdometryReading(0.0, IDENTITY))
+    assert (buffer.first, buffer.last, buffer.resets) == (0.0, 0.0, 1)
+
+
+def test_the_history_is_kept_for_its_duration_and_trimmed_at_twice_of_it():
+    made = OdometryBuffer('robot1', 1.0, 2.0, 1.0)
+    lengths = []
+    for tick in range(400):
+        made.add(OdometryReading(0.01 * tick, IDENTITY))
+        lengths.append(len(made))
+        assert made.first <= max(0.0, made.last - 0.98)
+        assert made.last - made.first <= 2.0 + 1e-9
+    assert max(lengths) in (201, 202)
+    assert min(lengths[202:]) in (100, 101, 102)

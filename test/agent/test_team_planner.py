@@ -1,0 +1,147 @@
+"""Planning for the agent's team: states, the operator's requests, reports of followers."""
+
+import numpy as np
+import pytest
+from synthetic import SyntheticVehicle, SyntheticWorld
+
+from explore_slam.agent import Agent, AgentConfig, TeamPlanner
+from explore_slam.data import OdometryReading, VehicleState
+from explore_slam.errors import AgentError
+from explore_slam.exploration import ExplorationConfig, ExplorationStatus, PlanningMode
+from explore_slam.geometry import Pose2
+from explore_slam.settings import with_values
+
+START = Pose2(-1.0, -1.5, 0.0)
+CONFIG = with_values(AgentConfig(), {'particles': 20, 'empty_searches': 1})
+
+
+class HalfRoom(SyntheticWorld):
+    """The laser sees the left half of its beams only: much remains to be explored."""
+
+    def scan_from(self, stamp, pose, beams=181):
+        scan = super().scan_from(stamp, pose, beams)
+        scan.ranges[: beams // 2] = float('nan')
+        return scan
+
+
+def make(world_type=HalfRoom, ticks=3, config=CONFIG):
+    agent = Agent(config, {'robot1': START}, 1)
+    vehicle = SyntheticVehicle(world_type(), START, speed=0.0, turn=0.0)
+    for _ in range(ticks):
+        agent.add('robot1', vehicle.advance())
+        agent.add('robot1', vehicle.scan())
+    return agent, TeamPlanner(agent), vehicle
+
+
+def test_without_a_map_exploration_has_started_and_is_not_paused():
+    _, planner, _ = make(ticks=0)
+    result = planner.plan(1.0)
+    assert (result.status, result.searched) == (ExplorationStatus.STARTED, False)
+    planner.pause(True)
+    assert planner.plan(2.0).status is ExplorationStatus.PAUSED
+
+
+def test_a_search_that_fails_later_is_a_pause():
+    agent, planner, _ = make()
+    assert planner.plan(1.0).searched
+    agent.advance(100.0)  # the vehicle is silent
+    result = planner.plan(100.0)
+    assert (result.status, result.searched) == (ExplorationStatus.PAUSED, False)
+    assert agent.statuses()[0].state is VehicleState.SILENT
+
+
+def test_plan_and_state_are_stored_in_the_track():
+    agent, planner, _ = make()
+    result = planner.plan(1.0)
+    track = agent.track('robot1')
+    assert track.plan is result.plans['robot1'] is planner.result.plans['robot1']
+    assert track.state is VehicleState.DRIVING
+    (status,) = agent.statuses()
+    assert (status.state, status.goal) == (VehicleState.DRIVING, track.plan.goal)
+    planner.pause(True)
+    planner.plan(2.0)
+    assert (track.plan, track.state) == (None, VehicleState.WAITING)
+    assert agent.statuses()[0].goal is None
+
+
+def test_a_vehicle_called_home_returns_and_is_home():
+    agent, planner, vehicle = make()
+    planner.plan(1.0)
+    agent.set_pose('robot1', Pose2(-1.0, 1.0, 0.0), 1e-4 * np.eye(3))
+    planner.return_home()
+    result = planner.plan(2.0)
+    track = agent.track('robot1')
+    assert result.status is ExplorationStatus.RETURNING
+    assert track.state is VehicleState.RETURNING
+    assert tuple(track.plan.goal[:2]) == pytest.approx(START[:2], abs=0.15)
+    agent.set_pose('robot1', START, 1e-4 * np.eye(3))
+    assert planner.plan(3.0).status is ExplorationStatus.RETURNED
+    assert track.state is VehicleState.HOME
+    assert vehicle.stamp > 0.0
+
+
+def test_a_room_that_is_known_is_done():
+    world = SyntheticWorld
+    agent = Agent(CONFIG, {'robot1': START}, 1)
+    vehicle = SyntheticVehicle(world(), START, speed=0.0, turn=1.0)
+    for _ in range(70):
+        agent.add('robot1', vehicle.advance())
+        agent.add('robot1', vehicle.scan())
+    planner = TeamPlanner(agent)
+    statuses = [planner.plan(10.0 + k).status for k in range(12)]
+    assert statuses[-1] is ExplorationStatus.COMPLETE
+    assert agent.track('robot1').state is VehicleState.DONE
+
+
+def test_a_follower_that_becomes_blocked_is_reported_once():
+    agent, planner, _ = make()
+    first = planner.plan(1.0).plans['robot1']
+    planner.report_follower('robot1', 'driving', 1.5)
+    assert planner.plan(2.0).plans['robot1'] is first
+    planner.report_follower('robot1', 'blocked: obstacle', 2.5)
+    second = planner.plan(3.0).plans['robot1']
+    assert second is not first
+    assert agent.track('robot1').state is VehicleState.BLOCKED
+    planner.report_follower('robot1', 'blocked: obstacle', 3.5)
+    assert planner.plan(4.0).plans['robot1'] is second
+    planner.report_follower('robot1', 'driving', 4.5)
+    planner.plan(5.0)
+    assert agent.track('robot1').state is VehicleState.DRIVING
+
+
+def test_a_report_of_an_unknown_vehicle_is_refused():
+    _, planner, _ = make()
+    with pytest.raises(AgentError, match="unknown vehicle 'robot9'"):
+        planner.report_follower('robot9', 'driving', 1.0)
+
+
+def test_reset_forgets_plan_and_mode():
+    agent, planner, _ = make()
+    first = planner.plan(1.0).plans['robot1']
+    planner.return_home()
+    planner.reset()
+    assert agent.track('robot1').plan is None
+    assert planner.mode is PlanningMode.EXPLORE
+    result = planner.plan(2.0)
+    assert result.status is ExplorationStatus.STARTED
+    assert result.plans['robot1'] is not first
+
+
+def test_other_settings_start_a_new_planner_and_equal_ones_do_not():
+    _, planner, _ = make()
+    first = planner.plan(1.0).plans['robot1']
+    planner.configure(with_values(ExplorationConfig(), {'empty_searches': 1}))
+    assert planner.plan(2.0).plans['robot1'] is first
+    planner.configure(with_values(ExplorationConfig(), {'empty_searches': 2}))
+    assert planner.plan(3.0).plans['robot1'] is not first
+
+
+def test_a_lost_vehicle_gets_no_plan():
+    agent, planner, vehicle = make()
+    assert planner.plan(1.0).plans
+    for lost, deviation in ((False, 0.9), (True, 1.1)):
+        covariance = np.diag([deviation**2, 0.01, 0.01])
+        agent.set_pose('robot1', START, covariance)
+        agent.add('robot1', OdometryReading(vehicle.stamp + deviation, vehicle.odometry))
+        (status,) = agent.statuses()
+        assert (status.state is VehicleState.LOST) is lost
