@@ -162,9 +162,10 @@ def test_what_lies_behind_obstacles_is_not_visible_and_known_cells_do_not_count(
     assert visible_unknown(free, unknown, 20, 25, 20, 40) == 0.0
     free[:, 31:40] = True
     half = visible_unknown(free, unknown, 20, 25, 20, 360)
-    angle = math.acos(14.5 / 20.0)
-    sector = 20.0**2 * angle - 14.5 * math.sqrt(20.0**2 - 14.5**2)
-    assert half == pytest.approx(sector, rel=0.12)
+    radius, distance = 20.5, 14.5  # of whole cells that a ray enters
+    sector = radius**2 * math.acos(distance / radius)
+    sector -= distance * math.sqrt(radius**2 - distance**2)
+    assert half == pytest.approx(sector, rel=0.03)
 
 
 def test_beyond_the_edge_of_the_grid_everything_is_unknown():

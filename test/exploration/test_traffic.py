@@ -58,7 +58,7 @@ def test_whoever_passes_a_crossing_much_later_goes():
 
 
 def test_followers_in_one_direction_need_no_margin():
-    found = grants(traveler('a', (2, 0), (20, 0)), traveler('b', (0, 0), (18, 0)))
+    found = grants(traveler('a', (1.5, 0), (40, 0)), traveler('b', (0, 0), (40, 0)))
     assert found['b'].right is Right.GO
     opposite = grants(traveler('a', (2, 0), (20, 0)), traveler('b', (19, 0), (0, 0)))
     assert opposite['b'].right is Right.RETREAT or opposite['b'].right is Right.STOP
