@@ -10,6 +10,7 @@ from exploration_maps import grid_of, point_of
 from explore_slam.exploration import (
     ExplorationConfig,
     ExplorationStatus,
+    Frontier,
     Planner,
     PlanningMode,
     VehicleSnapshot,
@@ -387,3 +388,148 @@ def test_every_setting_has_a_doc_and_a_name_of_its_own():
     names = [info.name for info, _ in settings_of(ExplorationConfig())]
     assert len(names) == len(set(names))
     assert all(info.doc for info, _ in settings_of(ExplorationConfig()))
+
+
+def planned_at(distance):
+    """Plan for a vehicle at this distance (m) from its target, with a straight path there."""
+    planner = Planner(config())
+    vehicles = team(HALL, (4, 9))
+    plan = planner.plan(hall(), 0.0, vehicles).plans['robot1']
+    target = np.array(plan.goal[:2])
+    direction = plan.waypoints[-1] - plan.waypoints[-2]
+    place = target - distance * direction / np.linalg.norm(direction)
+    here = {'robot1': VehicleSnapshot(Pose2(*place.tolist(), 0.0))}
+    plan = planner.plan(hall(), 1.0, here).plans['robot1']
+    return planner, here, plan
+
+
+@pytest.mark.parametrize(('distance', 'failed'), [(1.9, True), (2.1, False)])
+def test_a_target_fails_where_its_vehicle_is_blocked_near_by(distance, failed):
+    planner, here, plan = planned_at(distance)
+    planner.report_blocked('robot1', plan.goal, 2.0)
+    planner.plan(hall(), 3.0, here)
+    assert planner._blacklist.blocks(plan.goal[:2], 3.0) is failed
+
+
+def test_the_keep_out_zone_lies_half_a_metre_ahead_on_the_path():
+    planner, here, plan = planned_at(2.5)
+    planner.report_blocked('robot1', plan.goal, 2.0)
+    place = np.array(here['robot1'].pose[:2])
+    step = np.array(plan.goal[:2]) - place
+    (zone,) = planner._keep_out.places()
+    np.testing.assert_allclose(zone, place + 0.5 * step / np.linalg.norm(step), atol=0.1)
+    assert math.dist(zone, place) == pytest.approx(0.5)
+
+
+def test_a_vehicle_without_a_task_that_is_blocked_has_failed_and_makes_no_zone():
+    planner = Planner(config())
+    planner.report_blocked('robot1', (5.0, 4.0), 0.0)
+    planner.plan(hall(), 1.0, team(HALL, (4, 9)))
+    assert planner._blacklist.blocks((5.0, 4.0), 1.0)
+    assert planner._keep_out.places() == []
+
+
+def test_a_third_blockage_on_the_way_is_a_failure():
+    planner = Planner(config())
+    vehicles = team(HALL, (6, 10))
+    failures = []
+    for now in (0.0, 10.0, 20.0):
+        plan = planner.plan(hall(), now, vehicles).plans['robot1']
+        assert math.dist(plan.goal[:2], vehicles['robot1'].pose[:2]) > 2.0
+        failures.append(len(planner._blacklist))
+        planner.report_blocked('robot1', plan.goal, now + 1.0)
+    planner.plan(hall(), 30.0, vehicles)
+    assert [*failures, len(planner._blacklist)] == [0, 0, 0, 1]
+    assert planner._blacklist.blocks(plan.goal[:2], 30.0)
+
+
+def frontier_at(x, y):
+    cell = tuple(hall().to_cell([(x, y)])[0].tolist())
+    return Frontier(np.array([cell]), (x, y), (x, y), cell, 1.0, 5.0)
+
+
+@pytest.mark.parametrize(('moved', 'index'), [(1.9, 1), (2.1, -1)])
+def test_a_frontier_that_recedes_is_the_same_target(moved, index):
+    planner = Planner(config())
+    plan = planner.plan(hall(), 0.0, team(HALL, (4, 9))).plans['robot1']
+    x, y = plan.goal[:2]
+    found = [frontier_at(x + 9.0, y), frontier_at(x + moved, y)]
+    assert planner._current_frontiers(('robot1', 'robot2'), found) == [index, -1]
+
+
+def test_a_target_is_given_up_after_three_cycles_at_it_without_anything_new():
+    planner, _, plan = planned_at(2.5)
+    there = {'robot1': VehicleSnapshot(Pose2(*plan.goal[:2], 0.0))}
+    blocked = []
+    for cycle in range(5):
+        planner.plan(hall(), 2.0 + cycle, there)
+        blocked.append(planner._blacklist.gave_up(plan.goal[:2]))
+    assert blocked == [False, False, False, True, True]
+
+
+def test_a_vehicle_that_comes_no_nearer_has_failed_after_the_timeout():
+    planner = Planner(config(progress_timeout=10.0))
+    vehicles = team(HALL, (4, 9))
+    goal = planner.plan(hall(), 0.0, vehicles).plans['robot1'].goal
+    times = [1.0, 5.0, 11.0, 11.5, 12.0]
+    failed = []
+    for now in times:
+        planner.plan(hall(), now, vehicles)
+        failed.append(planner._blacklist.blocks(goal[:2], now))
+    assert failed == [False, False, False, False, True]
+
+
+def test_a_target_that_was_reached_and_shows_nothing_more_is_forgiven():
+    planner, _, plan = planned_at(2.5)
+    target = plan.goal[:2]
+    planner._blacklist.report((target[0] + 0.1, target[1]))
+    there = {'robot1': VehicleSnapshot(Pose2(target[0] + 0.6, target[1], 0.0))}
+    planner.plan(hall(), 100.0, there)
+    closed = grid_of(
+        HALL.replace('?', '#').replace('#####......', '####?......'), cells_per_letter=SIDE
+    )
+    assert len(planner._blacklist) == 1
+    planner.plan(closed, 5000.0, there)
+    assert not planner._blacklist.blocks(target, 5000.0)
+
+
+def test_switching_targets_is_counted_until_one_is_reached():
+    planner = Planner(config())
+    vehicles = team(HALL, (4, 9))
+    planner.plan(hall(), 0.0, vehicles)
+    planner._strategy.assign = lambda s: [next(
+        i for i, f in enumerate(s.frontiers) if i != s.current[0]
+    )]  # fmt: skip
+    switches = []
+    for now in (1.0, 2.0, 3.0):
+        planner.plan(hall(), now, vehicles)
+        switches.append(planner._tasks['robot1'].switches)
+    assert switches == [1, 2, 3]
+
+
+def test_when_keep_out_zones_hide_every_target_they_are_released():
+    planner = Planner(config(empty_searches=1, minimum_planning_radius=0.3))
+    grid = grid_of(WINDING, cells_per_letter=4)
+    start = {'robot1': VehicleSnapshot(Pose2(*point_of(8, 1, WINDING, cells_per_letter=4), 0.0))}
+    plan = planner.plan(grid, 0.0, start).plans['robot1']
+    planner.report_blocked('robot1', plan.goal, 1.0)
+    result = planner.plan(grid, 2.0, start)
+    assert result.status is ExplorationStatus.IN_PROGRESS
+    assert 'released' in result.reason
+    assert planner.plan(grid, 3.0, start).plans
+
+
+def test_permanent_zones_around_a_trapped_vehicle_are_released_too():
+    planner = Planner(config(empty_searches=1, minimum_planning_radius=0.3))
+    grid = grid_of(WINDING, cells_per_letter=4)
+    start = {'robot1': VehicleSnapshot(Pose2(*point_of(8, 1, WINDING, cells_per_letter=4), 0.0))}
+    planner.plan(grid, 0.0, start)
+    ahead = (start['robot1'].pose.x, start['robot1'].pose.y + 0.5)
+    for now in (1.0, 2.0):
+        planner._keep_out.add(ahead, now, [])
+    statuses = []
+    for now in (100.0, 101.0, 102.0):
+        result = planner.plan(grid, now, start)
+        statuses.append((result.status, 'released' in result.reason, bool(result.plans)))
+    assert statuses[0] == (ExplorationStatus.IN_PROGRESS, True, False)
+    assert statuses[1][2]
