@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from explore_slam.errors import EvaluationError
 from explore_slam.files import write_bytes
 from explore_slam.geometry import Array
+from explore_slam.mapping import OccupancyGrid
 from explore_slam.results.consistency import EstimationErrors, estimation_errors
 from explore_slam.results.run_data import Panel, RunData, Series, VehicleRun, error_series
 from explore_slam.results.trajectory import Trajectory
@@ -112,7 +113,7 @@ def _draw_map(data: RunData) -> Figure | None:
         return figure
 
 
-def _draw_grid(axes: Axes, grid: Any) -> None:
+def _draw_grid(axes: Axes, grid: OccupancyGrid) -> None:
     probability, known = np.asarray(grid.probability()), np.asarray(grid.known())
     shade = np.where(known, np.clip((probability - 0.25) / 0.5, 0.0, 1.0), 0.0)
     levels = np.where(known, 1.0 + np.rint(254.0 * shade), 0.0).astype(np.uint8)

@@ -13,6 +13,7 @@ from explore_slam.agent.config import AgentConfig
 from explore_slam.data import OdometryReading
 from explore_slam.errors import RecordingError
 from explore_slam.geometry import Pose2
+from explore_slam.mapping import OccupancyGrid
 from explore_slam.messages.topics import TopicKind
 from explore_slam.recording.bag import BagReader
 from explore_slam.recording.events import Event
@@ -98,7 +99,7 @@ class _Collector:
             self._recorder.add_coverage(stamp, known_area(self._agent.grid))
 
 
-def known_area(grid: Any) -> float:
+def known_area(grid: OccupancyGrid) -> float:
     """Return the area (m²) of the cells whose occupancy is known."""
     return float(np.count_nonzero(grid.known())) * float(grid.resolution) ** 2
 

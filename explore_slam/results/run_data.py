@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from explore_slam.data import OdometryReading
 from explore_slam.errors import EvaluationError
 from explore_slam.geometry import Array, Pose2
+from explore_slam.mapping import OccupancyGrid
 from explore_slam.results.consistency import PoseEstimates, consistency_metrics
 from explore_slam.results.keyframe_interpolation import extrapolate, interpolate
 from explore_slam.results.trajectory import (
@@ -154,7 +155,7 @@ class RunData:
     title: str
     vehicles: tuple[VehicleRun, ...]
     metrics: dict[str, Any]
-    grid: Any = None
+    grid: OccupancyGrid | None = None
     landmarks: LandmarkCloud | None = None
     coverage: Series = field(default_factory=lambda: Series.of([]))
     coverage_unit: str = '%'
@@ -237,7 +238,7 @@ class RunRecorder:
         self,
         trajectories: dict[str, tuple[Array, Array]],
         *,
-        grid: Any = None,
+        grid: OccupancyGrid | None = None,
         landmarks: LandmarkCloud | None = None,
         settings: Section | None = None,
         extra: dict[str, Any] | None = None,

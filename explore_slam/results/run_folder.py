@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from explore_slam.errors import EvaluationError
 from explore_slam.files import replace_link, write_bytes, write_text
-from explore_slam.mapping import save_map
+from explore_slam.mapping import OccupancyGrid, save_map
 from explore_slam.results.report import render_report
 from explore_slam.results.run_data import LandmarkCloud, RunData
 from explore_slam.results.trajectory import Trajectory, save_tum
@@ -57,7 +57,7 @@ class RunFolder:
             raise EvaluationError(f'a run folder cannot be made in {base}: {error}') from error
         return cls(path)
 
-    def write_map(self, grid: Any) -> Path:
+    def write_map(self, grid: OccupancyGrid) -> Path:
         """Write map.pgm and map.yaml; return the path of the YAML file."""
         save_map(grid, self.path / 'map')
         return self.path / 'map.yaml'
