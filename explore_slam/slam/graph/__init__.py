@@ -24,15 +24,18 @@ def warm_up() -> None:
     import numpy as np
 
     noise = 1e-4 * np.eye(3)
-    graph = JointGraph(GraphConfig(graph_minimum_sightings=2))
+    config = GraphConfig(graph_minimum_sightings=2, graph_recent_keyframes=2)
+    graph = JointGraph(config)
     graph.add_start(0, 0, np.zeros(3))
-    for keyframe in (1, 2):
+    for keyframe in range(1, 6):
         graph.add_keyframe(0, keyframe, np.array([0.5, 0.0, 0.1]), noise, noise)
+    for keyframe in (4, 5):
         graph.add_observations(keyframe, [0], [[2.0, 0.0, 1.0]], [[1.0, 0.0, 0.0, 1.0, 0.0, 1.0]])
-    graph.add_relative_pose(0, 2, np.zeros(3), noise)
+    graph.add_relative_pose(0, 5, np.zeros(3), noise)
     graph.optimize()
     draws = graph.draw(2, np.random.default_rng(0))
-    graph.relative_covariance(0, [2])
+    graph.complete(draws)
+    graph.relative_covariance(0, [5])
     graph.closure_residuals()
     stored = graph.observations_of([0])
     rows = np.empty((1, 9, 2))

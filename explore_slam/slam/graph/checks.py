@@ -58,6 +58,18 @@ def information(what: str, covariance: ArrayLike | None, size: int = 3) -> Array
     return 0.5 * (inverse + inverse.T)
 
 
+def bounded_information(what: str, values: ArrayLike, size: int = 3) -> Array:
+    """Return an information matrix, which may be singular but not more than exact."""
+    found = symmetric(what, values, size)
+    largest = float(np.linalg.eigvalsh(found)[-1])
+    if largest > EXACT_DEVIATION**-2:
+        raise SlamError(
+            f'{what} has the eigenvalue {largest:.3g}, expected at most '
+            f'{EXACT_DEVIATION**-2:.3g}, a deviation of {EXACT_DEVIATION:.0e}'
+        )
+    return found
+
+
 def packed_information(what: str, R: ArrayLike, count: int) -> Array:
     """Return the inverses (n, 6) of covariances (n, 6), both as xx xy xz yy yz zz."""
     packed = matrix(what, R, (count, 6))
@@ -69,5 +81,6 @@ def packed_information(what: str, R: ArrayLike, count: int) -> Array:
             f'{what}: covariance {bad[0]} is {packed[bad[0]].tolist()} with the least eigenvalue '
             f'{eigenvalues[bad[0], 0]:.3g}, expected a positive definite matrix'
         )
+    full += EXACT_DEVIATION**2 * np.eye(3)
     inverse: Array = np.linalg.inv(full).reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]]
     return inverse

@@ -74,7 +74,9 @@ class Factors(NamedTuple):
 @kernel
 def wrapped(angle: float) -> float:
     """Return the angle (rad) in [−π, π]."""
-    return angle - 2.0 * math.pi * round(angle / (2.0 * math.pi))
+    if -math.pi <= angle <= math.pi:
+        return angle
+    return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
 
 
 @kernel
@@ -259,20 +261,18 @@ def moved(x: Array, step: Array, place: Integers, poses: int) -> Array:
 
 
 @kernel
-def antithetic_poses(x: Array, steps: Array, out: Array) -> None:
-    """Write to out (N, 3, M) poses x (N, 3) moved by ± steps (N, 3, M // 2), pair by pair.
+def antithetic_poses(x: Array, steps: Array, place: Integers, out: Array, begin: int) -> None:
+    """Write to out (P, 3, M), from sample `begin` on, poses x (P, 3) moved by ± steps.
 
-    The last of an odd number is x.
+    steps (N, 3, m): in the order of the system, in which place (P,) finds the poses.
     """
-    pairs = steps.shape[2]
     for n in range(len(x)):
         c, s = math.cos(x[n, 2]), math.sin(x[n, 2])
-        for m in range(pairs):
-            dx = c * steps[n, 0, m] - s * steps[n, 1, m]
-            dy = s * steps[n, 0, m] + c * steps[n, 1, m]
-            out[n, 0, 2 * m], out[n, 0, 2 * m + 1] = x[n, 0] + dx, x[n, 0] - dx
-            out[n, 1, 2 * m], out[n, 1, 2 * m + 1] = x[n, 1] + dy, x[n, 1] - dy
-            out[n, 2, 2 * m] = wrapped(x[n, 2] + steps[n, 2, m])
-            out[n, 2, 2 * m + 1] = wrapped(x[n, 2] - steps[n, 2, m])
-        for i in range(3):
-            out[n, i, 2 * pairs :] = x[n, i]
+        along, across, turn = steps[place[n], 0], steps[place[n], 1], steps[place[n], 2]
+        ox, oy, otheta = out[n, 0, begin:], out[n, 1, begin:], out[n, 2, begin:]
+        for m in range(len(turn)):
+            dx, dy = c * along[m] - s * across[m], s * along[m] + c * across[m]
+            ox[2 * m], ox[2 * m + 1] = x[n, 0] + dx, x[n, 0] - dx
+            oy[2 * m], oy[2 * m + 1] = x[n, 1] + dy, x[n, 1] - dy
+            otheta[2 * m] = wrapped(x[n, 2] + turn[m])
+            otheta[2 * m + 1] = wrapped(x[n, 2] - turn[m])

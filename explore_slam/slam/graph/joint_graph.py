@@ -201,12 +201,12 @@ class JointGraph:
     ) -> int:
         """Add a measured pose z (3,) of keyframe b in the frame of keyframe a, as of a closure.
 
-        information (3, 3): of the components of z, semidefinite where a direction is free.
+        information (3, 3): of the components of z, singular where a direction is free.
         robust: with a Cauchy kernel. Returns the factor, for `remove_factor`.
         """
         i, j = self._ends(a, b)
         measured = checks.matrix('z', z, (3,))
-        W = checks.symmetric('information', information, 3)
+        W = checks.bounded_information('information', information)
         kernel = CAUCHY if robust else SQUARED
         return self._storage.add_factor(
             RELATIVE_POSE, i, j, measured, W, kernel, self.config.closure_scale

@@ -30,7 +30,7 @@ from explore_slam.slam.graph.problem import Problem
 FIRST_DAMPING, DAMPING_FACTOR, LEAST_DAMPING = 1e-4, 10.0, 1e-7
 LARGEST_DAMPING = 1e8
 ROUNDING = 1e-12  # of the cost: what summing it up may err by
-PAIRS_AT_ONCE = 16  # samples that are solved for together, so that they stay in the cache
+PAIRS_AT_ONCE = 32  # samples that are solved for together, so that they stay in the cache
 
 
 class OptimizeSummary(NamedTuple):
@@ -114,21 +114,23 @@ class Factorization:
         found: Array = cholesky.inverse_diagonal(*self._parts())[self.structure.place]
         return found
 
-    def sample(self, nodes: int, pairs: int, random: np.random.Generator) -> Array:
-        """Draw steps (nodes, 3, pairs) of the first nodes from N(0, H⁻¹)."""
-        place = self.structure.place[:nodes]
+    def sample(self, poses: Array, samples: int, random: np.random.Generator) -> Array:
+        """Draw the first nodes, poses (P, 3), around their estimate: (P, 3, samples)."""
+        place = self.structure.place[: len(poses)]
         wanted = np.zeros(len(self.diagonal), np.bool_)
         wanted[place] = True
         needed = cholesky.ancestors(self.structure.first, self.structure.rows, wanted)
         rows = np.flatnonzero(needed)
-        steps = np.empty((nodes, 3, pairs))
+        out = np.empty((len(poses), 3, samples))
+        pairs = samples // 2
         for begin in range(0, pairs, PAIRS_AT_ONCE):
             count = min(PAIRS_AT_ONCE, pairs - begin)
-            x = np.zeros((len(needed), 3, count))
-            x[rows] = random.standard_normal((len(rows), 3, count))
-            cholesky.solve_upper(*self._parts(), needed, x)
-            steps[:, :, begin : begin + count] = x[place]
-        return steps
+            steps = np.zeros((len(needed), 3, count))
+            steps[rows] = random.standard_normal((len(rows), 3, count))
+            cholesky.solve_upper(*self._parts(), needed, steps)
+            antithetic_poses(poses, steps, place, out, 2 * begin)
+        out[:, :, 2 * pairs :] = poses[:, :, None]
+        return out
 
 
 @dataclass(frozen=True)
@@ -150,10 +152,8 @@ class Solution:
         if samples < 1:
             raise SlamError(f'samples are {samples}, expected 1 or more')
         keyframes = self.problem.keyframes
-        count = self.problem.poses
-        steps = self.factorization.sample(count, samples // 2, random)
-        drawn = np.empty((count, 3, samples))
-        antithetic_poses(self.nodes[:count], steps, drawn)
+        nodes = self.nodes[: self.problem.poses]
+        drawn = self.factorization.sample(nodes, samples, random)
         poses = chains = drawn[: len(keyframes)]
         if len(self.problem.chains):
             chains = poses.copy()

@@ -40,6 +40,7 @@ def graph_of(steps=4):
         (lambda g: g.add_relative_pose(1, 1, [0, 0, 0], NOISE), 'relative to itself'),
         (lambda g: g.add_relative_pose(1, 8, [0, 0, 0], NOISE), 'keyframe 8 is not'),
         (lambda g: g.add_relative_pose(1, 2, [0, 0, 0], np.triu(np.ones((3, 3)))), 'symmetric'),
+        (lambda g: g.add_relative_pose(1, 2, [0, 0, 0], 1e13 * np.eye(3)), 'at most 1e.12'),
         (lambda g: g.add_relative_position(1, 2, [0, 0, 0], np.eye(2)), 'z has shape'),
         (lambda g: g.add_relative_position(1, 2, [0, 0], -np.eye(2)), 'R has the eigenvalue'),
         (lambda g: g.add_prior(5, [0, 0, 0]), 'keyframe 5 is not'),

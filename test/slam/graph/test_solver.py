@@ -1,7 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from explore_slam.errors import SlamError
 from explore_slam.geometry import between
+from explore_slam.slam.graph import JointGraph
+from explore_slam.slam.graph.solver import posterior_at
 
 CLOSURE = np.diag([0.05, 0.04, 0.02]) ** 2
 
@@ -37,3 +42,59 @@ def test_optimum_and_marginals_are_those_of_gtsam(make_world, oracle_of, seed):
     for b, covariance in zip(others.tolist(), found, strict=True):
         expected = oracle.relative_covariance(6, b)
         np.testing.assert_allclose(covariance, expected, rtol=1e-4, atol=1e-8)
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_no_start_makes_the_cost_rise(make_world, seed):
+    """From a start far off, the steps are damped; the optimum is found or the cost has fallen."""
+    world = make_world(seed, landmarks=20)
+    world.circle(10)
+    world.graph.optimize()
+    best = world.graph.solve(world.graph.snapshot(0))
+    random = np.random.default_rng(seed)
+    problem = best.problem
+    for deviation in (0.01, 0.1, 1.0):
+        noise = deviation * random.standard_normal(problem.start.shape)
+        found = world.graph.solve(problem._replace(start=problem.start + noise))
+        assert found.summary.cost < found.summary.cost_before
+        assert found.summary.cost >= best.summary.cost * (1.0 - 1e-9)
+        if deviation < 1.0:
+            np.testing.assert_allclose(found.nodes, best.nodes, atol=1e-5)
+
+
+def test_few_iterations_say_that_they_were_too_few(make_world):
+    world = make_world(0, landmarks=20)
+    world.graph = JointGraph(replace(world.config, graph_iterations=1))
+    world.circle(10)
+    summary = world.graph.optimize()
+    assert (summary.iterations, summary.converged) == (1, False)
+    while not world.graph.optimize().converged:
+        pass
+    assert world.graph.optimize().cost < summary.cost
+
+
+def test_node_without_measurements_is_reported(make_world):
+    world = make_world(1, landmarks=20)
+    world.circle(5)
+    problem = world.graph.snapshot(0)
+    lonely = problem._replace(start=np.vstack([problem.start, np.zeros(3)]))
+    with pytest.raises(SlamError, match=r'vehicles \(0, 1\) has no definite information matrix'):
+        posterior_at(lonely)
+    with pytest.raises(SlamError, match='no definite information matrix'):
+        world.graph.solve(lonely)
+
+
+def test_measurements_as_exact_as_allowed_do_no_harm(make_world):
+    """Motions that are exactly known and a closure of 1 µm, beside observations of centimetres."""
+    world = make_world(1, landmarks=20)
+    world.start(0, [0.0, 0.0, 0.0])
+    for _ in range(12):
+        keyframe = world.drive(0, np.array([0.4, 0.0, 0.5]), 1e-16 * np.eye(3))
+        world.see(keyframe)
+    z = between(world.true[1], world.true[12])
+    world.graph.add_relative_pose(1, 12, z, 1e12 * np.eye(3), robust=False)
+    assert world.graph.optimize().converged
+    np.testing.assert_allclose(world.errors(), 0.0, atol=2e-5)
+    deviations = np.sqrt(np.diag(world.graph.covariance(12)))
+    assert (deviations > 1e-7).all()
+    assert (deviations < 2e-5).all()
