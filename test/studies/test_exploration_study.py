@@ -208,7 +208,7 @@ def test_a_ratio_needs_common_seeds_and_runs_that_got_there(small_study):
     _, runs = small_study
     with pytest.raises(EvaluationError, match='no seed is in both'):
         time_ratio(runs[:1], [])
-    assert math.isnan(time_ratio(runs[:1], runs[:1], share=1.01))
+    assert math.isnan(time_ratio(runs[:1], runs[:1], fraction=1.01))
     with pytest.raises(EvaluationError, match='no runs'):
         save_study([], runs)
 
