@@ -79,3 +79,34 @@ def test_a_report_counts_from_the_next_update_on_and_once():
         entries.update(0.0, grid, grid.known())
     assert entries.blocks(PLACE, 9.9)
     assert not entries.blocks(PLACE, 10.0)
+
+
+def test_of_several_failures_near_a_place_the_worst_one_counts():
+    entries, grid = blacklist(blacklist_radius=0.5, maximum_attempts=2), grid_with(0.5)
+    far, near = (1.0, 1.5), (1.6, 1.5)
+    for place in (near, far, far):
+        entries.report(place)
+        entries.update(0.0, grid, grid.known())
+    assert len(entries) == 2
+    assert entries.gave_up((1.4, 1.5))
+    assert entries.gave_up((0.6, 1.5))
+    assert not entries.gave_up((1.9, 1.5))
+
+
+def test_a_small_change_of_the_map_is_no_forgiveness_and_the_area_grows_with_the_radius():
+    grid = grid_with(0.5)
+    for radius, cells, kept in (
+        (0.4, 21, True),
+        (0.4, 22, False),
+        (0.8, 84, True),
+        (0.8, 85, False),
+    ):
+        entries = blacklist(blacklist_radius=radius)
+        fail(entries, 0.0, grid)
+        free = grid.known().copy()
+        half = round(2.0 * radius / 0.05)
+        low = max(0, 30 - half)
+        window = free[low : 30 + half + 1, low : 30 + half + 1]
+        window[tuple(np.argwhere(~window)[:cells].T)] = True
+        entries.update(1.0, grid, free)
+        assert (len(entries) == 1) is kept

@@ -9,7 +9,12 @@ import pytest
 from explore_slam.data import LaserScan
 from explore_slam.geometry import IDENTITY, Pose2
 from explore_slam.mapping import ScanMatcher, ScanMatchingConfig
-from explore_slam.mapping.scan_matcher import scan_cloud
+from explore_slam.mapping.scan_matcher import (
+    Cloud,
+    _normal_equations,
+    _sorted_into_cells,
+    scan_cloud,
+)
 
 BEAMS = 361
 WHEELS = np.diag([0.05, 0.05, 0.05]) ** 2
@@ -141,3 +146,138 @@ def test_a_cloud_has_its_normals_towards_the_laser():
     np.testing.assert_allclose(np.hypot(*cloud.normals.T), 1.0)
     assert ((cloud.points * cloud.normals).sum(axis=1) < 0.0).all()
     assert np.hypot(*np.diff(cloud.points, axis=0).T).min() > 0.005
+
+
+def random_cloud(seed, count):
+    """Points on a few walls, with their normals."""
+    generator = np.random.default_rng(seed)
+    headings = generator.integers(0, 4, count) * (math.pi / 2) + 0.2
+    normals = np.column_stack([np.cos(headings), np.sin(headings)])
+    return Cloud(generator.uniform(-2.0, 2.0, (count, 2)), normals)
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_the_normal_equations_are_those_of_weighted_point_to_line_residuals(seed):
+    cloud, walls = random_cloud(seed, 40), random_cloud(10 + seed, 300)
+    pose, distance, deviation = Pose2(0.2, -0.1, 0.15), 0.25, 0.05
+    A, b, matched = _normal_equations(
+        cloud, _sorted_into_cells(walls), tuple(pose), distance, deviation
+    )
+
+    def residuals(step):
+        placed = cloud.moved(pose.compose(Pose2(*step)))
+        return (across * (near - placed.points)).sum(axis=1)
+
+    placed = cloud.moved(pose)
+    gaps = np.linalg.norm(placed.points[:, None] - walls.points[None], axis=2)
+    gaps[placed.normals @ walls.normals.T <= 0.8] = np.inf
+    nearest = gaps.argmin(axis=1)
+    found = gaps.min(axis=1) < distance
+    assert 15 < found.sum() < 40
+    assert matched == found.sum()
+    near, across = walls.points[nearest], walls.normals[nearest]
+    zero, h = residuals(np.zeros(3)), 1e-6
+    jacobian = np.column_stack(
+        [(residuals(-h * axis) - residuals(h * axis)) / (2.0 * h) for axis in np.eye(3)]
+    )
+    weights = found / (deviation**2 + zero**2)
+    np.testing.assert_allclose(A, jacobian.T @ (weights[:, None] * jacobian), rtol=1e-6, atol=1e-4)
+    np.testing.assert_allclose(b, jacobian.T @ (weights * zero), rtol=1e-6, atol=1e-4)
+
+
+def test_many_points_count_as_sixty_independent_ones():
+    walls = random_cloud(1, 3000)
+    cells = _sorted_into_cells(walls)
+    some = Cloud(walls.points[:90], walls.normals[:90])
+    few = Cloud(walls.points[:45], walls.normals[:45])
+    twice = Cloud(np.tile(few.points, (2, 1)), np.tile(few.normals, (2, 1)))
+    single, _, matched = _normal_equations(few, cells, (0.0, 0.0, 0.0), 0.1, 0.02)
+    double, _, both = _normal_equations(twice, cells, (0.0, 0.0, 0.0), 0.1, 0.02)
+    assert (matched, both) == (45, 90)
+    np.testing.assert_allclose(double, single * (60.0 / 45.0))
+    assert _normal_equations(some, cells, (0.0, 0.0, 0.0), 0.1, 0.02)[2] == 90
+
+
+def test_points_outside_of_the_window_have_no_correspondence():
+    walls = random_cloud(1, 50)
+    cells = _sorted_into_cells(walls)
+    for x, y in ((40.0, 0.0), (-40.0, 0.0), (0.0, 40.0), (0.0, -40.0)):
+        _, _, matched = _normal_equations(walls, cells, (x, y, 0.0), 0.3, 0.02)
+        assert matched == 0
+
+
+def flat_scan(ranges, increment=0.01):
+    ranges = np.array(ranges, np.float32)
+    return LaserScan(0.0, -0.5 * increment * (len(ranges) - 1), increment, ranges, 0.0, 30.0)
+
+
+def test_returns_at_a_step_in_depth_have_no_normal():
+    ranges = np.full(101, 2.0)
+    ranges[50:] = 2.26  # more than 0.05 m + 0.1 per metre
+    cloud = scan_cloud(flat_scan(ranges), IDENTITY, 10.0)
+    bearings = np.arctan2(cloud.points[:, 1], cloud.points[:, 0])
+    assert np.abs(bearings).min() > 0.02
+    assert (bearings < 0.0).any()
+    assert (bearings > 0.0).any()
+    ranges[50:] = 2.2
+    whole = scan_cloud(flat_scan(ranges), IDENTITY, 10.0)
+    assert len(whole.points) >= len(cloud.points)
+
+
+def test_returns_off_a_line_have_no_normal():
+    generator = np.random.default_rng(0)
+    rough = scan_cloud(flat_scan(2.0 + generator.normal(0.0, 0.06, 201)), IDENTITY, 10.0)
+    smooth = scan_cloud(flat_scan(2.0 + generator.normal(0.0, 0.005, 201)), IDENTITY, 10.0)
+    assert len(rough.points) < 0.2 * len(smooth.points)
+
+
+def test_returns_too_near_or_too_far_are_left_out():
+    assert len(scan_cloud(flat_scan(np.full(101, 0.04)), IDENTITY, 10.0).points) == 0
+    assert len(scan_cloud(flat_scan(np.full(101, 0.06)), IDENTITY, 10.0).points) > 0
+    assert len(scan_cloud(flat_scan(np.full(101, 4.0)), IDENTITY, 3.9).points) == 0
+    assert len(scan_cloud(flat_scan(np.full(101, 4.0)), IDENTITY, 4.1).points) > 50
+
+
+def test_the_window_takes_scans_by_travel_and_forgets_the_oldest():
+    matcher = ScanMatcher(
+        ScanMatchingConfig(
+            matching_window=2, matching_window_distance=0.5, matching_window_heading=0.5
+        )
+    )
+    sizes = []
+    for x, theta in ((0.0, 0.0), (0.4, 0.0), (0.6, 0.0), (0.6, 0.4), (0.6, 0.6), (1.2, 0.6)):
+        pose = Pose2(x, 0.0, theta)
+        matcher.match(scan_of([ROOM], pose), IDENTITY, pose, WHEELS)
+        sizes.append(len(matcher._window))
+        last = matcher._last
+    assert sizes == [1, 1, 2, 2, 2, 2]
+    np.testing.assert_allclose(last, (1.2, 0.0, 0.6), atol=0.01)
+
+
+def test_a_scan_too_much_of_which_is_new_is_no_match():
+    matcher = started([ROOM], matching_overlap=0.8)
+    half = scan_of([ROOM], IDENTITY)
+    half.ranges[:200] = 0.4 * half.ranges[:200]
+    assert matcher.match(half, IDENTITY, IDENTITY, WHEELS) is None
+    lenient = started([ROOM], matching_overlap=0.2)
+    assert 0.2 < lenient.match(half, IDENTITY, IDENTITY, WHEELS).overlap < 0.8
+
+
+@pytest.mark.parametrize(('gate', 'matched'), [(3.0, False), (6.0, True)])
+def test_the_gate_is_a_mahalanobis_distance(gate, matched):
+    """The wheels are 0.1 m off with a deviation of 0.02 m: 5 sigma."""
+    matcher = started([ROOM], matching_gate=gate)
+    covariance = np.diag([0.02, 0.02, 0.05]) ** 2
+    prior = Pose2(0.1, 0.0, 0.0)
+    match = matcher.match(scan_of([ROOM], IDENTITY), IDENTITY, prior, covariance)
+    assert (match is not None) is matched
+
+
+def test_part_of_the_variance_of_the_wheels_remains():
+    covariances = [
+        started([ROOM], matching_drift=drift)
+        .match(scan_of([ROOM], IDENTITY), IDENTITY, IDENTITY, WHEELS)
+        .covariance
+        for drift in (0.0, 0.5)
+    ]
+    np.testing.assert_allclose(covariances[1] - covariances[0], 0.5 * WHEELS, rtol=1e-6)

@@ -1,0 +1,82 @@
+"""Travel costs on blocks of cells: which cells a block holds, costs, and what is cached."""
+
+import numpy as np
+import pytest
+
+from explore_slam.exploration.routes import RouteCache, RouteGrid, block_size
+
+INF = np.inf
+
+
+def grid_of_costs(rows, cols, first=(0, 0), block=2, unit=0.5, cost=1.0, blocked=()):
+    costs = np.full((rows, cols), cost, np.float32)
+    for cell in blocked:
+        costs[cell] = INF
+    return RouteGrid(costs, np.isfinite(costs), first, block, unit)
+
+
+def test_blocks_are_counted_from_the_origin_of_the_map():
+    grid = grid_of_costs(6, 6, first=(3, -4))
+    cells = np.array([[0, 0], [1, 1], [2, 3], [5, 5]])
+    assert grid.blocks(cells).tolist() == [[1, -2], [2, -2], [2, -1], [4, 0]]
+
+
+def test_the_cost_is_the_travel_over_blocks_in_metres():
+    grid = grid_of_costs(8, 8)
+    field = grid.values_from(np.array([0, 0]))
+    at = field.at(np.array([[0, 0], [0, 3], [3, 3], [1, 3], [9, 9], [-1, 0]]))
+    expected = [0.0, 3.0, 3 * 2**0.5, 2.0 + 2**0.5, INF, INF]
+    assert at.tolist() == pytest.approx(expected, rel=1e-5)
+
+
+def test_a_block_costs_what_its_cheapest_reachable_cell_costs():
+    costs = np.full((2, 6), 5.0, np.float32)
+    costs[1, 3] = 2.0
+    costs[0, 5] = 1.0
+    reach = np.ones((2, 6), bool)
+    reach[0, 5] = False
+    grid = RouteGrid(costs, reach, (0, 0), 2, 0.5)
+    assert grid.padded[1, 1:4].tolist() == [5.0, 2.0, 5.0]
+    shifted = RouteGrid(costs, reach, (0, 1), 2, 0.5)
+    assert shifted.padded[1, 1:5].tolist() == [5.0, 5.0, 2.0, 5.0]
+
+
+def test_the_same_place_has_the_same_cost_whatever_part_of_the_map_is_known():
+    small = grid_of_costs(6, 6, first=(2, 2))
+    large = grid_of_costs(13, 11, first=(-5, -3))
+    blocks = np.array([[1, 1], [3, 2]])
+    assert small.values_from(blocks[0]).at(blocks)[1] == large.values_from(blocks[0]).at(blocks)[1]
+
+
+def test_the_cache_keeps_fields_and_takes_the_shorter_of_both_ways():
+    cache = RouteCache(lifetime=3)
+    closed = grid_of_costs(8, 8, blocked=[(r, 4) for r in range(8)] + [(r, 5) for r in range(8)])
+    opened = grid_of_costs(8, 8)
+    blocks = np.array([[0, 0], [0, 3]])
+    assert np.isinf(cache.between(closed, blocks)[0, 1])
+    # the fields of the closed map are still in use; a new target has one of its own
+    again = cache.between(opened, blocks)
+    assert np.isinf(again[0, 1])
+    third = cache.between(opened, np.array([[0, 0], [0, 3], [3, 0]]))
+    assert third[0, 2] == third[2, 0] == pytest.approx(3.0)
+    assert third[1, 2] == pytest.approx(3 * 2**0.5, rel=1e-5)
+    # after their lifetime they are computed anew
+    fresh = [cache.between(opened, blocks)[0, 1] for _ in range(2)]
+    assert np.isinf(fresh[0])
+    assert fresh[1] == pytest.approx(3.0)
+
+
+def test_targets_that_are_gone_are_forgotten():
+    cache = RouteCache()
+    grid = grid_of_costs(8, 8)
+    cache.between(grid, np.array([[0, 0], [0, 3]]))
+    cache.between(grid, np.array([[0, 3], [1, 1]]))
+    assert sorted(cache._fields) == [(0, 3), (1, 1)]
+
+
+@pytest.mark.parametrize(
+    ('width', 'radius', 'resolution', 'cells'),
+    [(0.3, 0.5, 0.1, 3), (0.3, 0.25, 0.1, 2), (0.3, 0.0, 0.1, 1), (0.35, 1.0, 0.1, 3)],
+)
+def test_blocks_are_no_wider_than_the_radius(width, radius, resolution, cells):
+    assert block_size(width, radius, resolution) == cells
