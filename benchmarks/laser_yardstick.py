@@ -1,10 +1,13 @@
 """Laser front end, loop closing and pose graph on a CARMEN log, evaluated by relations.
 
 python benchmarks/laser_yardstick.py LOG [RELATIONS] [--offset S] [--corrupt SEED] [--map PNG]
+                                     [--cut SHARE]
 
 One vehicle without a filter: every scan is a keyframe of the joint graph. RELATIONS (Kümmerle et
 al., Autonomous Robots 27, 2009): t1 t2 x y z roll pitch yaw; time of a relation = log time +
 offset. --corrupt makes the odometry worse: a scale of turning and of driving, and noise.
+--cut: the scans after a share of the log are those of a second vehicle that starts in the map of
+the first without knowing where; when it is joined to it, and how rightly.
 """
 
 import argparse
@@ -27,12 +30,21 @@ from explore_slam.registration import (
     scan_cloud,
 )
 from explore_slam.slam import graph as graph_package
-from explore_slam.slam.closures import Closure, ClosureConfig, LoopSearch
+from explore_slam.slam.closures import (
+    Anchor,
+    Anchors,
+    Closure,
+    ClosureConfig,
+    GlobalSearch,
+    LoopSearch,
+    join_transform,
+)
 from explore_slam.slam.graph import GraphConfig, JointGraph
 
 INTEL_OFFSET = 976052857.337  # s, of data/carmen/intel.relations
 NO_RETURN = 79.0  # m
 LOOP_TIME = 20.0  # s; relations farther apart in time are loops
+SEARCH_EVERY = 3  # anchors of a newcomer
 NEAREST_SCAN = 6.0  # s; relations farther from any scan are left out
 # Scale errors of the corrupted odometry (deviations): what badly calibrated wheels have.
 TURN_SCALE, WAY_SCALE = 0.05, 0.03
@@ -237,6 +249,58 @@ def take_back(graph: JointGraph, search: LoopSearch, factors: list[int]) -> list
     return [of_closure[id(closure)] for closure in search.closures]
 
 
+@dataclass(frozen=True)
+class Joined:
+    """When a newcomer was joined to the map (m of its way), and its error there (m, rad)."""
+
+    way: float
+    distance: float
+    turn: float
+    searches: int
+    seconds: float
+    longest_slice: float
+
+
+def join(log: Log, share: float) -> Joined | None:
+    """Map the log up to a share, then let the rest find its place in that map.
+
+    The error is that of the joined frame against the log's own poses, at the newest scan.
+    """
+    cut = int(share * len(log.scans))
+    first = run(replace(log, scans=log.scans[:cut], odometry=log.odometry[:cut]))
+    second = run(replace(log, scans=log.scans[cut:], odometry=log.odometry[cut:]))
+    poses = np.concatenate([first.poses, second.poses])
+    anchors, way, last = Anchors(), 0.0, None
+    search, searches, seconds, longest = GlobalSearch(ClosureConfig(), anchors), 0, 0.0, 0.0
+    for k, scan in enumerate(log.scans):
+        if k == cut:
+            way, last = 0.0, None
+        pose = Pose2.from_array(poses[k])
+        moved = IDENTITY if last is None else last.between(pose)
+        if last is not None and not moved_enough(moved, 0.2, 0.2):
+            continue
+        way, last = way + math.hypot(moved.x, moved.y), pose
+        anchors.add(Anchor(k, int(k >= cut), way, scan.stamp, scan_cloud(scan, farthest=40.0)))
+        if k < cut or anchors.number_added(1) % SEARCH_EVERY:
+            continue
+        searches += 1
+        begun = time.process_time()
+        for closures in search.search(k, poses, [0]):
+            done = time.process_time()
+            longest, seconds, begun = max(longest, done - begun), seconds + done - begun, done
+            if not closures:
+                continue
+            told = np.asarray(join_transform(closures, poses).compose(pose))
+            off = np.full(3, np.nan)
+            if log.reference is not None:
+                at = closures[-1].keyframe_a
+                true = between(log.reference[at], log.reference[k])
+                off = between(true, between(poses[at], told))
+            distance = math.hypot(off[0], off[1])
+            return Joined(way, distance, abs(float(off[2])), searches, seconds, longest)
+    return None
+
+
 def pose_at(log: Log, poses: Array, at: float) -> tuple[Array, float]:
     """Return the pose (3,) at a time, and the time (s) to the nearest scan.
 
@@ -316,12 +380,17 @@ def main() -> None:
     parser.add_argument('--corrupt', type=int, metavar='SEED')
     parser.add_argument('--calibrated', action='store_true', help='windows by the graph')
     parser.add_argument('--map', type=Path)
+    parser.add_argument('--cut', type=float, metavar='SHARE')
     arguments = parser.parse_args()
     registration.warm_up()
     graph_package.warm_up()
     log = read_log(arguments.log)
     if arguments.corrupt is not None:
         log = corrupted(log, arguments.corrupt)
+    if arguments.cut is not None:
+        found = join(log, arguments.cut)
+        print(f'{arguments.log.name}, second part as a newcomer: {found or "not joined"}')
+        return
     mapped = run(log, calibrated=arguments.calibrated)
     total = sum(mapped.seconds.values())
     parts = ', '.join(f'{name} {value:.2f}' for name, value in mapped.seconds.items())

@@ -26,8 +26,10 @@ _LEAST_DEVIATIONS = np.array([1e-4, 1e-4, 1e-4])  # m, m, rad, of any motion
 _FEWEST_POINTS = 15
 # Variance of the step of the window's frame when a scan is kept, as a share of that of the scan's
 # own error. Were all kept scans equal, it would be (2 / (n + 1))², 0.02; but the last two or three
-# share most surfaces with the next one (Intel, ACES, Belgioioso against the logs' own poses).
+# share most surfaces with the next one. The share holds at residuals of 0.02 m (Intel, ACES and
+# Belgioioso against the logs' own poses) and falls with their square (simulated office).
 _WINDOW_DRIFT = 0.5
+_DRIFT_RMS = 0.02  # m
 # rad; at 6 m half a step is one cell of 0.05 m off, which the alignment makes good.
 _ANGLE_STEP = math.radians(1.5)
 _SIGMAS = 3.0  # the window covers the odometry's error
@@ -267,7 +269,7 @@ def _scan_match(
     white = left @ found.information @ left
     drift = left @ certainty @ left
     if window_moved:
-        drift = drift + _WINDOW_DRIFT * white
+        drift = drift + _WINDOW_DRIFT * (found.rms / _DRIFT_RMS) ** 2 * white
     off = np.asarray(prior.between(found.pose))
     return ScanMatch(
         found.pose,

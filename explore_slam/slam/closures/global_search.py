@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from explore_slam.errors import SlamError
-from explore_slam.geometry import IDENTITY, Array, Pose2, compose, wrap_angle
-from explore_slam.registration import Peak, SearchWindow
+from explore_slam.geometry import IDENTITY, Array, Pose2, between, compose, wrap_angle
+from explore_slam.registration import LocalMap, Peak, SearchWindow
 from explore_slam.slam.closures.agreement import Candidate, largest_agreement, span
 from explore_slam.slam.closures.anchors import (
     REGION_SPACING,
@@ -31,6 +31,8 @@ _ANGLE_STEP = math.radians(2.0)
 _SAME_PLACE = (2.0, math.radians(45.0))  # m, rad: one region per place and heading is enough
 _REACH = 0.4  # m
 _MODES_APART = (0.5, 0.17)  # m, rad
+_SURROUNDINGS = 8.0  # m around a match: all that is known there
+_MOST_AROUND = 40  # anchors; more of them are taken in turn
 _AGREEMENTS = 4  # candidates from different scans
 _AGREEMENT_SPAN = 6.0  # m of way
 _PENDING_WAY = 30.0  # m
@@ -78,7 +80,7 @@ class GlobalSearch:
                 pose = compose(poses[region.centre.keyframe], np.asarray(peak.pose))
                 found.append(_Found(region, peak, pose))
             yield []
-        candidate = self._candidate(query, found)
+        candidate = self._candidate(query, found, poses, settled)
         yield [] if candidate is None else self._join(candidate, poses)
 
     def _regions(self, poses: Array, settled: Collection[int]) -> Iterator[Region]:
@@ -96,8 +98,14 @@ class GlobalSearch:
                     seen.append(pose)
                     yield region
 
-    def _candidate(self, query: Query, found: list[_Found]) -> Candidate | None:
-        """Return the best match if it passes all tests and nothing else is nearly as good."""
+    def _candidate(
+        self, query: Query, found: list[_Found], poses: Array, settled: Collection[int]
+    ) -> Candidate | None:
+        """Return the best match if it passes all tests and nothing else is nearly as good.
+
+        A region is one pass through a place, and the query may have seen more than it: overlap
+        and pose are judged with all that is known around the place.
+        """
         if not found:
             return None
         best = max(found, key=lambda match: match.peak.score)
@@ -105,24 +113,38 @@ class GlobalSearch:
         for match in found:
             if match.peak.score > needed and apart(match.pose, best.pose, *_MODES_APART):
                 return None
-        region = best.region
-        window = SearchWindow(IDENTITY, _WINDOW, math.pi, _ANGLE_STEP)
+        region, window = best.region, SearchWindow(IDENTITY, _WINDOW, math.pi, _ANGLE_STEP)
         if region.map.find_other_mode(query.points, window, best.peak.pose, _MODES_APART, needed):
             return None
-        alignment = region.map.align(query.surfaces, best.peak.pose, _REACH)
+        surroundings = self._surroundings(region, best.pose, poses, settled)
+        alignment = surroundings.align(query.surfaces, best.peak.pose, _REACH)
         if alignment is None or not acceptable(alignment, self.config):
             return None
-        information = closure_information(region.map, query, alignment)
         closure = Closure(
             region.centre.keyframe,
             query.anchor.keyframe,
             alignment.pose,
-            information,
+            closure_information(surroundings, query, alignment),
             best.peak.score,
             alignment.share,
             alignment.rms,
         )
         return Candidate(region.centre, query.anchor, closure)
+
+    def _surroundings(
+        self, region: Region, pose: Array, poses: Array, settled: Collection[int]
+    ) -> LocalMap:
+        """Return the map of all settled anchors around a pose, in the frame of the region."""
+        table = self.anchors.table()
+        keyframes = table.keyframes[np.isin(table.vehicles, list(settled))]
+        off = poses[keyframes, :2] - pose[:2]
+        near = keyframes[(off**2).sum(axis=1) < _SURROUNDINGS**2]
+        near = near[:: 1 + len(near) // _MOST_AROUND]
+        offsets = between(poses[region.centre.keyframe], poses[near])
+        around = [self.anchors.of_keyframe(int(keyframe)) for keyframe in near]
+        clouds = [anchor.cloud for anchor in (*around, *region.anchors)]
+        placed = [Pose2.from_array(at) for at in (*offsets, *region.offsets)]
+        return LocalMap.of(clouds, placed)
 
     def _join(self, candidate: Candidate, poses: Array) -> list[Closure]:
         """Hold the candidate; return the closures that join the vehicles if enough agree."""
