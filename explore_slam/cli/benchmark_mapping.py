@@ -50,7 +50,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Make the runs, print their table, save it and the maps with --output."""
-    from explore_slam.studies.mapping_study import markdown_table, prepare, run_study, save_study
+    from explore_slam.studies.mapping_log import prepare
+    from explore_slam.studies.mapping_study import markdown_table, run_study, save_study
 
     with tempfile.TemporaryDirectory(prefix='explore_slam_') as scratch:
         task = prepare(

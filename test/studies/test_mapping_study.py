@@ -20,7 +20,8 @@ from explore_slam.results.relations import (
     relation_errors,
 )
 from explore_slam.studies import mapping_study
-from explore_slam.studies.mapping_study import cut_log, markdown_table, prepare, run_mapping
+from explore_slam.studies.mapping_log import cut_log, prepare
+from explore_slam.studies.mapping_study import markdown_table, run_mapping
 
 PARTICLES = {'particles': 30}
 KEYS = {
