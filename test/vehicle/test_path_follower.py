@@ -149,10 +149,10 @@ def test_a_corrected_pose_is_taken_over(make_track):
 
 
 def follower(waypoints, pose=IDENTITY, points=None, **settings):
-    """Return a follower at a pose at time 0 with all it needs; points: what its laser sees."""
+    """Return a follower with plan, pose, odometry and scan of time 0; points: laser returns."""
     made = PathFollower(config_with(settings))
     made.set_plan(plan_along(waypoints), 0.0)
-    tell(made, 0.0, pose)
+    locate(made, 0.0, pose)
     made.set_scan(scan_of(points), 0.0)
     return made
 
@@ -167,7 +167,7 @@ def plan_along(waypoints, stamp=0.0):
     return Plan(stamp, 'robot1', Pose2(*goal, 0.0), points)
 
 
-def tell(made, now, pose):
+def locate(made, now, pose):
     made.set_odometry(OdometryReading(now, pose), now)
     made.set_pose(now, pose, now)
 
@@ -182,7 +182,7 @@ def scan_of(points):
 
 
 def steady(made, now=0.0, speed=0.4):
-    """Let a follower believe that it already drives at this speed."""
+    """Return the next command of a follower that drives at this speed (m/s)."""
     made._motion.linear = speed
     made._times.last_command = now - 10.0
     return made.command(now)
@@ -233,7 +233,7 @@ def test_turning_on_the_spot_has_a_hysteresis():
     assert command.angular == pytest.approx(0.9)
     cases = ((-0.5, True), (-0.33, True), (-0.30, False), (-0.8, False))
     for now, (heading, turns) in zip((0.1, 0.2, 0.3, 0.4), cases, strict=True):
-        tell(made, now, Pose2(1.0, 0.0, heading))
+        locate(made, now, Pose2(1.0, 0.0, heading))
         command = made.command(now)
         assert (command.reason == 'turning to the plan') == turns
         if turns:
@@ -252,7 +252,7 @@ def test_the_last_centimetres_are_crept():
     made = follower(
         [[0, 0], [2.0, 0]], Pose2(1.97, 0.0, 0.0), follow_acceleration=0.05, arrival_tolerance=0.02
     )
-    tell(made, 0.0, Pose2(1.975, 0.0, 0.0))
+    locate(made, 0.0, Pose2(1.975, 0.0, 0.0))
     assert steady(made, speed=0.05).linear == pytest.approx(math.sqrt(2 * 0.05 * 0.025))
     tighter = follower(
         [[0, 0], [2.0, 0]], Pose2(1.985, 0.0, 0.0), follow_acceleration=0.05,
@@ -267,7 +267,7 @@ def test_arrival_needs_the_end_of_the_path_not_only_its_place():
     assert made.command(0.0).state is FollowerState.DRIVING
     line = follower([[0, 0], [2, 0]], Pose2(1.9, 0.0, 0.0))
     assert line.command(0.0).state is FollowerState.ARRIVED
-    tell(line, 0.1, Pose2(1.0, 0.0, 0.0))  # pushed away: a goal reached stays reached
+    locate(line, 0.1, Pose2(1.0, 0.0, 0.0))  # pushed away: a goal reached stays reached
     assert line.command(0.1).state is FollowerState.ARRIVED
     aside = follower([[0, 0], [2, 0]], Pose2(1.95, 0.13, 0.0))
     assert aside.command(0.0).state is not FollowerState.ARRIVED
@@ -301,7 +301,7 @@ def test_before_an_obstacle_that_leaves_hardly_any_room_it_creeps():
 def test_an_obstacle_blocks_after_its_timeout():
     made = follower([[0, 0], [20, 0]], points=[(0.4, 0.0)], stuck_timeout=120.0)
     for now, state in ((0.5, 'waiting'), (3.4, 'waiting'), (3.6, 'blocked')):
-        tell(made, now, IDENTITY)
+        locate(made, now, IDENTITY)
         made.set_scan(scan_of([(0.4, 0.0)]), now)
         assert made.command(now).state.value == state
 
@@ -318,7 +318,7 @@ def test_obstacles_count_on_the_arc_and_on_gentle_arcs_straight_ahead_too():
 
 def test_the_scan_is_moved_by_the_odometry_since_then():
     made = follower([[0, 0], [20, 0]], points=[(2.0, 0.0)])
-    tell(made, 0.1, Pose2(0.5, 0.0, 0.0))
+    locate(made, 0.1, Pose2(0.5, 0.0, 0.0))
     made.command(0.1)
     assert made.progress.free == pytest.approx(1.5 - 0.25, abs=1e-6)
 
@@ -373,7 +373,7 @@ def test_no_progress_is_reported_and_a_plan_to_the_same_goal_is_no_progress():
         (2.2, [[0, 0], [15, 0]], False),
     ):
         made.set_plan(plan_along(waypoints), now)
-        tell(made, now, IDENTITY)
+        locate(made, now, IDENTITY)
         made.set_scan(scan_of(None), now)
         command = made.command(now)
         assert (command.state is FollowerState.BLOCKED) == blocked
@@ -384,13 +384,13 @@ def test_5_cm_or_005_rad_are_progress():
     made = follower([[0, 0], [20, 0]], stuck_timeout=2.0, agent_timeout=60.0)
     made.command(0.0)
     for now, x, blocked in ((1.5, 0.04, False), (2.1, 0.04, True), (2.2, 0.06, False)):
-        tell(made, now, Pose2(x, 0.0, 0.0))
+        locate(made, now, Pose2(x, 0.0, 0.0))
         made.set_scan(scan_of(None), now)
         assert (made.command(now).state is FollowerState.BLOCKED) == blocked
     turning = follower([[0, 0], [20, 0]], Pose2(0.0, 0.0, 2.5), stuck_timeout=2.0)
     turning.command(0.0)
     for now, heading, blocked in ((1.5, 2.46, False), (2.1, 2.46, True), (2.2, 2.44, False)):
-        tell(turning, now, Pose2(0.0, 0.0, heading))
+        locate(turning, now, Pose2(0.0, 0.0, heading))
         turning.set_plan(turning.plan, now)
         turning.set_scan(scan_of(None), now)
         assert (turning.command(now).state is FollowerState.BLOCKED) == blocked

@@ -247,10 +247,3 @@ def test_the_first_reason_is_the_one_reported():
     inputs.laser_heard = 0.9
     assert made.update(inputs, 1.0).reason == 'wheel stalled'
     assert made.update(SafetyInputs(0.9), 1.5).reason == 'no command for 0.5 s'
-
-
-def test_sonar_readings_become_points_by_transducer():
-    assert sonar_points({}).shape == (0, 2)
-    assert sonar_points({0: 1.0}) == pytest.approx(np.array([[0.069, 1.136]]))
-    assert sonar_points({8: 2.0}) == pytest.approx(np.array([[-0.157, -2.136]]))
-    assert len(sonar_points({15: 0.5, 16: 0.5, 1: 0.0, 2: 5.0, 3: 4.99})) == 2

@@ -1,4 +1,4 @@
-"""Every setting of follower and safety gate changes what is driven: none is there for show."""
+"""Every setting of follower and safety gate has an effect on the driven velocities."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""The grid world: cells, beams, what is reachable, and how vehicles move in it."""
+"""The grid world and its simulator: cells, beams, coverage, motion, collisions."""
 
 import itertools
 import math

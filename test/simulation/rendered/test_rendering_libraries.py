@@ -1,4 +1,4 @@
-"""What a machine without OpenGL says, shown by taking EGL away from a fresh interpreter."""
+"""Errors of the simulator without OpenGL, in a fresh interpreter whose EGL is disabled."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""The simulator: what vehicles do, what their sensors measure, and that all of it repeats."""
+"""The rendered simulator: motion, collisions, odometry, sensors, determinism, errors."""
 
 import math
 

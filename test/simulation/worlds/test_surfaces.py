@@ -1,4 +1,4 @@
-"""Painted surfaces and how they are put on texture pages."""
+"""Painted surfaces, and their packing on texture pages."""
 
 import numpy as np
 import pytest

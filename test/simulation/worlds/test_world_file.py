@@ -1,4 +1,4 @@
-"""World files: what they say, and every mistake named by file, key, value and expectation."""
+"""World files: content, and errors that name file, key, value and what was expected."""
 
 import math
 
