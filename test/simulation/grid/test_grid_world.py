@@ -142,6 +142,9 @@ def test_start_poses_are_near_each_other_roomy_and_nested():
             row, col = world.to_cell(np.array([pose[:2]]))[0]
             assert world.clearance[row, col] >= 0.26
             assert all(math.dist(pose[:2], other[:2]) >= 0.9 for other in four[:index])
+        headings = [pose.theta for pose in four]
+        assert len(set(headings)) == 4
+        assert all(-math.pi < heading <= math.pi for heading in headings)
     assert world.start_poses(2, 1, 0.26) != world.start_poses(2, 2, 0.26)
 
 
@@ -592,3 +595,21 @@ def test_a_world_of_solids_keeps_its_origin_and_resolution():
     assert (world.shape, world.resolution, world.origin) == ((20, 30), 0.1, (-1.0, -1.0))
     assert np.count_nonzero(world.cells == 1) == 36
     assert world.cells[10, 15] == 1
+
+
+@pytest.mark.parametrize('turn', [-1.0, 0.0, 1.0])
+def test_the_safe_speed_counts_what_the_turn_leads_to(turn):
+    starts = {'a': Pose2(9.0, 0.5 + 0.22 + 0.05, 0.0)}  # along a wall on the right
+    simulator = GridSimulator(GridWorld.from_drawing(HALL), starts, EXACT)
+    straight = simulator._safe_speed(0)
+    simulator._drives[0].turn = turn
+    assert (simulator._safe_speed(0) < 0.9 * straight) == (turn < 0.0)
+
+
+def test_the_turn_to_the_goal_heading_is_proportional():
+    simulator = GridSimulator(GridWorld.from_drawing(ROOM), {'a': Pose2(2.0, 2.0, 0.1)}, EXACT)
+    goal = Plan(0.0, 'a', Pose2(2.1, 2.0, 0.4), np.array([[2.0, 2.0], [2.1, 2.0]]))
+    simulator.set_plan('a', goal)
+    simulator._drives[0].turn = 0.7
+    simulator.step()
+    assert simulator._drives[0].turn == pytest.approx(2.5 * 0.3)
