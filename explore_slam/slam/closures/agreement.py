@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from explore_slam.geometry import Array, between, compose
-from explore_slam.slam.closures.anchors import Anchor
+from explore_slam.slam.closures.anchors import Anchor, Anchors
 from explore_slam.slam.closures.closure import Closure
 
 # What two right candidates may differ by: their own errors, and drift over the way between them
@@ -75,3 +75,18 @@ def span(group: Sequence[Candidate]) -> float:
     """Return the way (m) over which the queries of candidates lie."""
     ways = [candidate.b.way for candidate in group]
     return max(ways) - min(ways)
+
+
+def candidate_rows(candidates: Sequence[Candidate]) -> Array:
+    """Return candidates as rows (n, 19): the closure, and the keyframes of both anchors."""
+    rows = [np.r_[c.closure.row(), c.a.keyframe, c.b.keyframe] for c in candidates]
+    return np.array(rows).reshape(-1, 19)
+
+
+def candidates_of_rows(rows: Array, anchors: Anchors) -> list[Candidate]:
+    """Return the candidates that `candidate_rows` was given."""
+    found = []
+    for row in rows:
+        a, b = (anchors.of_keyframe(int(keyframe)) for keyframe in row[17:])
+        found.append(Candidate(a, b, Closure.from_row(row)))
+    return found

@@ -7,13 +7,21 @@ other work or in a thread of its own.
 import math
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
 from explore_slam.errors import SlamError
 from explore_slam.geometry import IDENTITY, Array, Pose2, between, compose, wrap_angle
 from explore_slam.registration import LocalMap, Peak, SearchWindow
-from explore_slam.slam.closures.agreement import Candidate, largest_agreement, span
+from explore_slam.slam.checkpoint import State
+from explore_slam.slam.closures.agreement import (
+    Candidate,
+    candidate_rows,
+    candidates_of_rows,
+    largest_agreement,
+    span,
+)
 from explore_slam.slam.closures.anchors import (
     REGION_SPACING,
     Anchors,
@@ -52,6 +60,17 @@ class GlobalSearch:
         self.config = config
         self.anchors = anchors
         self.pending: list[Candidate] = []
+
+    def state_dict(self) -> State:
+        """Return the candidates that wait; see `from_state`."""
+        return {'pending': candidate_rows(self.pending)}
+
+    @classmethod
+    def from_state(cls, state: State, config: ClosureConfig, anchors: Anchors) -> Self:
+        """Make a search in restored anchors that goes on where `state_dict` was called."""
+        made = cls(config, anchors)
+        made.pending = candidates_of_rows(state['pending'], anchors)
+        return made
 
     def search(
         self, keyframe: int, poses: Array, settled: Collection[int]

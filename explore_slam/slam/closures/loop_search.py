@@ -18,7 +18,13 @@ from explore_slam.errors import SlamError
 from explore_slam.geometry import Array, Pose2, between, compose
 from explore_slam.registration import Alignment, PointCloud, SearchWindow
 from explore_slam.slam.checkpoint import State, part, under
-from explore_slam.slam.closures.agreement import Candidate, largest_agreement, span
+from explore_slam.slam.closures.agreement import (
+    Candidate,
+    candidate_rows,
+    candidates_of_rows,
+    largest_agreement,
+    span,
+)
 from explore_slam.slam.closures.anchors import (
     REGION_SPACING,
     Anchor,
@@ -318,11 +324,10 @@ class LoopSearch:
     def state_dict(self) -> State:
         """Return the whole state as named arrays; see `from_state`."""
         rows = [closure.row() for closure in self.closures]
-        pending = [np.r_[c.closure.row(), c.a.keyframe, c.b.keyframe] for c in self.pending]
         return {
             **under('anchors', self.anchors.state_dict()),
             'closures': np.array(rows).reshape(-1, 17),
-            'pending': np.array(pending).reshape(-1, 19),
+            'pending': candidate_rows(self.pending),
             'closed_at': np.array(list(self._closed_at.items()), np.float64).reshape(-1, 2),
             'inconsistent': np.array(
                 [(*key, count) for key, count in self._inconsistent.items()], np.int64
@@ -335,9 +340,7 @@ class LoopSearch:
         made = cls(config)
         made.anchors = Anchors.from_state(part('anchors', state))
         made.closures = [Closure.from_row(row) for row in state['closures']]
-        for row in state['pending']:
-            a, b = (made.anchors.of_keyframe(int(keyframe)) for keyframe in row[17:])
-            made.pending.append(Candidate(a, b, Closure.from_row(row)))
+        made.pending = candidates_of_rows(state['pending'], made.anchors)
         made._closed_at = {int(vehicle): float(way) for vehicle, way in state['closed_at']}
         made._inconsistent = {(int(a), int(b)): int(n) for a, b, n in state['inconsistent']}
         return made

@@ -1,11 +1,13 @@
 """Anchors of places that are known already: those that may go, so that the area bounds them."""
 
 import math
+from typing import Self
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from explore_slam.geometry import Array, Pose2, between
+from explore_slam.slam.checkpoint import State
 from explore_slam.slam.closures.anchors import Anchor, Anchors
 from explore_slam.slam.closures.loop_search import RelativeCovariance
 
@@ -23,6 +25,17 @@ class Thinning:
     def __init__(self, anchors: Anchors) -> None:
         self.anchors = anchors
         self.judged: set[int] = set()
+
+    def state_dict(self) -> State:
+        """Return what has been judged; see `from_state`."""
+        return {'judged': np.array(sorted(self.judged), np.int64)}
+
+    @classmethod
+    def from_state(cls, state: State, anchors: Anchors) -> Self:
+        """Make a thinning of restored anchors that goes on where `state_dict` was called."""
+        made = cls(anchors)
+        made.judged = set(state['judged'].tolist())
+        return made
 
     def redundant(self, poses: Array, covariance: RelativeCovariance) -> list[int]:
         """Return the keyframes whose anchors may be removed.

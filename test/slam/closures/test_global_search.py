@@ -28,6 +28,8 @@ def joined(walls, first, second, random=None):
         poses.append(tuple(pose))
     way, steps = 0.0, 0
     for k, pose in enumerate(second):
+        if k == len(second) // 4:  # candidates survive a checkpoint
+            search = GlobalSearch.from_state(search.state_dict(), search.config, anchors)
         number = len(first) + k
         cloud = scan_cloud(scan_of(walls, pose, 0.01, random), farthest=20.0)
         way += math.dist(pose[:2], second[max(k - 1, 0)][:2])

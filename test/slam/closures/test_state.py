@@ -54,6 +54,8 @@ def test_anchors_of_places_seen_often_are_bounded_by_the_area():
     assert min(gone) >= 0.8 * one_lap
     assert len(run.search.anchors) < 2.0 * one_lap
     assert thinning.redundant(poses, run.graph.relative_covariance) == []
+    again = Thinning.from_state(thinning.state_dict(), run.search.anchors)
+    assert again.judged == thinning.judged
     # loops are still found with what is left
     last = len(laps) - 1
     closures = [run.search.search(last, poses)]
