@@ -120,6 +120,24 @@ def test_missed_requests_are_repeated(rig):
     assert run(laser, 0.5)
 
 
+def test_a_baud_rate_at_which_bytes_come_is_tried_three_times(rig):
+    scanner, _, laser = rig(baud=38400, streaming=True)
+    scanner.faults.missed_requests = 2
+    laser.connect()
+    assert run(laser, 0.5)
+
+
+def test_before_the_first_byte_nothing_is_heard(rig):
+    _, _, laser = rig()
+    assert laser.heard == -np.inf
+    before = time.monotonic()
+    laser.connect()
+    assert before <= laser.heard <= time.monotonic()
+    assert laser.statistics() == {
+        'scans': 0, 'rejected': 0, 'unusable': 0, 'severity': 0, 'polluted': False,
+    }  # fmt: skip
+
+
 def test_a_bad_line_costs_scans_not_the_stream(rig):
     _, line, laser = rig()
     laser.connect()
