@@ -1,6 +1,7 @@
 """The agent without ROS: records in, poses and map out; what is malformed changes nothing."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -324,3 +325,85 @@ def test_frames_wait_for_the_next_scan_but_not_for_ever():
     for _ in range(4):  # no scan any more
         agent.add('robot1', vehicle.advance())
     assert [event.stamp for event in agent.take_events()] == [silent.stamp]
+
+
+def test_a_scan_from_before_the_newest_keyframe_is_not_matched():
+    agent, team = make_team()
+    vehicle = team['robot1']
+    for _ in range(4):
+        agent.add('robot1', vehicle.advance())
+        agent.add('robot1', vehicle.scan())
+    late = vehicle.scan()
+    for _ in range(8):
+        agent.add('robot1', vehicle.advance())
+    agent.add('robot1', vehicle.landmarks())
+    agent.add('robot1', vehicle.advance())
+    track = agent.track('robot1')
+    assert track.keyframe.stamp > late.stamp
+    until, counts = track.matched_until, track.counts['matched_scans']
+    agent.add('robot1', replace(late, stamp=late.stamp + 0.05))
+    assert (track.matched_until, track.counts['matched_scans']) == (until, counts)
+    agent.add('robot1', vehicle.scan())
+    assert track.matched_until == vehicle.stamp
+
+
+@pytest.mark.parametrize(('silence', 'silent'), [(2.9, False), (3.1, True)])
+def test_a_vehicle_is_silent_after_the_timeout(silence, silent):
+    agent, team = make_team()
+    drive(agent, team, 20)
+    agent.advance(team['robot1'].stamp + silence)
+    states = {status.state for status in agent.statuses()}
+    assert (states == {VehicleState.SILENT}) is silent
+
+
+def test_time_goes_forward_except_where_the_clock_jumps_back():
+    agent, _ = make_team()
+    agent.advance(10.0)
+    agent.advance(9.5)
+    assert agent.now == 10.0
+    agent.advance(8.0)
+    assert agent.now == 8.0
+    with pytest.raises(AgentError, match='time is nan'):
+        agent.advance(math.nan)
+
+
+def test_the_estimate_follows_odometry_between_keyframes():
+    agent, team = make_team()
+    drive(agent, team, 30)
+    vehicle = team['robot1']
+    before, covariance = agent.estimate('robot1')
+    place = agent.map_pose('robot1')
+    last = agent.track('robot1').odometry.pose
+    for _ in range(3):
+        agent.add('robot1', vehicle.advance())
+    moved = last.between(agent.track('robot1').odometry.pose)
+    pose, later = agent.estimate('robot1')
+    np.testing.assert_allclose(pose, before.compose(moved), atol=1e-9)
+    np.testing.assert_allclose(agent.map_pose('robot1'), place.compose(moved), atol=1e-9)
+    assert np.linalg.det(later) > np.linalg.det(covariance)
+
+
+def test_settings_can_be_replaced_and_those_of_the_filter_at_the_next_reset():
+    agent, team = make_team()
+    drive(agent, team, 10)
+    agent.configure(
+        with_values(CONFIG, {'particles': 30, 'minimum_travel_distance': 9.0, 'laser_x': 0.7})
+    )
+    track = agent.track('robot1')
+    assert track.selector.config.minimum_travel_distance == 9.0
+    assert len(agent.belief.particle_poses('robot1')) == 100
+    agent.reset()
+    assert len(agent.belief.particle_poses('robot1')) == 30
+    assert agent.now == 0.0
+
+
+def test_what_must_not_change_is_not_saved_twice(tmp_path):
+    agent, team = make_team()
+    drive(agent, team, 21)
+    for name in STARTS:
+        agent.add(name, team[name].advance())
+    count = len(agent.trajectory('robot1')[0])
+    agent.save_state(tmp_path / 'state.npz')
+    assert len(agent.trajectory('robot1')[0]) == count + 1
+    agent.save_state(tmp_path / 'state.npz')
+    assert len(agent.trajectory('robot1')[0]) == count + 1
