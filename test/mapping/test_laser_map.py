@@ -8,7 +8,8 @@ import pytest
 from explore_slam.data import LaserScan
 from explore_slam.errors import MappingError
 from explore_slam.geometry import IDENTITY, Pose2
-from explore_slam.mapping import Body, GridConfig, LaserMap
+from explore_slam.mapping import MAP_FRAME, Body, GridConfig, LaserMap
+from explore_slam.mapping.laser_map import _snapshot_positions
 
 
 @pytest.fixture
@@ -126,3 +127,64 @@ def test_a_scan_too_far_out_is_left_out_and_counted(generator):
     path[1, 0] = 5000.0
     assert laser_map.redraw(path).refused == 1
     assert max(laser_map.grid.shape) * laser_map.grid.resolution <= 60.0
+
+
+def test_snapshots_are_dense_towards_the_present_and_few_in_number():
+    assert _snapshot_positions(15) == set()
+    assert _snapshot_positions(16) == {16}
+    assert _snapshot_positions(48) == {48, 32}
+    assert _snapshot_positions(500) == {496, 480, 448, 384, 256}
+    assert len(_snapshot_positions(10**6)) < 2 * 17
+
+
+def test_memory_bounds_the_number_of_snapshots(generator):
+    path = np.cumsum(generator.normal(0.0, 0.1, (200, 3)), axis=0)
+    size = None
+    for snapshots in (1, 3):
+        laser_map = LaserMap(GridConfig(resolution=0.1))
+        add_scans(laser_map, np.random.default_rng(1), 200)
+        laser_map.redraw(path)
+        size = laser_map.grid.evidence().nbytes / 1e6
+        bounded = LaserMap(GridConfig(resolution=0.1, snapshot_memory=size * (snapshots + 0.5)))
+        for item in laser_map.scans:
+            bounded.add(*item)
+        bounded.redraw(path)
+        assert len(bounded._snapshots) == snapshots
+        assert max(bounded._snapshots) == 192
+        changed = path.copy()
+        changed[195:, 0] += 0.3
+        assert bounded.redraw(changed).drawn == 8
+
+
+def test_a_body_that_moved_redraws_the_scan_that_saw_it(generator):
+    laser_map = LaserMap()
+    for keyframe in range(4):
+        laser_map.add(keyframe, 'a', random_scan(generator))
+    laser_map.add(3, 'b', random_scan(generator), IDENTITY, [Body(1, IDENTITY, 0.4)])
+    path = np.zeros((5, 3))
+    laser_map.redraw(path)
+    path[1] += 0.5
+    assert laser_map.redraw(path).kept == 0
+    path[3] += 0.5
+    laser_map.redraw(path)
+    path[4] += 0.5  # a keyframe without scans
+    assert laser_map.redraw(path) == (5, 0, 0, 0)
+
+
+def test_a_body_in_the_map_frame_does_not_wait_for_a_keyframe():
+    laser_map = LaserMap()
+    scan = LaserScan(0.0, 0.0, 0.1, np.array([2.0], np.float32), 0.1, 30.0)
+    laser_map.add(0, 'a', scan, IDENTITY, [Body(MAP_FRAME, Pose2(2.0, 0.0, 0.0), 0.4)])
+    laser_map.add(0, 'a', scan, IDENTITY, [Body(7, IDENTITY, 0.4)])
+    assert laser_map.redraw(np.zeros((1, 3))) == (0, 1, 1, 0)
+    assert not (laser_map.grid.probability() > 0.5).any()
+    assert laser_map.redraw(np.zeros((8, 3))) == (1, 1, 0, 0)
+
+
+def test_the_laser_is_where_its_mount_says():
+    laser_map = LaserMap(GridConfig(resolution=0.1))
+    scan = LaserScan(0.0, 0.0, 0.1, np.array([2.0], np.float32), 0.1, 30.0)
+    laser_map.add(0, 'a', scan, Pose2(0.5, 0.0, math.pi / 2))
+    laser_map.redraw(np.array([[1.0, 1.0, math.pi / 2]]))
+    hit = laser_map.grid.to_point(np.argwhere(laser_map.grid.probability() > 0.5))
+    np.testing.assert_allclose(hit, [[-1.0, 1.5]], atol=0.1)
