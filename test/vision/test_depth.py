@@ -38,11 +38,12 @@ def test_depth_within_the_range_is_valid_both_ends_included():
 def test_the_spread_is_the_range_of_depths_within_two_pixels():
     depth = np.full((20, 20), 2.0, np.float32)
     depth[:, 12:] = 2.5
-    layers = analyse_depth(depth, DepthConfig())
-    spread = layers.spread[10]
-    np.testing.assert_allclose(spread[:10], 0.0)
-    np.testing.assert_allclose(spread[10:14], 0.5)
-    np.testing.assert_allclose(spread[14:], 0.0)
+    upright = analyse_depth(depth, DepthConfig()).spread[10]
+    lying = analyse_depth(np.ascontiguousarray(depth.T), DepthConfig()).spread[:, 10]
+    for spread in (upright, lying):
+        np.testing.assert_allclose(spread[:10], 0.0)
+        np.testing.assert_allclose(spread[10:14], 0.5)
+        np.testing.assert_allclose(spread[14:], 0.0)
 
 
 def test_missing_depths_do_not_count_for_the_spread_but_depths_out_of_range_do():
