@@ -31,7 +31,7 @@ LAYERS = (
     ('slam', 'mapping', 'exploration', 'vehicle'),
     ('registration', 'vision'),
     ('settings', 'data', 'mounts'),
-    ('geometry', 'polyline', 'errors', 'compiled', 'files'),
+    ('geometry', 'polyline', 'heap', 'errors', 'compiled', 'files'),
 )
 
 

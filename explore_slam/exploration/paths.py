@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from explore_slam.compiled import kernel
 from explore_slam.exploration.records import Cell
 from explore_slam.exploration.value_iteration import check_cell, check_costs, padded_costs
-from explore_slam.geometry import Array
+from explore_slam.heap import push, remove_first
 
 # A straight piece of a smoothed path may cost this much more than the cells it replaces, for
 # fewer corners; a design value.
@@ -70,37 +70,6 @@ def _bound(cell: int, goal_row: int, goal_col: int, stride: int, lowest: float) 
 
 
 @kernel
-def _push(keys: Array, items: NDArray[np.int64], size: int, key: float, item: int) -> None:
-    """Insert an item into a binary heap of a size; the smallest key is first."""
-    at = size
-    while at > 0:
-        up = (at - 1) >> 1
-        if keys[up] <= key:
-            break
-        keys[at], items[at] = keys[up], items[up]
-        at = up
-    keys[at], items[at] = key, item
-
-
-@kernel
-def _remove_first(keys: Array, items: NDArray[np.int64], size: int) -> None:
-    """Replace the first entry of a binary heap by the last one, at index size, and restore it."""
-    key, item = keys[size], items[size]
-    at = 0
-    while True:
-        child = 2 * at + 1
-        if child >= size:
-            break
-        if child + 1 < size and keys[child + 1] < keys[child]:
-            child += 1
-        if keys[child] >= key:
-            break
-        keys[at], items[at] = keys[child], items[child]
-        at = child
-    keys[at], items[at] = key, item
-
-
-@kernel
 def _a_star(
     cost: NDArray[np.float32], stride: int, start: int, goal: int, lowest: float
 ) -> tuple[NDArray[np.int64], float]:
@@ -120,7 +89,7 @@ def _a_star(
     while size > 0:
         cell = items[0]
         size -= 1
-        _remove_first(keys, items, size)
+        remove_first(keys, items, size)
         if closed[cell]:
             continue
         closed[cell] = True
@@ -139,7 +108,7 @@ def _a_star(
                     keys = np.concatenate((keys, np.empty(keys.size)))
                     items = np.concatenate((items, np.empty(items.size, np.int64)))
                 key = reached + _bound(other, goal_row, goal_col, stride, lowest)
-                _push(keys, items, size, key, other)
+                push(keys, items, size, key, other)
                 size += 1
     if values[goal] == np.inf:
         return np.empty(0, np.int64), np.inf

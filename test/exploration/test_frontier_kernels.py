@@ -74,6 +74,10 @@ def test_clusters_that_do_not_touch_are_apart():
         ([(2, 2), (1, 3), (3, 1)], True),
         ([(2, 2), (2, 4), (4, 2)], False),  # two cells away: another window
         ([(2, 2), (0, 2), (2, 0)], False),
+        ([(2, 2), (2, 4), (1, 4)], False),
+        ([(2, 3), (2, 1), (1, 1)], False),
+        ([(2, 2), (4, 2), (4, 1)], False),
+        ([(3, 2), (1, 2), (1, 1)], False),
     ],
 )
 def test_isolated_unknown_cells_are_no_frontier(unknown, counts):

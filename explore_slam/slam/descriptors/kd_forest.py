@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.compiled import kernel
+from explore_slam.heap import push, remove_first
 from explore_slam.slam.checkpoint import State
 from explore_slam.slam.descriptors.index import ROUNDING, DescriptorTable, Distances, Ids
 from explore_slam.slam.descriptors.kinds import STEP, Vectors
@@ -198,48 +199,14 @@ def _remove(forest: Forest, ids: Ids) -> None:  # pragma: no cover - compiled
 
 
 @kernel
-def _push(
-    keys: Values, places: Nodes, size: int, key: float, tree: int, node: int
+def _add_branch(
+    keys: Values, branches: Ids, size: int, key: float, tree: int, node: int
 ) -> int:  # pragma: no cover - compiled
-    """Push a branch on the binary heap, nearest first, and return its size; ignored if full."""
+    """Push a branch on the heap, nearest first, and return its size; ignored if full."""
     if size >= _HEAP:
         return size
-    i = size
-    while i > 0:
-        parent = (i - 1) >> 1
-        if keys[parent] <= key:
-            break
-        keys[i] = keys[parent]
-        places[i] = places[parent]
-        i = parent
-    keys[i] = key
-    places[i, 0] = tree
-    places[i, 1] = node
+    push(keys, branches, size, key, np.int64(tree) << 32 | node)
     return size + 1
-
-
-@kernel
-def _pop(keys: Values, places: Nodes, size: int) -> int:  # pragma: no cover - compiled
-    """Remove the first branch of the heap (read it before) and return the size."""
-    size -= 1
-    key = keys[size]
-    tree, node = places[size, 0], places[size, 1]
-    i = 0
-    while True:
-        child = 2 * i + 1
-        if child >= size:
-            break
-        if child + 1 < size and keys[child + 1] < keys[child]:
-            child += 1
-        if keys[child] >= key:
-            break
-        keys[i] = keys[child]
-        places[i] = places[child]
-        i = child
-    keys[i] = key
-    places[i, 0] = tree
-    places[i, 1] = node
-    return size
 
 
 @kernel
@@ -259,7 +226,7 @@ def _search(  # noqa: C901 - a kernel
     table, coarse, buckets = forest.table, forest.coarse, forest.buckets
     nodes, values = forest.nodes, forest.values
     keys = np.empty(_HEAP, np.float32)
-    places = np.empty((_HEAP, 2), np.int32)
+    branches = np.empty(_HEAP, np.int64)  # tree and node, 32 bits each
     count = ids.shape[1]
     rounded = np.empty(queries.shape[1], np.int8)
     for q in range(len(queries)):
@@ -268,12 +235,13 @@ def _search(  # noqa: C901 - a kernel
             rounded[i] = np.int8(round(query[i] * _STEPS))
         size = 0
         for tree in range(len(nodes)):
-            size = _push(keys, places, size, 0.0, tree, 0)
+            size = _add_branch(keys, branches, size, 0.0, tree, 0)
         left = checks
         while size > 0 and left > 0:
             base = keys[0]
-            tree, node = places[0, 0], places[0, 1]
-            size = _pop(keys, places, size)
+            tree, node = branches[0] >> 32, branches[0] & 0xFFFFFFFF
+            size -= 1
+            remove_first(keys, branches, size)
             bound = min(np.float32(radius), distances[q, count - 1])
             if base > bound:
                 continue
@@ -281,7 +249,7 @@ def _search(  # noqa: C901 - a kernel
                 gap = query[nodes[tree, node, 0]] - values[tree, node]
                 child = nodes[tree, node, 1]
                 near, away = (child, child + 1) if gap < 0.0 else (child + 1, child)
-                size = _push(keys, places, size, base + gap * gap, tree, away)
+                size = _add_branch(keys, branches, size, base + gap * gap, tree, away)
                 node = near
             bucket = nodes[tree, node, 1]
             while bucket >= 0:
