@@ -118,3 +118,8 @@ def test_a_ray_visits_connected_cells_from_its_origin_to_its_end(heading):
     order = visited[np.argsort(np.abs(visited - (19, 20)).sum(axis=1))]
     steps = np.abs(np.diff(np.vstack([order, end]), axis=0)).sum(axis=1)
     assert (steps == 1).all()
+    along = np.linspace(0.0, length, 4000)[:, None]
+    points = np.array([y, x]) + along * [math.sin(heading), math.cos(heading)]
+    inner = np.abs(points - np.rint(points)).min(axis=1) > 1e-3
+    crossed = set(map(tuple, np.floor(points[inner]).astype(int).tolist()))
+    assert crossed <= set(map(tuple, visited.tolist())) | {end}
