@@ -147,3 +147,13 @@ def test_two_vehicles_cannot_be_bound_to_one_stop():
     given = problem(np.ones((2, 2)), [[0.0, 5.0], [5.0, 0.0]])
     tours = plan_tours(given, np.array([0, 0]))
     assert tours.orders == [[0], [1]]
+
+
+@pytest.mark.parametrize('prior', [[[0, 1], [2]], [[1, 0], [2]], [[0], [2, 3, 1]]])
+def test_every_stop_of_a_tour_may_move_to_the_other_vehicle(prior):
+    places = np.array([1.0, 19.0, 18.0] if len(prior[1]) == 1 else [1.0, 2.0, 18.0, 19.0])
+    starts = np.abs(np.array([[0.0], [20.0]]) - places)
+    given = problem(starts, np.abs(places[:, None] - places[None]))
+    tours = plan_tours(given, np.array([-1, -1]), prior)
+    near = [sorted(np.flatnonzero(places < 10.0)), sorted(np.flatnonzero(places > 10.0))]
+    assert [sorted(order) for order in tours.orders] == near
