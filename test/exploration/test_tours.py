@@ -86,9 +86,16 @@ def test_the_cost_is_that_of_the_definition_and_no_single_move_lowers_it(seed):
 
 
 def test_a_segment_from_the_very_first_stop_on_is_reversed():
-    # Taken one by one no stop has a better place, only the whole tour turned around has.
-    given = on_a_line(9.0, 8.9, 1.1, 1.0)
-    assert plan_tours(given, FREE, [[0, 1, 2, 3]]).orders == [[3, 2, 1, 0]]
+    """Pairs of stops: moving one of a pair never pays, only a reversal from the start does."""
+    pairs = np.array([[4.0, 3.0], [1.0, 0.0], [5.0, 0.0]])
+    places = np.concatenate([pairs, pairs + [0.0, 0.05]])[[0, 3, 1, 4, 2, 5]]
+    given = problem(
+        np.linalg.norm(places, axis=1)[None],
+        np.linalg.norm(places[:, None] - places[None], axis=2),
+    )
+    tours = plan_tours(given, FREE, [[0, 1, 2, 3, 4, 5]])
+    assert sorted(tours.orders[0][:2]) == [2, 3]
+    assert tours.cost < 8.6
 
 
 def test_the_first_stop_stays_where_it_is_fixed_when_segments_are_reversed():

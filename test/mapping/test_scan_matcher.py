@@ -281,3 +281,9 @@ def test_part_of_the_variance_of_the_wheels_remains():
         for drift in (0.0, 0.5)
     ]
     np.testing.assert_allclose(covariances[1] - covariances[0], 0.5 * WHEELS, rtol=1e-6)
+
+
+def test_no_motion_is_known_better_than_a_tenth_of_a_millimetre():
+    matcher = started(CORRIDOR)
+    match = matcher.match(scan_of(CORRIDOR, IDENTITY), IDENTITY, IDENTITY, np.zeros((3, 3)))
+    assert math.sqrt(match.covariance[0, 0]) == pytest.approx(1e-4, rel=0.02)
