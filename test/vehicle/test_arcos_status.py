@@ -91,6 +91,11 @@ def test_each_trailing_field_needs_its_bytes(length):
     assert packet.battery == pytest.approx(12.3 if length < 2 else 0.0)
 
 
+def test_a_packet_may_end_with_its_last_sonar_reading():
+    packet = parse_status(status(payload_sonar=b'\x01' + b'\x07' + (500).to_bytes(2, 'little')))
+    assert packet.sonar == {7: 500}
+
+
 def test_incomplete_packets_are_none():
     assert parse_status(status()[:19]) is None
     two = b'\x02' + b'\x03\x01\x02' + b'\x04\x01'  # two readings announced, the second cut

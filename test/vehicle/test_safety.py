@@ -247,3 +247,11 @@ def test_the_first_reason_is_the_one_reported():
     inputs.laser_heard = 0.9
     assert made.update(inputs, 1.0).reason == 'wheel stalled'
     assert made.update(SafetyInputs(0.9), 1.5).reason == 'no command for 0.5 s'
+
+
+def test_after_a_stop_it_starts_from_rest():
+    made = gate(guard_acceleration=0.5, guard_turn_acceleration=2.0)
+    drive(made, 0.6, 1.0)
+    assert drive(made, 0.6, 1.0, seconds=0.05, emergency_stop=True).linear == 0.0
+    result = drive(made, 0.6, 1.0, seconds=0.05)
+    assert (result.linear, result.angular) == pytest.approx((0.025, 0.1))
