@@ -405,11 +405,18 @@ def test_deviation_is_reported_beyond_its_limit_with_its_sign():
         assert (command.reason == f'{abs(y):.2f} m off the plan') == blocked
 
 
-def test_a_shorter_path_to_the_same_goal_is_no_progress_either():
-    made = follower([[0, 0], [10, 5], [20, 0]], stuck_timeout=2.0)
+@pytest.mark.parametrize(
+    ('first', 'again', 'x'),
+    [
+        ([[0, 0], [10, 5], [20, 0]], [[0, 0], [20, 0]], 0.0),
+        ([[20, 0]], [[20, 0.03]], 19.5),
+    ],
+)
+def test_another_path_to_the_same_goal_is_no_progress_either(first, again, x):
+    made = follower(first, Pose2(x, 0.0, 0.0), stuck_timeout=2.0)
     made.command(0.0)
     for now, blocked in ((1.5, False), (2.1, True)):
-        made.set_plan(plan_along([[0, 0], [20, 0]]), now)
-        locate(made, now, IDENTITY)
+        made.set_plan(plan_along(again), now)
+        locate(made, now, Pose2(x, 0.0, 0.0))
         made.set_scan(scan_of(None), now)
         assert (made.command(now).state is FollowerState.BLOCKED) == blocked
