@@ -38,6 +38,7 @@ def digest(belief: TeamBelief) -> str:
             sha.update(np.ascontiguousarray(filter_.weights(vehicle)).tobytes())
         sha.update(np.ascontiguousarray(filter_.best_path()).tobytes())
         entries = filter_.map.entries()
+        filter_.map.fuse(entries, filter_.groups)
         sha.update(filter_.map.ids[entries].tobytes())
         for begin in range(0, len(entries), 500):
             rows = filter_.map.rows.read(entries[begin : begin + 500])

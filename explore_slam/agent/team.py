@@ -82,9 +82,8 @@ class Team:
 
     def predict(self, track: VehicleTrack, stamp: float) -> None:
         """Propagate the filter by the odometry from the newest keyframe to a stamp (s)."""
-        noise = self.config.slam.odometry_noise
         for step in track.steps_since_keyframe(stamp):
-            self.belief.predict(track.name, step.increment, step.covariance_or(noise))
+            self.belief.predict(track.name, step.increment, step.covariance)
 
     def add_keyframe(
         self, track: VehicleTrack, stamp: float, update: UpdateSummary | None = None

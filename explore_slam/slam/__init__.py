@@ -27,10 +27,8 @@ def warm_up() -> None:
     from explore_slam.data import InterRobotObservation, LandmarkObservations
     from explore_slam.geometry import Pose2
     from explore_slam.slam import relocalization
-    from explore_slam.slam.update import kernel_shrinkage
 
     relocalization.warm_up()
-    kernel_shrinkage.warm_up()
     random = np.random.default_rng(0)
     count = 10
     positions = random.uniform(1.0, 3.0, (count, 3))

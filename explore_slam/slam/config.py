@@ -2,8 +2,12 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from explore_slam.geometry import Array
 from explore_slam.settings import Section, section, setting
 from explore_slam.slam.descriptors.kinds import KINDS, kind_named
+from explore_slam.slam.graph.config import GraphConfig
 from explore_slam.slam.particles.motion import OdometryNoise
 
 
@@ -92,6 +96,75 @@ class RelocalizationConfig(Section):
 
 
 @dataclass(frozen=True)
+class CorrelationConfig(Section):
+    """How long the errors of repeated observations of one landmark stay alike.
+
+    The lengths were found on MR.CLAM 6 (`benchmarks/noise_mrclam.py`).
+    """
+
+    correlated_sightings: bool = setting(
+        True,
+        'Count repeated observations of a landmark from about the same place as correlated',
+        tier='basic',
+    )
+    correlation_distance: float = setting(
+        0.3,
+        'Distance driven in which the error of an observation changes',
+        unit='m',
+        low=1e-3,
+        high=100.0,
+    )
+    correlation_turn: float = setting(
+        0.5,
+        'Angle turned in which the error of an observation changes',
+        unit='rad',
+        low=1e-3,
+        high=100.0,
+    )
+    correlation_time: float = setting(
+        10.0, 'Time in which the error of an observation changes', unit='s', low=1e-3, high=1e6
+    )
+
+    def lengths(self) -> Array:
+        """Return the correlation lengths (m, rad, s)."""
+        return np.array([self.correlation_distance, self.correlation_turn, self.correlation_time])
+
+
+@dataclass(frozen=True)
+class CalibrationConfig(Section):
+    """How systematic errors of wheel odometry are estimated while driving."""
+
+    odometry_calibration: bool = setting(
+        True,
+        'Estimate scale errors and heading drift of the wheel odometry of every vehicle',
+        tier='basic',
+    )
+    turn_scale_deviation: float = setting(
+        0.1, 'Prior deviation of the scale error of turning', low=1e-6, high=1.0
+    )
+    distance_scale_deviation: float = setting(
+        0.05, 'Prior deviation of the scale error of driving', low=1e-6, high=1.0
+    )
+    heading_drift_deviation: float = setting(
+        0.05,
+        'Prior deviation of the heading drift of unlike wheels',
+        unit='rad/m',
+        low=1e-6,
+        high=1.0,
+    )
+
+    def deviations(self) -> Array:
+        """Return the deviations (3,) of turn scale, distance scale and drift."""
+        return np.array(
+            [
+                self.turn_scale_deviation,
+                self.distance_scale_deviation,
+                self.heading_drift_deviation,
+            ]
+        )
+
+
+@dataclass(frozen=True)
 class FastSlamConfig(Section):
     """Settings of the filter."""
 
@@ -125,13 +198,6 @@ class FastSlamConfig(Section):
         'Engine fastslam2: resample below this effective sample size, as part of all particles',
         low=0.0,
         high=1.0,
-    )
-    shrinkage_threshold: float = setting(
-        0.05,
-        'Engine fastslam2: if an update left a smaller part of the particles effective, the '
-        'observed landmarks are shrunk towards their mean over the particles first',
-        low=0.0,
-        high=0.5,
     )
     outlier_threshold: float = setting(
         4.0,
@@ -167,7 +233,30 @@ class FastSlamConfig(Section):
         'Use relative positions that vehicles measure of each other (common maps only)',
         tier='basic',
     )
+    joint_graph: bool = setting(
+        True,
+        'Draw the paths of all particles anew from the joint posterior when few ancestors are '
+        'left (engine fastslam2)',
+    )
+    redraw_part: float = setting(
+        0.1,
+        'Redraw when the particles descend from less than this part of the samples drawn last',
+        low=0.0,
+        high=1.0,
+    )
+    redraw_ancestors: int = setting(
+        50, 'Redraw when the particles descend from fewer samples than this', low=0, high=20_000
+    )
+    redraw_effective: float = setting(
+        0.1,
+        'Redraw when an update leaves less than this part of the particles effective',
+        low=0.0,
+        high=1.0,
+    )
     odometry_noise: OdometryNoise = section(OdometryNoise)
+    calibration: CalibrationConfig = section(CalibrationConfig)
+    correlation: CorrelationConfig = section(CorrelationConfig)
+    graph: GraphConfig = section(GraphConfig)
     association: AssociationConfig = section(AssociationConfig)
     existence: ExistenceConfig = section(ExistenceConfig)
     relocalization: RelocalizationConfig = section(RelocalizationConfig)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Self
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from explore_slam.data import InterRobotObservation, LandmarkObservations
 from explore_slam.errors import SlamError
-from explore_slam.geometry import Array, Pose2, compose, wrap_angles
+from explore_slam.geometry import Array, Pose2, wrap_angles
 from explore_slam.settings import values_of, with_values
 from explore_slam.slam import checks
 from explore_slam.slam.association.candidates import find_candidates
@@ -18,12 +19,14 @@ from explore_slam.slam.association.state import MAJORITY, AssociationState, Cand
 from explore_slam.slam.checkpoint import Checkpointed, State, part, text_array, text_value, under
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.descriptors.kinds import kind_named
+from explore_slam.slam.joint_posterior import JointPosterior
 from explore_slam.slam.landmarks.landmark_map import LandmarkMap, Landmarks, make_index
 from explore_slam.slam.particles.group import Group, Groups
-from explore_slam.slam.particles.motion import PendingMotion, rotated
+from explore_slam.slam.particles.motion import PendingMotion, Segment, calibrated, rotated
 from explore_slam.slam.particles.path_store import PathStore
 from explore_slam.slam.particles.resampling import (
     mean_and_covariance,
+    normalized,
     stratified_normals,
     systematic_ancestors,
 )
@@ -35,7 +38,15 @@ from explore_slam.slam.update.engines import make_engine
 from explore_slam.slam.update.fastslam2_engine import pair_likelihoods
 from explore_slam.slam.update.inter_robot import condition_on_observation
 from explore_slam.slam.update.landmark_update import update_associated
-from explore_slam.slam.update.map_management import MapManager
+from explore_slam.slam.update.map_management import Committed, MapManager
+from explore_slam.slam.update.sighting_correlation import SightingCorrelation
+
+# Inter-robot observations whose covariance grows by more than this factor repeat the one before:
+# they are left out, since each becomes two keyframes of the joint graph that are never dropped.
+_REPETITION = 5.0
+# Part of the observations with a distinctive descriptor that may lie outside of all gates before
+# the particles are taken as contradicted: outliers are a few percent (MR.CLAM 6, TUM fr1_rpy).
+_CONTRADICTED = 0.3
 
 
 class FastSlam(Checkpointed):
@@ -60,7 +71,9 @@ class FastSlam(Checkpointed):
         self.vehicles = tuple(start_poses)
         particles, association = self.config.particles, self.config.association
         self._numbers = {name: number for number, name in enumerate(self.vehicles)}
-        self._poses = np.repeat(np.array(starts, np.float64)[:, None, :], particles, axis=1)
+        # of every vehicle and particle: pose (x, y, theta), and calibration of the odometry
+        self._states = np.zeros((len(starts), particles, 6))
+        self._states[:, :, :3] = np.array(starts, np.float64)[:, None, :]
         self._pending = [PendingMotion() for _ in starts]
         self._predicted = [False] * len(starts)
         self._stamps = [-math.inf] * len(starts)
@@ -70,6 +83,15 @@ class FastSlam(Checkpointed):
         kind = kind_named(association.descriptor_kind)
         self.map = LandmarkMap(particles, kind, make_index(association))
         self.path = PathStore(particles)
+        self.joint = JointPosterior(starts, self.config) if self._engine.redraws else None
+        if self.joint is not None:
+            for group in self.groups.all:
+                group.samples = [self.joint.first_samples()]
+            if self.config.calibration.odometry_calibration:
+                for calibrations in self._calibrations:
+                    normals = stratified_normals(self._random, particles, 3)
+                    calibrations[:] = normals * self.config.calibration.deviations()
+        self._correlation = SightingCorrelation(len(starts), self.config.correlation)
         self._manager = MapManager(self.map, self._engine, self.config)
         self._relocalizers = [Relocalizer(self.config.relocalization) for _ in starts]
 
@@ -85,14 +107,25 @@ class FastSlam(Checkpointed):
         Zero: exact.
         """
         number = self._number(vehicle)
-        step = checks.check_pose('increment', increment)
-        if covariance is None:
-            noise = self.config.odometry_noise.covariance(step)
-        else:
-            noise = checks.check_motion_covariance('covariance', covariance)
-        self._pending[number].append(step, noise, self.config.linearizable_heading)
-        self._relocalizers[number].predict(step)
+        step = self._step(number, checks.check_pose('increment', increment), covariance)
+        self._pending[number].append(step, self.config.linearizable_heading)
+        self._relocalizers[number].predict(step.mean)
+        self._correlation.predict(number, step.mean)
+        if self.joint is not None:
+            self.joint.predict(number, step)
         self._predicted[number] = True
+
+    def _step(self, number: int, increment: Pose2, covariance: Array | None) -> Segment:
+        """Return an increment as a motion, corrected by the calibration if it is of wheels."""
+        if covariance is not None:
+            noise = checks.check_motion_covariance('covariance', covariance)
+            return Segment.empty()._replace(mean=increment, covariance=noise)
+        noise = self.config.odometry_noise.covariance(increment)
+        if self.joint is None or not self.config.calibration.odometry_calibration:
+            return Segment.empty()._replace(mean=increment, covariance=noise)
+        calibration = self.joint.calibrations[number]
+        corrected, sensitivity = calibrated(increment, calibration)
+        return Segment(corrected, noise, sensitivity, sensitivity @ calibration)
 
     def set_pose(self, vehicle: str, pose: Pose2, covariance: Array) -> None:
         """Give a vehicle a known pose; covariance (3, 3) in the map frame (m², rad²)."""
@@ -102,6 +135,8 @@ class FastSlam(Checkpointed):
         self._poses[number] = np.asarray(known)
         self._pending[number] = PendingMotion.of(rotated(spread, known.theta))
         self._relocalizers[number].reset()
+        if self.joint is not None:
+            self.joint.restart(number, known, spread)
         self._predicted[number] = True
 
     def restart_clock(self, vehicle: str) -> None:
@@ -126,18 +161,13 @@ class FastSlam(Checkpointed):
         if self._engine.starts_new_round(number):
             self._end_round()
 
-        # 2.2 candidate landmarks: similar descriptor, near where the observation is expected
-        estimate, reach = self.estimate(vehicle), self._relocalizers[number].reach
-        found = find_candidates(self.map, observations, self.config.association, *estimate, reach)
         with self._rejecting(f'update({vehicle!r}) at stamp {observations.stamp}'):
-            poses, P = self._propagate(number)
-            poses = self._merge_groups(number, found, poses, P)
-            group = self.groups.of(number)
-            state = AssociationState(found, self.map.rows, group.tree)
-            # 2.1 sample (paper), 2.4 gate, 2.5 descriptor; Gaussian proposal of the pose
-            # (fastslam2)
-            normals = stratified_normals(self._random, self.config.particles, 3)
-            proposal = self._propose(state, poses, P, normals, group.log_weights)
+            normals, state, proposal = self._associate(number, observations)
+            if self._is_contradicted(number, state, proposal):
+                state.discard()
+                self.redraw([number])
+                normals, state, proposal = self._associate(number, observations)
+        found, group = state.found, self.groups.of(number)
         self._stamps[number] = observations.stamp
         # 2.6.2 importance weight
         group.reweight(proposal.log_likelihoods)
@@ -153,28 +183,83 @@ class FastSlam(Checkpointed):
         best = self.best_particle(vehicle)
         matches = state.ids_in(best, self.map.ids)
         # 2.7.1 insert new landmarks; remove those that are not there
-        inserted, removed = self._manager.commit(number, state, poses, support, best)
+        committed = self._manager.commit(number, state, poses, support, best)
+        self._record(number, state, committed)
         # 5 resample (paper)
         if self._engine.completes_round(number, self.vehicles):
             self._end_round()
             resampled = True
         agreed = support.sum(axis=1) > MAJORITY
         lost, relocated = self._relocalize(number, found, agreed)
+        redrawn = self._redraw_if_due(group)
         return UpdateSummary(
             stamp=observations.stamp,
             vehicle=vehicle,
             observed=len(observations),
             matched=int(np.count_nonzero(found.has_similar())),
             associated=int(np.count_nonzero(matches >= 0)),
-            inserted=inserted,
-            removed=removed,
+            inserted=committed.inserted,
+            removed=len(committed.removed),
             effective_particles=effective,
             resampled=resampled,
+            redrawn=redrawn,
             lost=lost,
             relocated=relocated,
             matches=matches,
             together=tuple(self.vehicles[member] for member in group.vehicles),
         )
+
+    def _associate(
+        self, number: int, observations: LandmarkObservations
+    ) -> tuple[Array, AssociationState, PoseProposal]:
+        """Return standard normals (M, 3), the association, and the proposal made of both."""
+        # 2.2 candidate landmarks: similar descriptor, near where the observation is expected
+        estimate = self.estimate(self.vehicles[number])
+        reach = self._relocalizers[number].reach
+        found = find_candidates(self.map, observations, self.config.association, *estimate, reach)
+        found = self._with_correlated_noise(number, observations.stamp, found)
+        self.map.fuse(found.entries, self.groups)
+        poses, P = self._propagate(number)
+        poses = self._merge_groups(number, found, poses, P)
+        group = self.groups.of(number)
+        state = AssociationState(found, self.map.rows, group.tree)
+        # 2.1 sample (paper), 2.4 gate, 2.5 descriptor; Gaussian proposal of the pose (fastslam2)
+        normals = stratified_normals(self._random, self.config.particles, 3)
+        return normals, state, self._propose(state, poses, P, normals, group.log_weights)
+
+    def _with_correlated_noise(
+        self, number: int, stamp: float, found: CandidateSet
+    ) -> CandidateSet:
+        """Return candidates with the covariances that the observations have as repetitions."""
+        if not self._engine.redraws or not len(found.entries):
+            return found
+        nearest = found.candidates[:, 0]
+        entries = np.full(len(found), -1, np.int64)
+        entries[nearest >= 0] = found.entries[nearest[nearest >= 0]]
+        factors = self._correlation.factors(number, stamp, entries, self.map.ids[entries])
+        observed = found.observed
+        return replace(found, observed=observed._replace(R=observed.R * factors[:, None]))
+
+    def _is_contradicted(
+        self, number: int, state: AssociationState, proposal: PoseProposal
+    ) -> bool:
+        """Return whether observations contradict particles that have a common error.
+
+        Particles of few ancestors share whatever error these had: when a loop is closed, hardly
+        any of them fits, or the landmarks lie outside of all gates. Samples of the joint posterior
+        contain that error.
+        """
+        group = self.groups.of(number)
+        if self.joint is None or self.joint.is_fresh(group):
+            return False
+        least = self.config.redraw_effective * self.config.particles
+        if proposal.effective_particles(group.log_weights) < least:
+            return True
+        weights = normalized(group.log_weights + proposal.log_likelihoods)[1]
+        associated = state.support(weights).sum(axis=1) > MAJORITY
+        distinctive = state.found.is_distinctive
+        missed = np.count_nonzero(distinctive & ~associated)
+        return bool(missed > _CONTRADICTED * np.count_nonzero(distinctive))
 
     def _check(self, number: int, observations: LandmarkObservations) -> None:
         most = self.config.association.maximum_observations
@@ -189,7 +274,10 @@ class FastSlam(Checkpointed):
     def _propagate(self, number: int) -> tuple[Array, Array]:
         """Return the predicted poses (M, 3) and their covariance (3, 3) in the vehicle frame."""
         return self._pending[number].propagate(
-            self._poses[number].copy(), self.config.linearizable_heading, self._random
+            self._poses[number].copy(),
+            self._calibrations[number],
+            self.config.linearizable_heading,
+            self._random,
         )
 
     def _merge_groups(self, number: int, found: CandidateSet, poses: Array, P: Array) -> Array:
@@ -207,7 +295,7 @@ class FastSlam(Checkpointed):
         def likelihood(orders: Sequence[Index]) -> Array:
             return pair_likelihoods(found, blocks, theirs, orders, poses, P, self.config)
 
-        return poses[self.groups.merge(group, others, likelihood, self._poses, self._random)]
+        return poses[self.groups.merge(group, others, likelihood, self._states, self._random)]
 
     def _propose(
         self, state: AssociationState, poses: Array, P: Array, normals: Array, log_weights: Array
@@ -234,11 +322,74 @@ class FastSlam(Checkpointed):
         proposal.follow(ancestors)
         return True
 
+    @property
+    def _poses(self) -> Array:
+        """Poses (V, M, 3) at the last updates; a view."""
+        return self._states[:, :, :3]
+
+    @property
+    def _calibrations(self) -> Array:
+        """Calibrations (V, M, 3) of the odometry; a view."""
+        return self._states[:, :, 3:]
+
+    def _predicted_poses(self, number: int) -> Array:
+        """Return the mean predicted pose (M, 3) of a vehicle in each particle."""
+        return self._pending[number].apply(self._poses[number], self._calibrations[number])
+
     def _place(self, number: int, poses: Array) -> None:
         """Set the poses (M, 3) of a vehicle, which include all of its motion."""
         poses[:, 2] = wrap_angles(poses[:, 2])
         self._poses[number] = poses
         self._pending[number] = PendingMotion()
+
+    def _record(self, number: int, state: AssociationState, committed: Committed) -> None:
+        """Record an update in the joint graph: the associations of most of the weight."""
+        if self.joint is None:
+            return
+        keyframe = self.joint.keyframe(number, self.estimate(self.vehicles[number])[0])
+        self.joint.observe(keyframe, committed.ids, state.found.observed)
+        stamp, entries = self._stamps[number], self.map.entries_with(committed.ids)
+        self._correlation.add(number, stamp, entries, committed.ids)
+        if len(committed.removed):
+            self.joint.graph.remove_landmarks(committed.removed)
+
+    def _redraw_if_due(self, group: Group) -> bool:
+        """Redraw the paths of a group if it no longer represents the posterior."""
+        if self.joint is None or not self.joint.is_due(group):
+            return False
+        self.redraw(group.vehicles)
+        return True
+
+    def redraw(self, vehicles: Sequence[int]) -> None:
+        """Draw the paths of vehicles (numbers) anew from the posterior of the joint graph.
+
+        All particles then have equal weights and no common ancestors; the rows of their landmarks
+        are fused from the stored observations when they are next needed. Landmarks of which no
+        observation is stored are removed.
+        """
+        if self.joint is None:
+            raise SlamError('redraw needs the setting joint_graph and engine fastslam2')
+        members, found = set[int](), set(vehicles)
+        while found != members:
+            members = found
+            found = {v for n in members for v in self.groups.of(n).vehicles}
+            found |= {v for n in members for v in self.joint.graph.tied(n)}
+        redraw = self.joint.redraw(sorted(members), self._random)
+        old = [self.groups.of(number) for number in redraw.vehicles]
+        mine = self.map.entries_of(old)
+        known = np.isin(self.map.ids[mine], redraw.ids)
+        self.map.remove(mine[~known])
+        kept = mine[known]
+        places = np.searchsorted(redraw.ids, self.map.ids[kept])
+        self.map.defer(kept, redraw.samples.number, redraw.positions[places])
+        group = Group(redraw.vehicles, self.config.particles)
+        group.samples = [redraw.samples]
+        self.groups.replace(group)
+        for number in redraw.vehicles:
+            self._poses[number] = redraw.poses[number]
+            if number in redraw.calibrations:
+                self._calibrations[number] = redraw.calibrations[number]
+            self._pending[number] = redraw.pending[number]
 
     def _relocalize(
         self, number: int, found: CandidateSet, agreed: NDArray[np.bool_]
@@ -251,7 +402,9 @@ class FastSlam(Checkpointed):
         wanted = self.config.relocalization.relocalization and self._engine.relocalizes
         if not wanted or not relocalizer.is_lost:
             return relocalizer.is_lost, False
-        positions = self.map.positions(relocalizer.similar_ids(), self._best_particles())
+        positions = self.map.positions(
+            relocalizer.similar_ids(), self._best_particles(), self.groups
+        )
         current = self.best_pose(self.vehicles[number])
         pose = relocalizer.search(positions, current, self._random)
         if pose is None:
@@ -277,16 +430,23 @@ class FastSlam(Checkpointed):
         if not self.config.inter_robot_observations:
             return
         for target, observation in zip(targets, observations, strict=True):
+            factor = 1.0
+            if self.joint is not None:
+                factor = self._correlation.factor_between(number, target, observation.stamp)
+            if factor > _REPETITION:
+                continue
+            measured = replace(observation, covariance=factor * observation.covariance)
             what = f'observation of {observation.vehicle!r} at stamp {observation.stamp}'
             with self._rejecting(what):
-                self._update_inter_robot(number, target, observation)
+                self._update_inter_robot(number, target, measured)
+            self._correlation.add_between(number, target, observation.stamp)
 
     def _update_inter_robot(
         self, number: int, target: int, observation: InterRobotObservation
     ) -> None:
         motion, zeros = self._pending[target], np.zeros((self.config.particles, 3))
         poses, P = self._propagate(number)
-        target_poses = compose(self._poses[target], np.asarray(motion.mean))
+        target_poses = self._predicted_poses(target)
 
         def condition(poses: Array, theirs: Array, normals: Array) -> tuple[Array, Array]:
             weights = self.groups.of(number).weights()
@@ -300,8 +460,9 @@ class FastSlam(Checkpointed):
 
         group, other = self.groups.of(number), self.groups.of(target)
         if other is not group:
-            poses = poses[self.groups.merge(group, [other], likelihood, self._poses, self._random)]
-            target_poses = compose(self._poses[target], np.asarray(motion.mean))
+            states = self._states
+            poses = poses[self.groups.merge(group, [other], likelihood, states, self._random)]
+            target_poses = self._predicted_poses(target)
             group = self.groups.of(number)
         normals = stratified_normals(self._random, self.config.particles, 3)
         log_likelihoods, remaining = condition(poses, target_poses, normals)
@@ -309,8 +470,15 @@ class FastSlam(Checkpointed):
         self._place(number, poses)
         self._place(target, target_poses)
         self._pending[target] = PendingMotion.of(remaining)
+        if self.joint is not None:
+            seer, seen = (
+                self.joint.keyframe(v, self.estimate(self.vehicles[v])[0])
+                for v in (number, target)
+            )
+            self.joint.observe_vehicle(seer, seen, observation)
         if self._engine.resamples_before_sampling(group):
             self._resample(group, group.weights())
+        self._redraw_if_due(group)
 
     @contextmanager
     def _rejecting(self, what: str) -> Iterator[None]:
@@ -340,7 +508,7 @@ class FastSlam(Checkpointed):
 
     def _resample(self, group: Group, weights: Array) -> Index:
         ancestors = systematic_ancestors(weights, float(self._random.random()))
-        self._poses[group.vehicles] = self._poses[group.vehicles][:, ancestors]
+        self._states[group.vehicles] = self._states[group.vehicles][:, ancestors]
         group.resample(ancestors)
         return ancestors
 
@@ -366,7 +534,7 @@ class FastSlam(Checkpointed):
         """Return mean and covariance (3, 3) of a pose in the map, predicted motion included."""
         number = self._number(vehicle)
         pending = self._pending[number]
-        poses = compose(self._poses[number], np.asarray(pending.mean))
+        poses = self._predicted_poses(number)
         weights = self.groups.of(number).weights()
         mean, spread = mean_and_covariance(poses, weights)
         spread += rotated(pending.end_covariance(), -mean.theta)
@@ -375,13 +543,13 @@ class FastSlam(Checkpointed):
     def best_pose(self, vehicle: str) -> Pose2:
         """Return the pose of a vehicle in the best particle, predicted motion included."""
         number = self._number(vehicle)
-        pose = Pose2.from_array(self._poses[number, self.best_particle(vehicle)])
-        return pose.compose(self._pending[number].mean)
+        if self.joint is not None:  # the particles are samples: none of them is the best
+            return self.estimate(vehicle)[0]
+        return Pose2.from_array(self._predicted_poses(number)[self.best_particle(vehicle)])
 
     def particle_poses(self, vehicle: str) -> Array:
         """Return the poses (M, 3) of a vehicle in all particles, predicted motion included."""
-        number = self._number(vehicle)
-        return compose(self._poses[number], np.asarray(self._pending[number].mean))
+        return self._predicted_poses(self._number(vehicle))
 
     def weights(self, vehicle: str | None = None) -> Array:
         """Return the normalized weights (M,) of the particles of a vehicle (else of the first)."""
@@ -393,7 +561,7 @@ class FastSlam(Checkpointed):
 
     def landmarks(self) -> Landmarks:
         """Return the landmarks of the best particle."""
-        return self.map.of_particle(self._best_particles())
+        return self.map.of_particle(self._best_particles(), self.groups)
 
     # -- path -----------------------------------------------------------------------------------
 
@@ -405,6 +573,9 @@ class FastSlam(Checkpointed):
         number = self._number(vehicle)
         if not math.isfinite(stamp):
             raise SlamError(f'add_keyframe({vehicle!r}): stamp is {stamp}, expected seconds')
+        if self.joint is not None:
+            node = self.joint.keyframe(number, self.estimate(vehicle)[0])
+            return self.path.append_node(number, stamp, node)
         tree = self.groups.of(number).tree
         return self.path.append(number, stamp, self.particle_poses(vehicle), tree)
 
@@ -413,6 +584,8 @@ class FastSlam(Checkpointed):
 
         As long as the lineage continues, earlier poses are the same bit by bit at every call.
         """
+        if self.joint is not None:
+            return self.joint.path()[self.path.nodes]
         return self.path.of_particle(self._best_particles())
 
     def trajectory(self, vehicle: str) -> tuple[Array, Array]:
@@ -432,7 +605,7 @@ class FastSlam(Checkpointed):
         stores = [self.map.rows, self.path.rows]
         state: State = {
             'about': text_array(about),
-            'poses': self._poses,
+            'states': self._states,
             'predicted': np.array(self._predicted),
             'stamps': np.array(self._stamps),
             **under('map', self.map.state_dict()),
@@ -440,7 +613,10 @@ class FastSlam(Checkpointed):
             **under('groups', self.groups.state_dict(stores)),
             **under('engine', self._engine.state_dict()),
             **under('manager', self._manager.state_dict()),
+            **under('correlation', self._correlation.state_dict()),
         }
+        if self.joint is not None:
+            state |= under('joint', self.joint.state_dict())
         for number, pending in enumerate(self._pending):
             state |= under(f'motion{number}', pending.state_dict())
         for number, relocalizer in enumerate(self._relocalizers):
@@ -461,7 +637,7 @@ class FastSlam(Checkpointed):
 
     def _restore(self, random: dict[str, object], state: State) -> None:
         self._random.bit_generator.state = random
-        self._poses = state['poses'].copy()
+        self._states = state['states'].copy()
         self._predicted = state['predicted'].tolist()
         self._stamps = state['stamps'].tolist()
         self.map.restore(part('map', state))
@@ -469,6 +645,9 @@ class FastSlam(Checkpointed):
         self.groups.restore(part('groups', state), [self.map.rows, self.path.rows])
         self._engine.restore(part('engine', state))
         self._manager.restore(part('manager', state))
+        self._correlation.restore(part('correlation', state))
+        if self.joint is not None:
+            self.joint.restore(part('joint', state))
         for number, pending in enumerate(self._pending):
             pending.restore(part(f'motion{number}', state))
         for number, relocalizer in enumerate(self._relocalizers):

@@ -12,8 +12,9 @@ class UpdateSummary:
 
     observed: landmarks observed; matched: of these, with a similar descriptor in the map;
     associated: updated in the best particle; inserted, removed: landmarks; effective_particles:
-    before a resampling; lost: the matches contradict the pose in nearly all particles; relocated:
-    the vehicle was given the pose that its matches agree on.
+    before a resampling; redrawn: all paths were drawn anew from the joint posterior; lost: the
+    matches contradict the pose in nearly all particles; relocated: the vehicle was given the pose
+    that its matches agree on.
     matches (observed,): id of the landmark that the best particle associated with each
     observation, or -1; ids as in the Landmarks of the vehicle. together: the vehicles, this one
     included, whose poses are correlated so far because they have observed landmarks in common or
@@ -29,6 +30,7 @@ class UpdateSummary:
     removed: int
     effective_particles: float
     resampled: bool
+    redrawn: bool
     lost: bool
     relocated: bool
     matches: NDArray[np.int64]

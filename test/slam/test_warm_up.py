@@ -22,7 +22,7 @@ for module in pkgutil.walk_packages(slam.__path__, "explore_slam.slam."):
 before = {name: len(kernel.signatures) for name, kernel in kernels.items()}
 assert len(kernels) > 20, sorted(kernels)
 for engine in ('fastslam2', 'paper'):
-    values = {'engine': engine, 'maximum_descriptor_distance': 0.0, 'shrinkage_threshold': 0.5}
+    values = {'engine': engine, 'maximum_descriptor_distance': 0.0}
     scene = draw_scenario('late crossing', 1)
     config = with_values(slam.FastSlamConfig(), values)
     belief = slam.FastSlam(scene.start_poses, config, seed=1)

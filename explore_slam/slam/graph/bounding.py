@@ -88,13 +88,22 @@ def drop_if_free(storage: Storage, row: int) -> None:
     ):
         return
     after = int(np.flatnonzero(keyframes['live'] & (keyframes['previous'] == row))[0])
+    calibration = storage.calibration_of(row)
+    first, second = (
+        keyframes['motion'][end] + keyframes['motion_sensitivity'][end] @ calibration
+        for end in (row, after)
+    )
     mean, covariance = motion.compound(
-        keyframes['motion'][row],
+        first,
         keyframes['motion_covariance'][row],
-        keyframes['motion'][after],
+        second,
         keyframes['motion_covariance'][after],
     )
-    keyframes['motion'][after] = mean
+    F, G = motion.jacobians(first, mean)
+    sensitivity = F @ keyframes['motion_sensitivity'][row]
+    sensitivity += G @ keyframes['motion_sensitivity'][after]
+    keyframes['motion'][after] = mean - sensitivity @ calibration
+    keyframes['motion_sensitivity'][after] = sensitivity
     keyframes['motion_covariance'][after] = covariance
     keyframes['motion_information'][after] = checks.information('motion', covariance)
     keyframes['previous'][after] = keyframes['previous'][row]

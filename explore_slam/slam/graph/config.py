@@ -35,7 +35,7 @@ class GraphConfig(Section):
         high=100.0,
     )
     graph_minimum_sightings: int = setting(
-        3,
+        2,
         'Landmarks with fewer stored observations than this are no variables of the graph',
         low=2,
         high=100,
@@ -47,7 +47,7 @@ class GraphConfig(Section):
         high=1000,
     )
     graph_landmark_heights: bool = setting(
-        False,
+        True,
         'Let the height of a landmark tell its distance, as far as their errors are correlated. '
         'More accurate where the noise is known exactly, overconfident where ranges are biased',
     )

@@ -2,8 +2,11 @@
 
 Every node has three coordinates: a pose (x m, y m, heading rad) or a landmark (x, y, z m). A step
 δ moves a pose in its own frame, p ⊞ δ = (t + R δ_xy, θ + δ_θ), and a landmark in the map.
+A calibration is a node whose three coordinates are scale and drift errors of wheel odometry; a
+step adds to them.
 Every factor has an error e (3,) in the axes its measurement z is given in, the Jacobians A and B
-(3, 3) of e in the steps of its nodes a and b, and an information matrix W (3, 3).
+(3, 3) of e in the steps of its nodes a and b, and an information matrix W (3, 3). The measured
+motion z + C x_c may depend on a calibration x_c.
 """
 
 import math
@@ -14,6 +17,7 @@ from numpy.typing import NDArray
 
 from explore_slam.compiled import kernel
 from explore_slam.geometry import Array
+from explore_slam.slam.graph.tables import Table
 
 Integers = NDArray[np.int64]
 
@@ -22,6 +26,7 @@ PRIOR = 0  # pose b in the map; there is no node a
 RELATIVE_POSE = 1  # pose b in the frame of pose a
 RELATIVE_POSITION = 2  # position of pose b in the frame of pose a
 OBSERVATION = 3  # position of landmark b in the frame of pose a
+CALIBRATION = 4  # prior of calibration b; there is no node a
 
 # robust kernels
 SQUARED, HUBER, CAUCHY = 0, 1, 2
@@ -37,6 +42,8 @@ class Factors(NamedTuple):
     W: Array  # (F, 3, 3)
     robust: Integers
     scale: Array  # (F,) threshold of the robust kernel, sigma
+    c: Integers  # calibrations that measured motions depend on; −1 where there is none
+    C: Array  # (F, 3, 3) Jacobian of z in the calibration
 
     @classmethod
     def of(
@@ -48,6 +55,8 @@ class Factors(NamedTuple):
         W: Array,
         robust: int = SQUARED,
         scale: float = 1.0,
+        c: Integers | None = None,
+        C: Array | None = None,
     ) -> 'Factors':
         """Make factors of one kind and one robust kernel."""
         n = len(b)
@@ -59,7 +68,17 @@ class Factors(NamedTuple):
             np.ascontiguousarray(W, np.float64).reshape(n, 3, 3),
             np.full(n, robust, np.int64),
             np.full(n, scale, np.float64),
+            np.full(n, -1, np.int64) if c is None else np.asarray(c, np.int64),
+            np.zeros((n, 3, 3)) if C is None else np.ascontiguousarray(C, np.float64),
         )
+
+    @classmethod
+    def of_rows(cls, table: Table, rows: Integers | NDArray[np.bool_]) -> 'Factors':
+        """Return some rows of a table of measurements that depend on no calibration."""
+        names = ('kind', 'a', 'b', 'z', 'W', 'robust', 'scale')
+        kind, a, b, z, W, robust, scale = (table[name][rows] for name in names)
+        none = np.full(len(kind), -1, np.int64)
+        return cls(kind, a, b, z, W, robust, scale, none, np.zeros((len(kind), 3, 3)))
 
     @classmethod
     def joined(cls, *parts: 'Factors') -> 'Factors':
@@ -86,6 +105,11 @@ def linearize_factor(
     """Write error e (3,) and Jacobians A, B (3, 3) of a factor between nodes at p and q (3,)."""
     A[:, :] = 0.0
     B[:, :] = 0.0
+    if kind == CALIBRATION:
+        for i in range(3):
+            e[i] = q[i] - z[i]
+            B[i, i] = 1.0
+        return
     if kind == PRIOR:
         c, s = math.cos(q[2]), math.sin(q[2])
         e[0], e[1], e[2] = q[0] - z[0], q[1] - z[1], wrapped(q[2] - z[2])
@@ -108,6 +132,14 @@ def linearize_factor(
     if kind == RELATIVE_POSE:
         e[2] = wrapped(turn - z[2])
         A[2, 2], B[2, 2] = -1.0, 1.0
+
+
+@kernel
+def _calibrate(c: int, C: Array, x: Array, e: Array) -> None:
+    """Subtract from an error what its measurement changes by the calibration x[c]."""
+    if c >= 0:
+        for i in range(3):
+            e[i] -= C[i, 0] * x[c, 0] + C[i, 1] * x[c, 1] + C[i, 2] * x[c, 2]
 
 
 @kernel
@@ -152,6 +184,7 @@ def squared_norms(factors: Factors, x: Array) -> Array:
         b = factors.b[f]
         a = factors.a[f] if factors.a[f] >= 0 else b
         linearize_factor(factors.kind[f], x[a], x[b], factors.z[f], e, A, B)
+        _calibrate(factors.c[f], factors.C[f], x, e)
         norms[f] = squared_norm(e, factors.W[f])
     return norms
 
@@ -197,6 +230,7 @@ def assemble(
     x: Array,
     place: Integers,
     slots: Integers,
+    calibration_slots: Integers,
     diagonal: Array,
     blocks: Array,
     gradient: Array,
@@ -204,7 +238,8 @@ def assemble(
     """Sum H = Σ w Jᵀ W J and g = Σ w Jᵀ W e over all factors at x (N, 3); returns the cost.
 
     place (N,): row of each node in the system. slots (F,): block of `blocks` (n, 3, 3) that
-    holds the factor's off-diagonal part, its row that of the node with the later place.
+    holds the factor's off-diagonal part, its row that of the node with the later place;
+    calibration_slots (F, 2): those of its nodes a and b with its calibration.
     diagonal (N, 3, 3), blocks and gradient (N, 3) are overwritten.
     """
     diagonal[:] = 0.0
@@ -213,11 +248,13 @@ def assemble(
     cost = 0.0
     e, A, B = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     WA, WB = np.empty((3, 3)), np.empty((3, 3))
+    C, WC = np.empty((3, 3)), np.empty((3, 3))
     for f in range(len(factors.kind)):
         b = factors.b[f]
         a = factors.a[f] if factors.a[f] >= 0 else b
         W = factors.W[f]
         linearize_factor(factors.kind[f], x[a], x[b], factors.z[f], e, A, B)
+        _calibrate(factors.c[f], factors.C[f], x, e)
         q = squared_norm(e, W)
         cost += robust_cost(factors.robust[f], factors.scale[f], q)
         weight = robust_weight(factors.robust[f], factors.scale[f], q)
@@ -237,6 +274,23 @@ def assemble(
             _add_product(blocks[slots[f]], A, WB)
         else:
             _add_product(blocks[slots[f]], B, WA)
+        c = factors.c[f]
+        if c < 0:
+            continue
+        pc = place[c]
+        C[:, :] = -factors.C[f]
+        _product(W, C, weight, WC)
+        _add_product(diagonal[pc], C, WC)
+        for i in range(3):
+            gradient[pc, i] += WC[0, i] * e[0] + WC[1, i] * e[1] + WC[2, i] * e[2]
+        if pa > pc:
+            _add_product(blocks[calibration_slots[f, 0]], A, WC)
+        else:
+            _add_product(blocks[calibration_slots[f, 0]], C, WA)
+        if pb > pc:
+            _add_product(blocks[calibration_slots[f, 1]], B, WC)
+        else:
+            _add_product(blocks[calibration_slots[f, 1]], C, WB)
     return cost
 
 

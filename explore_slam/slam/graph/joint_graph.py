@@ -8,6 +8,7 @@ records what was measured, and asks for joint samples of the path and for landma
 A call that raises SlamError leaves the graph unchanged.
 """
 
+from collections.abc import Iterable
 from typing import Self
 
 import numpy as np
@@ -38,7 +39,7 @@ from explore_slam.slam.graph.solver import (
     optimize,
     posterior_at,
 )
-from explore_slam.slam.graph.storage import Storage
+from explore_slam.slam.graph.storage import Calibration, Storage
 from explore_slam.slam.graph.ties import Component, components
 
 
@@ -99,6 +100,45 @@ class JointGraph:
         row = store.append_keyframe(vehicle, number=keyframe, pose=at, chain=at)
         return store.add_factor(PRIOR, -1, row, at, W, SQUARED, 1.0)
 
+    def add_calibration(self, vehicle: int, deviations: ArrayLike) -> None:
+        """Estimate three calibration parameters of a vehicle's odometry from now on.
+
+        deviations (3,): of their prior, whose mean is zero. What the parameters mean is up to the
+        sensitivity of the increments.
+        """
+        store = self._storage
+        if vehicle not in store.newest:
+            raise SlamError(f'vehicle {vehicle} has no start')
+        spread = checks.matrix('deviations', deviations, (3,))
+        if not (spread > 0.0).all():
+            raise SlamError(f'deviations are {spread}, expected positive numbers')
+        store.calibrations[vehicle] = Calibration(spread, np.zeros(3))
+        store.touch([store.newest[vehicle]])
+
+    def calibration(self, vehicle: int) -> Array:
+        """Return the estimated calibration (3,) of a vehicle; zero if it has none."""
+        store = self._storage
+        if vehicle not in store.newest:
+            raise SlamError(f'vehicle {vehicle} is not in the graph')
+        return store.calibration_of(store.newest[vehicle]).copy()
+
+    def restart(
+        self, vehicle: int, keyframe: int, pose: ArrayLike, covariance: ArrayLike | None = None
+    ) -> int:
+        """Continue a vehicle's path at a pose that no motion leads to; returns its prior.
+
+        For a vehicle that was relocalized or placed by a person. covariance: (3, 3) in the axes
+        of the map. Default: exactly known.
+        """
+        store = self._storage
+        if vehicle not in store.newest:
+            raise SlamError(f'vehicle {vehicle} has no start')
+        store.check_new(keyframe)
+        at = checks.matrix('pose', pose, (3,))
+        W = checks.information('covariance', covariance)
+        row = store.append_keyframe(vehicle, number=keyframe, pose=at, chain=at, connected=False)
+        return store.add_factor(PRIOR, -1, row, at, W, SQUARED, 1.0)
+
     def add_prior(
         self, keyframe: int, pose: ArrayLike, covariance: ArrayLike | None = None
     ) -> int:
@@ -115,6 +155,8 @@ class JointGraph:
         increment: ArrayLike,
         covariance: ArrayLike,
         white: ArrayLike | None = None,
+        estimate: ArrayLike | None = None,
+        sensitivity: ArrayLike | None = None,
     ) -> None:
         """Add a keyframe at the end of a vehicle's path.
 
@@ -124,6 +166,10 @@ class JointGraph:
         that the next motion takes back, as matching a scan against a map has it: increments then
         lead from measured pose to measured pose, and neighbours share a white error with opposite
         signs.
+        estimate (3,): where the caller believes the pose to be until the next optimization.
+        Default: where the increment leads.
+        sensitivity (3, 3): Jacobian of the increment in the vehicle's calibration; the increment
+        is then the one for a calibration of zero. See `add_calibration`.
         """
         store = self._storage
         if vehicle not in store.newest:
@@ -135,15 +181,25 @@ class JointGraph:
         white_information = (
             np.zeros((3, 3)) if white is None else checks.information('white', white)
         )
+        C = np.zeros((3, 3))
+        if sensitivity is not None:
+            C = checks.matrix('sensitivity', sensitivity, (3, 3))
+            if vehicle not in store.calibrations and C.any():
+                raise SlamError(f'vehicle {vehicle} has no calibration')
+        last = store.newest[vehicle]
+        expected = u + C @ store.calibration_of(last)
         pose = np.empty(3)
-        motion.compose(store.keyframes['chain'][store.newest[vehicle]], u, pose)
+        motion.compose(store.keyframes['chain'][last], expected, pose)
+        if estimate is not None:
+            pose[:] = checks.matrix('estimate', estimate, (3,))
         store.append_keyframe(
             vehicle,
             number=keyframe,
-            increment=u,
+            increment=expected,
             covariance=P,
             motion=u,
             motion_covariance=P,
+            motion_sensitivity=C,
             motion_information=W,
             has_white=white is not None,
             white_information=white_information,
@@ -340,9 +396,10 @@ class JointGraph:
         drawn = [self.posterior(v[0]).draw(samples, random) for v in self._components(vehicle)]
         if len(drawn) == 1:
             return drawn[0]
-        columns = [np.concatenate(column) for column in zip(*drawn, strict=True)]
-        order = np.argsort(columns[0])
-        return Draws._make(column[order] for column in columns)
+        numbers, poses, chains = (np.concatenate([d[n] for d in drawn]) for n in range(3))
+        order = np.argsort(numbers)
+        calibrations = {v: c for part in drawn for v, c in part.calibrations.items()}
+        return Draws(numbers[order], poses[order], chains[order], calibrations)
 
     def estimate(self, keyframe: int) -> Array:
         """Return the estimated pose (3,) of a keyframe."""
@@ -377,7 +434,9 @@ class JointGraph:
         bounding.hang_dropped(store, rows, chains, poses)
         chains = np.where(np.isnan(chains), poses, chains)
         known = np.flatnonzero(~np.isnan(poses[:, 0, 0]))
-        return Draws(store.keyframes['number'][known], poses[known], chains[known])
+        return Draws(
+            store.keyframes['number'][known], poses[known], chains[known], draws.calibrations
+        )
 
     def covariance(self, keyframe: int) -> Array:
         """Return the covariance (3, 3) of a keyframe's pose in the axes of the map."""
@@ -402,9 +461,7 @@ class JointGraph:
         """
         table = self._storage.factors
         closures = np.flatnonzero(table['kind'] != PRIOR)
-        factors = Factors(
-            *(table[name][closures] for name in ('kind', 'a', 'b', 'z', 'W', 'robust', 'scale'))
-        )
+        factors = Factors.of_rows(table, closures)
         return table['number'][closures], squared_norms(factors, self._storage.keyframes['pose'])
 
     def live_keyframes(self) -> Integers:
@@ -426,9 +483,12 @@ class JointGraph:
         store = self._storage
         ids = checks.integers('landmarks', landmarks)
         place_of = np.full(len(store.landmarks) + 1, -1)  # the last entry is that of row −1
-        for place, number in enumerate(ids.tolist()):
-            if number in store.landmark_rows:
-                place_of[store.landmark_rows[number]] = place
+        numbers = store.landmarks['number']
+        order = np.argsort(numbers, kind='stable')
+        at = np.minimum(np.searchsorted(numbers[order], ids), max(len(numbers) - 1, 0))
+        rows = order[at] if len(numbers) else np.empty(0, np.int64)
+        stored = np.flatnonzero(numbers[rows] == ids) if len(numbers) else rows
+        place_of[rows[stored]] = stored
         table = store.observations
         places = place_of[table['landmark']]
         rows = np.flatnonzero(places >= 0)
@@ -439,6 +499,16 @@ class JointGraph:
             table['z'][rows],
             table['W'][rows] * table['influence'][rows, None],
         )
+
+    def observations_from(self, vehicles: Iterable[int]) -> tuple[Integers, StoredObservations]:
+        """Return ids (L,), ascending, of all landmarks that vehicles observed, as above."""
+        store = self._storage
+        observations = store.observations
+        observer = store.keyframes['vehicle'][observations['keyframe']]
+        own = (observations['landmark'] >= 0) & np.isin(observer, list(vehicles))
+        rows = np.unique(observations['landmark'][own])
+        ids = np.sort(store.landmarks['number'][rows])
+        return ids, self.observations_of(ids)
 
     def tied(self, vehicle: int) -> set[int]:
         """Return the vehicles that measurements connect with a vehicle, itself included."""

@@ -26,19 +26,25 @@ def relative(p: Array, q: Array, out: Array) -> None:
 
 
 @kernel
+def jacobians(u: Array, total: Array) -> tuple[Array, Array]:
+    """Return the Jacobians (3, 3) of a motion in its first part u (3,) and in the rest."""
+    c, s = math.cos(u[2]), math.sin(u[2])
+    F, G = np.eye(3), np.eye(3)
+    F[0, 2], F[1, 2] = -(total[1] - u[1]), total[0] - u[0]
+    G[0, 0], G[0, 1], G[1, 0], G[1, 1] = c, -s, s, c
+    return F, G
+
+
+@kernel
 def compound(u: Array, P: Array, v: Array, Q: Array) -> tuple[Array, Array]:
     """Return mean (3,) and covariance (3, 3) of a motion u with P followed by v with Q.
 
     Covariances are those of the components, in the axes where each motion begins (Smith, Self
     and Cheeseman, Estimating uncertain spatial relationships in robotics, 1990).
     """
-    c, s = math.cos(u[2]), math.sin(u[2])
     mean = np.empty(3)
     compose(u, v, mean)
-    F = np.eye(3)
-    F[0, 2], F[1, 2] = -(mean[1] - u[1]), mean[0] - u[0]
-    G = np.eye(3)
-    G[0, 0], G[0, 1], G[1, 0], G[1, 1] = c, -s, s, c
+    F, G = jacobians(u, mean)
     total = np.zeros((3, 3))
     for i in range(3):
         for j in range(i + 1):

@@ -29,6 +29,7 @@ class Structure(NamedTuple):
     first: Integers  # (N + 1,) first block of each column
     rows: Integers  # (n,) row of each block below the diagonal, ascending in each column
     slots: Integers  # (F,) block that each factor adds to; −1 for factors of one node
+    calibration_slots: Integers  # (F, 2) blocks of nodes a and b with the calibration; −1: none
 
 
 @kernel
@@ -156,6 +157,16 @@ def _slots(a: Integers, b: Integers, place: Integers, first: Integers, rows: Int
 
 def eliminate(factors: Factors, nodes: int) -> Structure:
     """Order the nodes of a graph so that its Cholesky factor stays sparse, and lay it out."""
-    place, first, rows = _eliminate(factors.a, factors.b, nodes)
+    some = factors.c >= 0
+    a = np.concatenate([factors.a, factors.a[some], factors.b[some]])
+    b = np.concatenate([factors.b, factors.c[some], factors.c[some]])
+    place, first, rows = _eliminate(a, b, nodes)
     _sorted_rows(place, first, rows)
-    return Structure(place, first, rows, _slots(factors.a, factors.b, place, first, rows))
+    ends = [np.where(some, end, -1) for end in (factors.a, factors.b)]
+    return Structure(
+        place,
+        first,
+        rows,
+        _slots(factors.a, factors.b, place, first, rows),
+        np.stack([_slots(end, factors.c, place, first, rows) for end in ends], axis=1),
+    )

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from explore_slam.geometry import Array, between, compose
 from explore_slam.slam.graph.config import GraphConfig
 from explore_slam.slam.graph.factors import (
+    CALIBRATION,
     HUBER,
     OBSERVATION,
     RELATIVE_POSE,
@@ -25,7 +26,7 @@ class Problem(NamedTuple):
     """Nodes and factors of vehicles that are tied together; no array is shared with the graph.
 
     Nodes are, in this order, the poses of the keyframes, the ends of chains that carry the motion
-    of keyframes with white error, and landmarks.
+    of keyframes with white error, landmarks, and calibrations.
     """
 
     vehicles: tuple[int, ...]
@@ -33,14 +34,20 @@ class Problem(NamedTuple):
     keyframes: Integers  # (K,) numbers
     chains: Integers  # (C,) numbers of the keyframes that have a chain node of their own
     landmarks: Integers  # (L,) ids
-    start: Array  # (K + C + L, 3) estimate from which to iterate
+    start: Array  # (K + C + L + V, 3) estimate from which to iterate
     factors: Factors
     observations: Integers  # (O,) serial numbers of the last O factors
+    calibrated: tuple[int, ...]  # vehicles with a calibration
 
     @property
     def poses(self) -> int:
         """Number of nodes that are poses."""
         return len(self.keyframes) + len(self.chains)
+
+    @property
+    def first_calibration(self) -> int:
+        """Node of the first calibration."""
+        return len(self.start) - len(self.calibrated)
 
 
 def chosen_landmarks(
@@ -92,33 +99,51 @@ def collect(storage: Storage, vehicles: tuple[int, ...], config: GraphConfig) ->
     chain_node = node.copy()
     chain_node[chained] = len(rows) + np.arange(len(chained))
     poses = np.concatenate([keyframes['pose'][rows], keyframes['chain'][chained]])
+    numbers, positions, seen, factors = _observations(storage, node, len(poses), config)
+    calibrated = tuple(v for v in vehicles if v in storage.calibrations)
+    calibrations = [storage.calibrations[v] for v in calibrated]
+    first = len(poses) + len(positions)
     parts = [
-        _motions(storage, rows, chain_node),
+        _motions(storage, rows, chain_node, {v: first + n for n, v in enumerate(calibrated)}),
+        Factors.of(
+            CALIBRATION,
+            np.full(len(calibrated), -1),
+            first + np.arange(len(calibrated)),
+            np.zeros((len(calibrated), 3)),
+            np.array([np.diag(c.deviations**-2.0) for c in calibrations]).reshape(-1, 3, 3),
+        ),
         _white_errors(storage, chained, node, chain_node),
         _measurements(storage, node),
     ]
-    numbers, positions, seen, factors = _observations(storage, node, len(poses), config)
     return Problem(
         vehicles,
         storage.versions_of(vehicles),
         keyframes['number'][rows],
         keyframes['number'][chained],
         numbers,
-        np.concatenate([poses, positions]),
+        np.concatenate([poses, positions, *(c.mean[None] for c in calibrations)]),
         Factors.joined(*parts, factors),
         seen,
+        calibrated,
     )
 
 
-def _motions(storage: Storage, rows: Integers, chain_node: Integers) -> Factors:
+def _motions(
+    storage: Storage, rows: Integers, chain_node: Integers, calibration_node: dict[int, int]
+) -> Factors:
     keyframes = storage.keyframes
     moved = rows[keyframes['previous'][rows] >= 0]
+    sensitivity = keyframes['motion_sensitivity'][moved]
+    nodes = [calibration_node.get(v, -1) for v in keyframes['vehicle'][moved].tolist()]
+    depends = sensitivity.any(axis=(1, 2))
     return Factors.of(
         RELATIVE_POSE,
         chain_node[keyframes['previous'][moved]],
         chain_node[moved],
         keyframes['motion'][moved],
         keyframes['motion_information'][moved],
+        c=np.where(depends, np.array(nodes, np.int64), -1),
+        C=sensitivity,
     )
 
 
@@ -137,9 +162,7 @@ def _white_errors(
 def _measurements(storage: Storage, node: Integers) -> Factors:
     table = storage.factors
     own = node[table['b']] >= 0
-    found = Factors(
-        *(table[name][own] for name in ('kind', 'a', 'b', 'z', 'W', 'robust', 'scale'))
-    )
+    found = Factors.of_rows(table, own)
     return found._replace(a=node[found.a], b=node[found.b])
 
 
@@ -202,11 +225,15 @@ def take_over(storage: Storage, problem: Problem, nodes: Array) -> None:
     was dropped or removed meanwhile is left out.
     """
     _move_keyframes(storage, problem, nodes)
+    for vehicle, mean in zip(problem.calibrated, nodes[problem.first_calibration :], strict=True):
+        storage.calibrations[vehicle] = storage.calibrations[vehicle]._replace(mean=mean.copy())
     landmarks = storage.landmarks
     found = [storage.landmark_rows.get(number, -1) for number in problem.landmarks.tolist()]
     rows = np.array(found, np.int64)
     landmarks['placed'][_landmarks_of(storage, problem.vehicles)] = False
-    landmarks['position'][rows[rows >= 0]] = nodes[problem.poses :][rows >= 0]
+    landmarks['position'][rows[rows >= 0]] = nodes[problem.poses : problem.first_calibration][
+        rows >= 0
+    ]
     landmarks['placed'][rows[rows >= 0]] = True
     weights = influence(problem.factors.last(len(problem.observations)), nodes)
     known, seen = storage.observations['number'], problem.observations

@@ -64,6 +64,7 @@ class Draws(NamedTuple):
     keyframes: Integers  # (N,) numbers, ascending
     poses: Array  # (N, 3, M)
     chains: Array  # (N, 3, M) with their white errors: where the next increment starts
+    calibrations: dict[int, Array]  # (3, M) by vehicle
 
 
 class Factorization:
@@ -76,7 +77,7 @@ class Factorization:
         self.blocks = np.empty((len(structure.rows), 3, 3))
         self.gradient = np.empty((nodes, 3))
         self.cost: float = assemble(
-            factors, x, structure.place, structure.slots,
+            factors, x, structure.place, structure.slots, structure.calibration_slots,
             self.diagonal, self.blocks, self.gradient,
         )  # fmt: skip
 
@@ -114,14 +115,23 @@ class Factorization:
         found: Array = cholesky.inverse_diagonal(*self._parts())[self.structure.place]
         return found
 
-    def sample(self, poses: Array, samples: int, random: np.random.Generator) -> Array:
-        """Draw the first nodes, poses (P, 3), around their estimate: (P, 3, samples)."""
+    def sample(
+        self, poses: Array, calibrations: Array, samples: int, random: np.random.Generator
+    ) -> tuple[Array, Array]:
+        """Draw the first nodes, poses (P, 3), and the last ones, calibrations (V, 3).
+
+        Returns samples (P, 3, samples) and (V, 3, samples) around their estimates.
+        """
+        nodes = len(self.structure.place)
         place = self.structure.place[: len(poses)]
+        last = self.structure.place[nodes - len(calibrations) :]
         wanted = np.zeros(len(self.diagonal), np.bool_)
         wanted[place] = True
+        wanted[last] = True
         needed = cholesky.ancestors(self.structure.first, self.structure.rows, wanted)
         rows = np.flatnonzero(needed)
         out = np.empty((len(poses), 3, samples))
+        others = np.repeat(calibrations[:, :, None], samples, axis=2)
         pairs = samples // 2
         for begin in range(0, pairs, PAIRS_AT_ONCE):
             count = min(PAIRS_AT_ONCE, pairs - begin)
@@ -129,8 +139,10 @@ class Factorization:
             steps[rows] = random.standard_normal((len(rows), 3, count))
             cholesky.solve_upper(*self._parts(), needed, steps)
             antithetic_poses(poses, steps, place, out, 2 * begin)
+            others[:, :, 2 * begin : 2 * (begin + count) : 2] += steps[last]
+            others[:, :, 2 * begin + 1 : 2 * (begin + count) : 2] -= steps[last]
         out[:, :, 2 * pairs :] = poses[:, :, None]
-        return out
+        return out, others
 
 
 @dataclass(frozen=True)
@@ -153,12 +165,14 @@ class Solution:
             raise SlamError(f'samples are {samples}, expected 1 or more')
         keyframes = self.problem.keyframes
         nodes = self.nodes[: self.problem.poses]
-        drawn = self.factorization.sample(nodes, samples, random)
+        calibrated = self.nodes[self.problem.first_calibration :]
+        drawn, others = self.factorization.sample(nodes, calibrated, samples, random)
+        calibrations = dict(zip(self.problem.calibrated, others, strict=True))
         poses = chains = drawn[: len(keyframes)]
         if len(self.problem.chains):
             chains = poses.copy()
             chains[np.searchsorted(keyframes, self.problem.chains)] = drawn[len(keyframes) :]
-        return Draws(keyframes, poses, chains)
+        return Draws(keyframes, poses, chains, calibrations)
 
     def node_of(self, keyframe: int) -> int:
         """Return the node of a keyframe's pose."""

@@ -1,6 +1,7 @@
 """Tables of everything that was measured, with the present estimate."""
 
 from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,13 @@ from explore_slam.slam.graph.tables import Table
 
 TABLES = ('keyframes', 'factors', 'observations', 'landmarks')
 SPARSE = 2  # a table is compacted when it has more dead rows than 1 / SPARSE of all
+
+
+class Calibration(NamedTuple):
+    """Scale and drift errors of a vehicle's odometry."""
+
+    deviations: Array  # (3,) of the prior, whose mean is zero
+    mean: Array  # (3,) estimate
 
 
 class Storage:
@@ -34,6 +42,7 @@ class Storage:
             motion=(np.float64, (3,)),  # raw motion since that one
             motion_covariance=(np.float64, (3, 3)),
             motion_information=(np.float64, (3, 3)),
+            motion_sensitivity=(np.float64, (3, 3)),  # Jacobian of the motion in the calibration
             has_white=(np.bool_, ()),
             white_information=(np.float64, (3, 3)),
             pose=(np.float64, (3,)),  # estimate
@@ -67,6 +76,7 @@ class Storage:
         )
         self.landmark_rows: dict[int, int] = {}
         self.newest: dict[int, int] = {}  # vehicle -> row of its newest keyframe
+        self.calibrations: dict[int, Calibration] = {}  # vehicle -> calibration
         self.versions: dict[int, int] = {}  # vehicle -> changes that concern it
         self.changes = 0  # of anything
         # (landmark id, vehicle) -> ordinal of the keyframe that observed it last, visits
@@ -74,14 +84,18 @@ class Storage:
         self.next_factor = 0
         self.next_observation = 0
 
-    def append_keyframe(self, vehicle: int, **values: object) -> int:
-        """Append a keyframe at the end of a vehicle's path; returns its row."""
-        before = self.newest.get(vehicle, -1)
+    def append_keyframe(self, vehicle: int, *, connected: bool = True, **values: object) -> int:
+        """Append a keyframe at the end of a vehicle's path; returns its row.
+
+        connected: whether a motion leads to it from the vehicle's keyframe before.
+        """
+        last = self.newest.get(vehicle, -1)
+        before = last if connected else -1
         row = self.keyframes.append(
             1,
             vehicle=vehicle,
             live=True,
-            ordinal=0 if before < 0 else self.keyframes['ordinal'][before] + 1,
+            ordinal=0 if last < 0 else self.keyframes['ordinal'][last] + 1,
             before=before,
             previous=before,
             **values,
@@ -144,6 +158,11 @@ class Storage:
                 self.visits[target, vehicle] = (max(last, other_last), max(count, other_count))
         return row
 
+    def calibration_of(self, row: int) -> Array:
+        """Return the estimated calibration (3,) of the vehicle of a keyframe."""
+        found = self.calibrations.get(self.vehicle_of(row))
+        return np.zeros(3) if found is None else found.mean
+
     def vehicle_of(self, row: int) -> int:
         """Return the vehicle of a keyframe."""
         return int(self.keyframes['vehicle'][row])
@@ -188,6 +207,9 @@ class Storage:
         visits = [(*key, *value) for key, value in self.visits.items()]
         state: State = {
             'visits': np.array(visits, np.int64).reshape(-1, 4),
+            'calibrations': np.array(
+                [[v, *c.deviations, *c.mean] for v, c in self.calibrations.items()]
+            ).reshape(-1, 7),
             'next': np.array([self.next_factor, self.next_observation], np.int64),
         }
         for name in TABLES:
@@ -207,4 +229,8 @@ class Storage:
         self.newest = {vehicle: row for row, vehicle in enumerate(vehicles)}
         self.versions = dict.fromkeys(self.newest, 0)
         self.visits = {(a, b): (c, d) for a, b, c, d in state['visits'].tolist()}
+        self.calibrations = {
+            int(row[0]): Calibration(row[1:4].copy(), row[4:].copy())
+            for row in state['calibrations']
+        }
         self.next_factor, self.next_observation = state['next'].tolist()

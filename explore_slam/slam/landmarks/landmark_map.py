@@ -1,5 +1,6 @@
 """The landmark map common to all vehicles: Gaussians per particle, one descriptor per landmark."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,12 +14,14 @@ from explore_slam.slam.descriptors.index import BruteForceIndex, DescriptorIndex
 from explore_slam.slam.descriptors.kd_forest import KdForestIndex
 from explore_slam.slam.descriptors.kd_tree import KdTreeIndex
 from explore_slam.slam.descriptors.kinds import DescriptorKind, Vectors, kind_named
+from explore_slam.slam.particles.group import Group, Groups
+from explore_slam.slam.particles.joint_samples import deferred
 from explore_slam.slam.storage.ancestry import AncestryTree
 from explore_slam.slam.storage.row_format import COVARIANCE, ROW_LENGTH, Places, exists, unpacked
 from explore_slam.slam.storage.row_store import ParticleOf, RowStore
 
 _LEAST_CAPACITY = 256  # landmarks by which the arrays grow at least
-_TABLES = ('ids', 'counts', 'owners', 'evidence', 'reference')
+_TABLES = ('ids', 'counts', 'owners', 'evidence', 'reference', 'draw')
 
 
 @dataclass(frozen=True)
@@ -56,7 +59,8 @@ class LandmarkMap:
 
     An *entry* is the place of a landmark in the arrays. It is used again after the landmark has
     been removed; the id of a landmark is not. Arrays by entry: ids (-1 if free), counts, owners as
-    in Landmarks, evidence of existence, reference (n, 3): approximate position (m).
+    in Landmarks, evidence of existence, reference (n, 3): approximate position (m), draw: number
+    of the joint samples from which the rows still have to be fused, or -1.
     """
 
     def __init__(self, particles: int, kind: DescriptorKind, index: DescriptorIndex) -> None:
@@ -71,6 +75,7 @@ class LandmarkMap:
         self.owners = np.empty(0, np.int64)
         self.evidence = np.empty(0)
         self.reference = np.empty((0, 3))
+        self.draw = np.empty(0, np.int64)
 
     def __len__(self) -> int:
         """Return the number of landmarks that exist in at least one particle."""
@@ -105,6 +110,7 @@ class LandmarkMap:
         self.owners[entries] = owner
         self.evidence[entries] = 1.0
         self.reference[entries] = reference
+        self.draw[entries] = -1
         self.rows.commit(entries, addresses, tree)
         self.index.add(entries, vectors)
         return entries
@@ -116,10 +122,51 @@ class LandmarkMap:
         self.ids[entries] = -1
         self.free.extend(entries.tolist())
 
-    def of_particle(self, particle_of: ParticleOf) -> Landmarks:
-        """Return the landmarks that exist in one particle (of each ancestry tree)."""
+    def entries_with(self, ids: Places) -> Places:
+        """Return the entries (n,) of landmarks by id; -1 for ids that do not exist."""
         entries = self.entries()
-        rows = self.rows.read_particle(entries, particle_of)
+        if not len(entries):
+            return np.full(len(ids), -1, np.int64)
+        known = self.ids[entries]
+        at = np.minimum(np.searchsorted(known, ids), len(known) - 1)
+        found: Places = np.where(known[at] == ids, entries[at], -1)
+        return found
+
+    def entries_of(self, groups: Sequence[Group]) -> Places:
+        """Return the entries whose rows belong to groups, or are deferred to draws of theirs."""
+        entries = self.entries()
+        draws = [samples.number for group in groups for samples in group.samples]
+        mine = np.isin(self.draw[entries], draws)
+        present = np.flatnonzero(self.draw[entries] < 0)
+        trees = {tree for group in groups for tree in group.trees}
+        mine[present] = self.rows.is_of(entries[present], trees)
+        return entries[mine]
+
+    def defer(self, entries: Places, number: int, reference: Array) -> None:
+        """Drop the rows of landmarks: they are fused from a draw when they are next needed.
+
+        number: of the draw, which must contain their observations; reference (n, 3) m.
+        """
+        self.rows.remove(entries)
+        self.draw[entries] = number
+        self.reference[entries] = reference
+
+    def fuse(self, entries: Places, groups: Groups) -> None:
+        """Fuse the rows of those of the entries that a draw has deferred."""
+        for number, some in deferred(self.draw, entries).items():
+            group, samples = groups.with_samples(number)
+            addresses = self.rows.allocate(len(some))
+            self.rows.workspace[addresses] = samples.fused(self.ids[some])
+            self.rows.commit(some, addresses, group.tree)
+            self.draw[some] = -1
+
+    def of_particle(self, particle_of: ParticleOf, groups: Groups) -> Landmarks:
+        """Return the landmarks that exist in one particle (of each ancestry tree).
+
+        Deferred ones are those of the most likely path.
+        """
+        entries = self.entries()
+        rows = self._rows_of_particle(entries, particle_of, groups)
         there = exists(rows)
         entries, rows = entries[there], rows[there]
         return Landmarks(
@@ -131,16 +178,25 @@ class LandmarkMap:
             self.owners[entries],
         )
 
-    def positions(self, ids: Places, particle_of: ParticleOf) -> dict[int, Array]:
+    def positions(self, ids: Places, particle_of: ParticleOf, groups: Groups) -> dict[int, Array]:
         """Return id -> (3,): x, y and their standard deviation (m), of ids that a particle has."""
         known = np.flatnonzero(np.isin(self.ids[: self.size], ids))
-        rows = self.rows.read_particle(known, particle_of)
+        rows = self._rows_of_particle(known, particle_of, groups)
         rows[:, 2] = np.sqrt(0.5 * (rows[:, 3] + rows[:, 6]))
         return {
             int(uid): row[:3]
             for uid, row, there in zip(self.ids[known], rows, exists(rows), strict=True)
             if there
         }
+
+    def _rows_of_particle(self, entries: Places, particle_of: ParticleOf, groups: Groups) -> Array:
+        rows = np.empty((len(entries), ROW_LENGTH))
+        present = self.draw[entries] < 0
+        rows[present] = self.rows.read_particle(entries[present], particle_of)
+        for number, some in deferred(self.draw, entries).items():
+            _, samples = groups.with_samples(number)
+            rows[self.draw[entries] == number] = samples.fused_at_mean(self.ids[some])
+        return rows
 
     def state_dict(self) -> State:
         """Return all landmarks and the descriptor index; ancestry trees save themselves."""
@@ -170,3 +226,4 @@ class LandmarkMap:
         self.owners = np.concatenate([self.owners, np.zeros(extra, np.int64)])
         self.evidence = np.concatenate([self.evidence, np.zeros(extra)])
         self.reference = np.concatenate([self.reference, np.zeros((extra, 3))])
+        self.draw = np.concatenate([self.draw, np.full(extra, -1, np.int64)])

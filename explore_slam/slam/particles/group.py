@@ -17,6 +17,7 @@ import numpy as np
 
 from explore_slam.geometry import Array
 from explore_slam.slam.checkpoint import State, part, under
+from explore_slam.slam.particles.joint_samples import JointSamples
 from explore_slam.slam.particles.resampling import (
     effective_particles,
     normalized,
@@ -38,7 +39,8 @@ class Group:
 
     log_weights (M,) of the normalized weights; score (M,): log-likelihood of the whole lineage of
     each particle, 0 for the best. New rows belong to the first of the trees; the others are those
-    of groups that have been merged into this one.
+    of groups that have been merged into this one. samples: the draws from the joint graph that the
+    particles descend from, one for each of the merged groups.
     """
 
     def __init__(
@@ -48,6 +50,7 @@ class Group:
         self.log_weights = np.full(particles, -math.log(particles))
         self.score = np.zeros(particles)
         self.trees = trees or [AncestryTree(particles)]
+        self.samples: list[JointSamples] = []
 
     @property
     def tree(self) -> AncestryTree:
@@ -80,6 +83,8 @@ class Group:
         for tree in self.trees:
             for layout in tree.resample(ancestors):
                 layout.owner.compact(layout)
+        for samples in self.samples:
+            samples.resample(ancestors)
         self.trees[1:] = [tree for tree in self.trees[1:] if not tree.is_empty()]
 
     def state_dict(self, stores: Sequence[LayoutOwner]) -> State:
@@ -89,7 +94,10 @@ class Group:
             'log_weights': self.log_weights,
             'score': self.score,
             'trees': np.array(len(self.trees)),
+            'samples': np.array(len(self.samples)),
         }
+        for number, samples in enumerate(self.samples):
+            state |= under(f'samples{number}', samples.state_dict())
         for number, tree in enumerate(self.trees):
             state |= under(f'tree{number}', tree.state_dict(stores))
         return state
@@ -103,6 +111,10 @@ class Group:
         group.log_weights, group.score = state['log_weights'].copy(), state['score'].copy()
         for number, tree in enumerate(trees):
             tree.restore(part(f'tree{number}', state), stores)
+        group.samples = [
+            JointSamples.from_state(part(f'samples{number}', state))
+            for number in range(int(state['samples']))
+        ]
         return group
 
 
@@ -122,19 +134,33 @@ class Groups:
         """Return the groups that any of these ancestry trees belongs to."""
         return [group for group in self.all if not trees.isdisjoint(group.trees)]
 
+    def with_samples(self, number: int) -> tuple[Group, JointSamples]:
+        """Return the group whose particles descend from a draw, and the draw."""
+        return next(
+            (group, samples)
+            for group in self.all
+            for samples in group.samples
+            if samples.number == number
+        )
+
+    def replace(self, group: Group) -> None:
+        """Replace all groups that share vehicles with a group by it."""
+        apart = [other for other in self.all if not set(other.vehicles) & set(group.vehicles)]
+        self.all = sorted([group, *apart], key=lambda other: other.vehicles[0])
+
     def merge(
         self,
         first: Group,
         others: list[Group],
         likelihood: PairLikelihood,
-        poses: Array,
+        states: Array,
         random: np.random.Generator,
     ) -> Index:
         """Merge groups into one and return the ancestors (M,) of its particles in the first.
 
         The particles are drawn from random pairs in proportion to the likelihood of the current
         observations. Their weights are the inverse of it, so that the observations are not used
-        twice by the update that follows. The poses (V, M, 3) of all vehicles are resampled in
+        twice by the update that follows. The states (V, M, S) of all vehicles are resampled in
         place.
         """
         particles = len(first.score)
@@ -151,13 +177,14 @@ class Groups:
         parts = [first, *others]
         for number, group in enumerate(parts):
             mine = orders[pairing, number - 1, ancestors] if number else ancestors
-            poses[group.vehicles] = poses[group.vehicles][:, mine]
+            states[group.vehicles] = states[group.vehicles][:, mine]
             group.resample(mine)
         merged = Group(
             sorted(vehicle for group in parts for vehicle in group.vehicles),
             particles,
             [tree for group in parts for tree in group.trees],
         )
+        merged.samples = [samples for group in parts for samples in group.samples]
         merged.score = np.sum([group.score for group in parts], axis=0)
         merged.log_weights, _ = normalized(-likelihoods[pairing, ancestors])
         apart = [group for group in self.all if group not in parts]

@@ -7,6 +7,7 @@ Cheeseman, "Estimating uncertain spatial relationships in robotics", 1990).
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -112,76 +113,151 @@ def rotated(covariance: Array, angle: float) -> Array:
     return turned
 
 
+class CalibratedStep(NamedTuple):
+    """A wheel odometry increment, corrected by the calibration, and its Jacobian (3, 3) in it."""
+
+    increment: Pose2
+    sensitivity: Array
+
+
+def calibrated(increment: Pose2, calibration: Array) -> CalibratedStep:
+    """Correct an increment of wheel odometry by the systematic errors of a differential drive.
+
+    calibration (3,): scale error of turning and of driving, and the heading drift (rad/m) of
+    unlike wheels (Borenstein and Feng, "Measurement and correction of systematic odometry errors
+    in mobile robots", 1996); zero where the odometry is right.
+    """
+    turn, distance, drift = calibration.tolist()
+    corrected = Pose2(
+        (1.0 + distance) * increment.x,
+        (1.0 + distance) * increment.y,
+        (1.0 + turn) * increment.theta + drift * increment.x,
+    )
+    sensitivity = np.zeros((3, 3))
+    sensitivity[0, 1], sensitivity[1, 1] = increment.x, increment.y
+    sensitivity[2, 0], sensitivity[2, 2] = increment.theta, increment.x
+    return CalibratedStep(corrected, sensitivity)
+
+
+class Segment(NamedTuple):
+    """A part of a motion: mean and covariance (3, 3) in the vehicle frame before it.
+
+    The mean is that for the calibration which the increments were corrected by; with calibration
+    c (3,) it is mean + sensitivity (3, 3) c − offset (3,).
+    """
+
+    mean: Pose2
+    covariance: Array
+    sensitivity: Array
+    offset: Array
+
+    @classmethod
+    def empty(cls) -> 'Segment':
+        """Return no motion."""
+        return cls(IDENTITY, np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3))
+
+    def extended(self, other: 'Segment') -> 'Segment':
+        """Return this motion followed by another."""
+        mean, covariance = compound(self.mean, self.covariance, other.mean, other.covariance)
+        c, s = math.cos(self.mean.theta), math.sin(self.mean.theta)
+        F, L = np.eye(3), np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        F[0, 2], F[1, 2] = self.mean.y - mean.y, mean.x - self.mean.x
+        return Segment(
+            mean,
+            covariance,
+            F @ self.sensitivity + L @ other.sensitivity,
+            F @ self.offset + L @ other.offset,
+        )
+
+    def moves(self, calibrations: Array) -> Array:
+        """Return the mean motions (M, 3) of particles with calibrations (M, 3)."""
+        moves: Array = np.asarray(self.mean) + calibrations @ self.sensitivity.T - self.offset
+        return moves
+
+
 @dataclass
 class PendingMotion:
     """Motion of one vehicle that the particles do not contain yet.
 
-    It is kept in segments, mean and covariance (3, 3) in the vehicle frame before the segment,
-    each so short that its heading uncertainty allows linearization. Nothing is sampled before an
-    observation needs it: samples drawn earlier would be depleted by the resamplings that other
-    vehicles cause meanwhile.
+    It is kept in segments, each so short that its heading uncertainty allows linearization.
+    Nothing is sampled before an observation needs it: samples drawn earlier would be depleted by
+    the resamplings that other vehicles cause meanwhile.
     """
 
-    segments: list[tuple[Pose2, Array]] = field(default_factory=list)
+    segments: list[Segment] = field(default_factory=list)
 
     @classmethod
     def of(cls, covariance: Array) -> 'PendingMotion':
         """Return a motion of mean zero."""
-        return cls([(IDENTITY, covariance)])
+        return cls([Segment.empty()._replace(covariance=covariance)])
 
-    def append(self, increment: Pose2, noise: Array, heading_limit: float) -> None:
+    def append(self, step: Segment, heading_limit: float) -> None:
         """Compound one more step; a segment ends at a heading deviation of heading_limit (rad)."""
-        if not self.segments or self.segments[-1][1][2, 2] > heading_limit**2:
-            self.segments.append((IDENTITY, np.zeros((3, 3))))
-        self.segments[-1] = compound(*self.segments[-1], increment, noise)
+        if not self.segments or self.segments[-1].covariance[2, 2] > heading_limit**2:
+            self.segments.append(Segment.empty())
+        self.segments[-1] = self.segments[-1].extended(step)
 
-    @property
-    def mean(self) -> Pose2:
-        """The mean of the whole motion."""
-        total = IDENTITY
-        for mean, _ in self.segments:
-            total = total.compose(mean)
+    def total(self) -> Segment:
+        """Return the whole motion, linearized."""
+        total = Segment.empty()
+        for segment in self.segments:
+            total = total.extended(segment)
         return total
+
+    def copy(self) -> 'PendingMotion':
+        """Return a motion that goes on by itself."""
+        return PendingMotion(list(self.segments))
 
     def end_covariance(self) -> Array:
         """Return the linearized covariance (3, 3) in the vehicle frame after the mean motion."""
-        total, covariance = IDENTITY, np.zeros((3, 3))
-        for mean, noise in self.segments:
-            total, covariance = compound(total, covariance, mean, noise)
-        return rotated(covariance, total.theta)
+        total = self.total()
+        return rotated(total.covariance, total.mean.theta)
+
+    def apply(self, poses: Array, calibrations: Array) -> Array:
+        """Return poses (M, 3) moved by the mean motion for calibrations (M, 3)."""
+        for segment in self.segments:
+            poses = compose(poses, segment.moves(calibrations))
+        return poses
 
     def state_dict(self) -> State:
         """Return the segments."""
-        rows = [[*mean, *covariance.ravel()] for mean, covariance in self.segments]
-        return {'segments': np.array(rows, np.float64).reshape(-1, 12)}
+        rows = [np.concatenate([np.ravel(part) for part in segment]) for segment in self.segments]
+        return {'segments': np.array(rows, np.float64).reshape(-1, 24)}
 
     def restore(self, state: State) -> None:
         """Restore the segments."""
         self.segments = [
-            (Pose2(*row[:3].tolist()), row[3:].reshape(3, 3).copy()) for row in state['segments']
+            Segment(
+                Pose2(*row[:3].tolist()),
+                row[3:12].reshape(3, 3).copy(),
+                row[12:21].reshape(3, 3).copy(),
+                row[21:].copy(),
+            )
+            for row in state['segments']
         ]
 
     def propagate(
-        self, poses: Array, heading_limit: float, random: np.random.Generator
+        self, poses: Array, calibrations: Array, heading_limit: float, random: np.random.Generator
     ) -> tuple[Array, Array]:
         """Return predicted poses (M, 3) and their remaining covariance (3, 3), in their frames.
 
-        If the heading is more uncertain than heading_limit (rad), it is sampled and the position
-        is conditioned on the sample; a heading deviation of half the limit remains.
+        calibrations (M, 3) of the particles. If the heading is more uncertain than heading_limit
+        (rad), it is sampled and the position is conditioned on the sample; a heading deviation of
+        half the limit remains.
         """
-        total, left = IDENTITY, np.zeros((3, 3))
+        left = Segment.empty()
         uncertain = self.end_covariance()[2, 2] > heading_limit**2
         last = len(self.segments) - 1
-        for number, (mean, noise) in enumerate(self.segments):
-            moves, rest = np.asarray(mean), noise
+        for number, segment in enumerate(self.segments):
+            moves, rest = segment.moves(calibrations), segment.covariance
             if uncertain:
                 deviation = 0.5 * heading_limit if number == last else 0.0
-                direction, rest = split_heading(noise, deviation)
+                direction, rest = split_heading(rest, deviation)
                 factors = stratified_normals(random, len(poses), 1)[:, 0]
                 moves = moves + factors[:, None] * direction
             poses = compose(poses, moves)
-            total, left = compound(total, left, mean, rest)
-        return poses, rotated(left, total.theta)
+            left = left.extended(segment._replace(covariance=rest))
+        return poses, rotated(left.covariance, left.mean.theta)
 
 
 def split_heading(covariance: Array, deviation: float) -> tuple[Array, Array]:

@@ -16,6 +16,7 @@ class PathStore:
         self.rows = RowStore(particles, 3)
         self.stamps: list[float] = []
         self.vehicles: list[int] = []
+        self.nodes: list[int] = []  # of the joint graph, where that holds the poses
 
     def __len__(self) -> int:
         return len(self.stamps)
@@ -30,6 +31,13 @@ class PathStore:
         self.vehicles.append(vehicle)
         return number
 
+    def append_node(self, vehicle: int, stamp: float, node: int) -> int:
+        """Append a keyframe whose pose is a node of the joint graph; return its number."""
+        self.stamps.append(stamp)
+        self.vehicles.append(vehicle)
+        self.nodes.append(node)
+        return len(self.stamps) - 1
+
     def of_particle(self, particle_of: ParticleOf) -> Array:
         """Return the poses (K, 3) of all keyframes along the lineage of a particle."""
         return self.rows.read_particle(np.arange(len(self), dtype=np.int64), particle_of)
@@ -43,6 +51,7 @@ class PathStore:
         return {
             'stamps': np.array(self.stamps, np.float64),
             'vehicles': np.array(self.vehicles, np.int64),
+            'nodes': np.array(self.nodes, np.int64),
             **under('rows', self.rows.state_dict()),
         }
 
@@ -50,4 +59,5 @@ class PathStore:
         """Restore a store of the same number of particles."""
         self.stamps = state['stamps'].tolist()
         self.vehicles = state['vehicles'].tolist()
+        self.nodes = state['nodes'].tolist()
         self.rows.restore(part('rows', state))

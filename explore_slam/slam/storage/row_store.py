@@ -127,6 +127,12 @@ class RowStore:
         """Return for each entry the ancestry tree that it belongs to."""
         return [self.layouts[number].tree for number in self.layout_of[entries].tolist()]
 
+    def is_of(self, entries: Places, trees: set[AncestryTree]) -> NDArray[np.bool_]:
+        """Return (n,) whether each entry belongs to one of the trees."""
+        numbers = [n for n, layout in self.layouts.items() if layout.tree in trees]
+        found: NDArray[np.bool_] = np.isin(self.layout_of[entries], numbers)
+        return found
+
     def stage(self, entries: Places, tree: AncestryTree) -> Places:
         """Return workspace addresses (n,) that contain a column per particle of each entry.
 

@@ -64,6 +64,8 @@ class Engine(Protocol):
 
     #: All vehicles are in one group from the beginning.
     joint: bool
+    #: Paths are drawn anew from the joint posterior.
+    redraws: bool
     #: A lost vehicle is searched for.
     relocalizes: bool
     #: Landmarks that should be observed and are not lose evidence of existence.

@@ -1,4 +1,4 @@
-"""The default engine: FastSLAM 2.0 with robust weights and kernel shrinkage."""
+"""The default engine: FastSLAM 2.0 with robust weights."""
 
 from collections.abc import Sequence
 
@@ -11,23 +11,18 @@ from explore_slam.slam.association.state import (
     AssociationState,
     CandidateRows,
     CandidateSet,
-    chosen_landmarks,
 )
 from explore_slam.slam.checkpoint import State
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.particles.group import Group
-from explore_slam.slam.particles.resampling import normalized
 from explore_slam.slam.storage.ancestry import Index
 from explore_slam.slam.update.engine import PoseProposal
-from explore_slam.slam.update.kernel_shrinkage import SHRINKAGES, shrink
 from explore_slam.slam.update.parallel import over_particles
 from explore_slam.slam.update.proposal import ProposalParameters, propose
 
 # Cost of the largest descriptor distance E0 beside d² + ln|S| of a candidate: that of 2 sigma.
 _DESCRIPTOR_COST = 4.0
 _LEAST_DISTANCE = 0.05  # E0 below it does not make descriptors more decisive
-
-_TRIED = 200  # particles on which the amount of shrinkage is tried: enough to estimate 5 % of them
 
 # New landmarks: observations must confirm the pose before distinctive descriptors found elsewhere
 # are taken as new, and nothing is inserted if nearly all matches contradict the pose.
@@ -111,48 +106,15 @@ class FastSlam2Engine:
 
     def __init__(self, config: FastSlamConfig) -> None:
         self.config = config
+        self.redraws = config.joint_graph
 
     def propose(
         self, state: AssociationState, poses: Array, P: Array, normals: Array, log_weights: Array
     ) -> PoseProposal:
         """See Engine. Landmarks are shrunk if too few particles would remain effective."""
-        del normals
+        del normals, log_weights
         found, config = state.found, self.config
-        proposal = _propose(found, state.rows(), state.chosen, poses, P, config)
-        least = config.shrinkage_threshold * len(poses)
-        if not proposal.is_finite() or proposal.effective_particles(log_weights) >= least:
-            return proposal
-        part = self._shrinkage(state, poses, P, log_weights)
-        addresses, workspace = state.addresses[state.is_chosen()], state.store.workspace
-        before = workspace[addresses]
-        shrunk = np.empty_like(before)
-        shrink(before, poses, np.exp(log_weights), part, shrunk)
-        workspace[addresses] = shrunk
-        proposal = _propose(found, state.rows(), state.chosen, poses, P, config)
-        if not proposal.is_finite():
-            workspace[addresses] = before
-        return proposal
-
-    def _shrinkage(
-        self, state: AssociationState, poses: Array, P: Array, log_weights: Array
-    ) -> float:
-        """Return the least of SHRINKAGES that leaves enough particles, tried on some of them."""
-        found, config = state.found, self.config
-        some = slice(None, None, max(1, len(poses) // _TRIED))
-        poses, log_weights = poses[some].copy(), log_weights[some]
-        _, weights = normalized(log_weights)
-        blocks = np.ascontiguousarray(state.store.workspace[state.addresses, :, some])
-        chosen = chosen_landmarks(found, state.chosen)
-        before, shrunk = blocks[chosen], np.empty_like(blocks[chosen])
-        for part in SHRINKAGES[:-1]:
-            shrink(before, poses, weights, part, shrunk)
-            blocks[chosen] = shrunk
-            proposal = _propose_on(found, blocks, poses, P, config)
-            finite = proposal.is_finite()
-            effective = proposal.effective_particles(log_weights) if finite else 0.0
-            if effective >= config.shrinkage_threshold * len(poses):
-                return part
-        return SHRINKAGES[-1]
+        return _propose(found, state.rows(), state.chosen, poses, P, config)
 
     def needs_landmark(
         self, state: AssociationState, agreed: NDArray[np.bool_]

@@ -1,6 +1,7 @@
 """Map management: insertion of landmarks, evidence of existence, removal."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,6 +71,18 @@ def _expected(
     return np.array(found, np.int64)
 
 
+class Committed(NamedTuple):
+    """What an update left in the map.
+
+    ids (K,): the landmark of each observation, which most of the weight associates with it or
+    which was inserted for it, or -1. inserted: number of landmarks; removed: ids.
+    """
+
+    ids: Places
+    inserted: int
+    removed: Places
+
+
 class MapManager:
     """Writes updates to the landmark map; decides what is inserted and what is removed."""
 
@@ -81,8 +94,8 @@ class MapManager:
 
     def commit(
         self, vehicle: int, state: AssociationState, poses: Array, support: Array, best: int
-    ) -> tuple[int, int]:
-        """Commit an update of a vehicle at poses (M, 3); return the numbers inserted and removed.
+    ) -> Committed:
+        """Commit an update of a vehicle at poses (M, 3).
 
         support (K, J): weight of the particles that chose each candidate; best: the best particle.
         """
@@ -103,14 +116,29 @@ class MapManager:
         self.landmarks.reference[entries[there]] = store.workspace[addresses[there], :3, best]
         observed = found.entries[total > MAJORITY]
         removed = self._update_evidence(state, agreed, observed, Pose2.from_array(poses[best]))
-        return self._insert(vehicle, state, poses, wanted), removed
+        ids = self._majority(state, support)
+        new = self._insert(vehicle, state, poses, wanted)
+        ids[new] = self.landmarks.next_id - len(new) + np.arange(len(new))
+        return Committed(ids, len(new), removed)
+
+    def _majority(self, state: AssociationState, support: Array) -> Places:
+        """Return (K,) the id of the landmark that most of the weight chose, or -1."""
+        ids = np.full(len(state.found), -1, np.int64)
+        if not support.size or not len(state.found.entries):
+            return ids
+        most = support.argmax(axis=1)[:, None]
+        chosen = np.take_along_axis(support, most, 1)[:, 0] > MAJORITY
+        places = np.take_along_axis(state.found.candidates, most, 1)[:, 0]
+        ids[chosen] = self.landmarks.ids[state.found.entries[places[chosen]]]
+        return ids
 
     def _insert(
         self, vehicle: int, state: AssociationState, poses: Array, wanted: NDArray[np.bool_]
-    ) -> int:
+    ) -> Places:
+        """Insert the wanted (K, M) observations; return (n,) which became landmarks."""
         new = np.flatnonzero(wanted.any(axis=1))
         if not len(new):
-            return 0
+            return new
         observed = state.found.observed
         addresses = self.landmarks.rows.allocate(len(new))
         workspace = self.landmarks.rows.workspace
@@ -122,7 +150,7 @@ class MapManager:
         self.landmarks.add(addresses, vectors, vehicle, reference, state.tree)
         for point in reference:
             self.regions.setdefault(self._region(point), vehicle)
-        return len(new)
+        return new
 
     def _region(self, point: Array) -> tuple[int, int]:
         size = self.config.region_size
@@ -143,10 +171,10 @@ class MapManager:
         agreed: NDArray[np.bool_],
         observed: Places,
         pose: Pose2,
-    ) -> int:
+    ) -> Places:
         """Raise the evidence of observed entries, lower that of missed ones, and remove landmarks.
 
-        Returns the number of landmarks removed.
+        Returns the ids of the landmarks removed.
         """
         landmarks, existence, found = self.landmarks, self.config.existence, state.found
         landmarks.counts[observed] += 1
@@ -155,7 +183,7 @@ class MapManager:
         similar = np.count_nonzero(found.has_similar())
         confirmed = np.count_nonzero(agreed) >= max(_CONFIRMING, _CONFIRMING_PART * similar)
         if not self.engine.counts_misses or len(found) < _LEAST_OBSERVATIONS or not confirmed:
-            return 0
+            return np.empty(0, np.int64)
         size = landmarks.size
         expected = _expected(
             landmarks.reference[:size], landmarks.ids[:size], *pose, found.observed.z
@@ -163,8 +191,9 @@ class MapManager:
         missed = np.setdiff1d(expected, observed, assume_unique=True)
         landmarks.evidence[missed] -= existence.existence_miss
         gone = missed[landmarks.evidence[missed] < 0.0]
+        ids = landmarks.ids[gone]
         landmarks.remove(gone)
-        return len(gone)
+        return ids
 
     def state_dict(self) -> State:
         """Return the regions and who mapped them first."""

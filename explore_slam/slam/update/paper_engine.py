@@ -45,6 +45,7 @@ class PaperEngine:
     """The paper's algorithm; see Engine. weighted: vehicles that have done so in this round."""
 
     joint = True
+    redraws = False
     relocalizes = False
     counts_misses = False
 

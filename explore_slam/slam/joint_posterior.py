@@ -1,0 +1,218 @@
+"""The filter's side of the joint graph: what is recorded, when it is due, what a redraw gives.
+
+Resampling makes all particles descend from one ancestor some hundred keyframes back, and whatever
+error that ancestor has is in nobody's covariance. Therefore raw motion and raw observations are
+also recorded in one sparse graph, each exactly once, and when few ancestors are left all paths are
+drawn anew from its posterior, with equal weights: the graph already contains what the weights
+said. The particles are then samples of the joint posterior again (FastSLAM's factorization
+p(paths) ∏ p(landmark | paths) stays; only how the paths are sampled changes).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from explore_slam.data import InterRobotObservation
+from explore_slam.geometry import IDENTITY, Array, Pose2
+from explore_slam.slam.association.state import Observed
+from explore_slam.slam.checkpoint import State, part, under
+from explore_slam.slam.config import FastSlamConfig
+from explore_slam.slam.graph import JointGraph
+from explore_slam.slam.particles.group import Group
+from explore_slam.slam.particles.joint_samples import JointSamples
+from explore_slam.slam.particles.motion import PendingMotion, Segment
+from explore_slam.slam.storage.row_format import Places
+
+# Deviation (m, m, rad) that a motion has at least: a graph without it would be singular where
+# odometry claims to be exact.
+_LEAST_DEVIATIONS = np.array([1e-4, 1e-4, 1e-4])
+
+
+# Part of the samples whose descendants are left right after a draw: one resampling leaves about
+# 60 % of them.
+_FRESH = 0.5
+
+
+@dataclass
+class _Tail:
+    """A vehicle since its newest keyframe in the graph: the motion, and whether it has moved."""
+
+    keyframe: int = -1
+    motion: PendingMotion = field(default_factory=PendingMotion)
+    moved: bool = False
+
+
+class Redraw(NamedTuple):
+    """Samples for some vehicles: what the particles are replaced by.
+
+    poses[v] (M, 3) of each vehicle at its newest keyframe, the motion since then, and the
+    calibrations[v] (M, 3) of the odometry; landmarks:
+    ids (L,) that the graph knows, and their positions (L, 3) given the most likely path.
+    """
+
+    vehicles: list[int]
+    samples: JointSamples
+    poses: dict[int, Array]
+    pending: dict[int, PendingMotion]
+    calibrations: dict[int, Array]
+    ids: Places
+    positions: Array
+
+
+class JointPosterior:
+    """Records motion and observations of all vehicles, and draws joint samples of their paths."""
+
+    def __init__(self, starts: Sequence[Pose2], config: FastSlamConfig) -> None:
+        self.config = config
+        self.graph = JointGraph(config.graph)
+        self.draws = 0
+        self._tails = [_Tail() for _ in starts]
+        self._next = 0
+        self.calibrations = np.zeros((len(starts), 3))
+        for vehicle, pose in enumerate(starts):
+            self.graph.add_start(vehicle, self._next, np.asarray(pose))
+            if config.calibration.odometry_calibration:
+                self.graph.add_calibration(vehicle, config.calibration.deviations())
+            self._tails[vehicle].keyframe = self._next
+            self._next += 1
+
+    # -- recording ------------------------------------------------------------------------------
+
+    def predict(self, vehicle: int, step: Segment) -> None:
+        """Append an odometry increment."""
+        tail = self._tails[vehicle]
+        tail.motion.append(step, self.config.linearizable_heading)
+        tail.moved |= step.mean != IDENTITY or bool(np.any(step.covariance))
+
+    def keyframe(self, vehicle: int, estimate: Pose2) -> int:
+        """Return the graph's keyframe at the current pose; a new one if the vehicle has moved.
+
+        estimate: mean pose of the filter, used until the graph is next optimized.
+        """
+        tail = self._tails[vehicle]
+        if tail.moved:
+            motion = tail.motion.total()
+            self.graph.add_keyframe(
+                vehicle,
+                self._next,
+                np.asarray(motion.mean) - motion.offset,
+                motion.covariance + np.diag(_LEAST_DEVIATIONS**2),
+                estimate=np.asarray(estimate),
+                sensitivity=motion.sensitivity,
+            )
+            self._tails[vehicle] = _Tail(self._next)
+            self._next += 1
+        return self._tails[vehicle].keyframe
+
+    def observe(self, keyframe: int, ids: Places, observed: Observed) -> None:
+        """Record observations (K,) of landmarks by id, -1 where there is none, at a keyframe."""
+        known = ids >= 0
+        if known.any():
+            self.graph.add_observations(keyframe, ids[known], observed.z[known], observed.R[known])
+
+    def observe_vehicle(self, keyframe: int, of: int, observation: InterRobotObservation) -> None:
+        """Record an observation, at a keyframe, of the vehicle that another keyframe is of."""
+        self.graph.add_relative_position(
+            keyframe, of, observation.position, observation.covariance
+        )
+
+    def restart(self, vehicle: int, pose: Pose2, covariance: Array) -> None:
+        """Continue the path of a vehicle at a pose that its motion does not lead to."""
+        self.graph.restart(vehicle, self._next, np.asarray(pose), covariance)
+        self._tails[vehicle] = _Tail(self._next)
+        self._next += 1
+
+    # -- drawing --------------------------------------------------------------------------------
+
+    def first_samples(self) -> JointSamples:
+        """Return the samples that the particles of a group are at the beginning."""
+        self.draws += 1
+        return JointSamples.of_start(self.draws - 1, self.config.particles)
+
+    def is_fresh(self, group: Group) -> bool:
+        """Return whether the particles of a group descend from most of the samples drawn last."""
+        samples = min(samples.distinct() for samples in group.samples)
+        return samples > _FRESH * self.config.particles
+
+    def is_due(self, group: Group) -> bool:
+        """Return whether the particles of a group no longer represent the posterior.
+
+        That is the case if they descend from few of the samples drawn last, or if few of them are
+        effective, because a loop was closed.
+        """
+        least = min(
+            max(self.config.redraw_ancestors, self.config.redraw_part * self.config.particles),
+            0.3 * self.config.particles,
+        )
+        if group.effective_particles() < self.config.redraw_effective * self.config.particles:
+            return True
+        return min(samples.distinct() for samples in group.samples) < least
+
+    def redraw(self, vehicles: Sequence[int], random: np.random.Generator) -> Redraw:
+        """Draw the paths of vehicles anew; of vehicles that are tied together, all are given."""
+        members = list(vehicles)
+        keyframes, poses, calibrations = [], [], dict[int, Array]()
+        done: set[int] = set()
+        for vehicle in members:
+            if vehicle in done:
+                continue
+            done |= self.graph.tied(vehicle)
+            self.graph.optimize(vehicle)
+            drawn = self.graph.draw(self.config.particles, random, vehicle)
+            keyframes.append(drawn.keyframes)
+            poses.append(drawn.poses)
+            calibrations |= drawn.calibrations
+        numbers = np.concatenate(keyframes)
+        order = np.argsort(numbers)
+        path = self.graph.path()
+        means = path[numbers[order]]
+        ids, observations = self.graph.observations_from(members)
+        samples = JointSamples(
+            self.draws,
+            numbers[order],
+            means,
+            np.concatenate(poses)[order],
+            ids,
+            observations,
+            np.arange(self.config.particles, dtype=np.int32),
+        )
+        self.draws += 1
+        for vehicle in members:
+            self.calibrations[vehicle] = self.graph.calibration(vehicle)
+        return Redraw(
+            members,
+            samples,
+            {v: samples.pose_of(self._tails[v].keyframe) for v in members},
+            {v: self._tails[v].motion.copy() for v in members},
+            {v: samples.T for v, samples in calibrations.items()},
+            ids,
+            samples.fused_at_mean(ids)[:, :3] if len(ids) else np.empty((0, 3)),
+        )
+
+    def path(self) -> Array:
+        """Return the most likely poses (N, 3) of all keyframes of the graph."""
+        return self.graph.path()
+
+    # -- state ----------------------------------------------------------------------------------
+
+    def state_dict(self) -> State:
+        """Return the graph and the motion since the newest keyframes."""
+        state = under('graph', self.graph.state_dict())
+        state['calibrations'] = self.calibrations
+        state['counters'] = np.array([self.draws, self._next], np.int64)
+        state['tails'] = np.array([[t.keyframe, t.moved] for t in self._tails], np.int64)
+        for vehicle, tail in enumerate(self._tails):
+            state |= under(f'motion{vehicle}', tail.motion.state_dict())
+        return state
+
+    def restore(self, state: State) -> None:
+        """Restore what `state_dict` returned, for the same vehicles and settings."""
+        self.graph = JointGraph.from_state(part('graph', state), self.config.graph)
+        self.calibrations = state['calibrations'].copy()
+        self.draws, self._next = state['counters'].tolist()
+        for vehicle, (keyframe, moved) in enumerate(state['tails'].tolist()):
+            motion = PendingMotion()
+            motion.restore(part(f'motion{vehicle}', state))
+            self._tails[vehicle] = _Tail(keyframe, motion, bool(moved))
