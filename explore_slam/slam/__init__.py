@@ -26,8 +26,9 @@ def warm_up() -> None:
 
     from explore_slam.data import InterRobotObservation, LandmarkObservations
     from explore_slam.geometry import Pose2
-    from explore_slam.slam import relocalization
+    from explore_slam.slam import graph, relocalization
 
+    graph.warm_up()
     relocalization.warm_up()
     random = np.random.default_rng(0)
     count = 10
@@ -48,6 +49,9 @@ def warm_up() -> None:
             for _ in range(8):
                 weights = random.exponential(size=16) ** 3
                 slam.resample_now(weights / weights.sum())
+        if slam.joint is not None:
+            slam.redraw([0])
+            slam.update('a', observations)
         slam.best_path()
         slam.landmarks()
         slam.map.index.query(descriptors, 1.0, 8)

@@ -12,7 +12,8 @@ from explore_slam.slam.descriptors.kinds import DescriptorKind
 # Relative to the largest entry of a matrix: beyond rounding, so that it is a mistake.
 _ASYMMETRY = 1e-6
 _NEGATIVE = 1e-9  # least eigenvalue of a covariance that may be singular
-_SINGULAR = 1e-10  # least eigenvalue of a covariance that must be inverted
+# least eigenvalue, to the largest, of a covariance that is inverted; the joint graph takes half
+_SINGULAR = 2e-10
 _TINY = 1e-300
 
 
@@ -62,8 +63,9 @@ def check_observations(
         raise SlamError(
             f'observations: covariance {bad[0]} is {R[bad[0]].tolist()}, not symmetric'
         )
-    least = np.linalg.eigvalsh(R)[:, 0]
-    bad = np.flatnonzero(least <= _SINGULAR * np.maximum(scale, _TINY))
+    eigenvalues = np.linalg.eigvalsh(R, UPLO='U')  # the triangle that rows contain
+    least, largest = eigenvalues[:, 0], eigenvalues[:, 2]
+    bad = np.flatnonzero(least <= _SINGULAR * np.maximum(largest, _TINY))
     if len(bad):
         raise SlamError(
             f'observations: covariance {bad[0]} is {R[bad[0]].tolist()} with the least eigenvalue '
@@ -75,6 +77,11 @@ def check_observations(
 def check_inter_robot(observer: str, observation: InterRobotObservation) -> None:
     """Raise SlamError for an observation of the observer itself or with a bad covariance."""
     covariance = observation.covariance
+    if abs(covariance[0, 1] - covariance[1, 0]) > _ASYMMETRY * np.abs(covariance).max():
+        raise SlamError(
+            f'observation of {observation.vehicle!r}: covariance {covariance.tolist()} is not '
+            'symmetric'
+        )
     least, most = np.linalg.eigvalsh(0.5 * (covariance + covariance.T))
     if least <= _SINGULAR * max(most, _TINY):
         raise SlamError(

@@ -19,7 +19,7 @@ from explore_slam.slam.association.state import MAJORITY, AssociationState, Cand
 from explore_slam.slam.checkpoint import Checkpointed, State, part, text_array, text_value, under
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.descriptors.kinds import kind_named
-from explore_slam.slam.joint_posterior import JointPosterior
+from explore_slam.slam.joint_posterior import JointPosterior, Redraw
 from explore_slam.slam.landmarks.landmark_map import LandmarkMap, Landmarks, make_index
 from explore_slam.slam.particles.group import Group, Groups
 from explore_slam.slam.particles.motion import PendingMotion, Segment, calibrated, rotated
@@ -152,6 +152,9 @@ class FastSlam(Checkpointed):
         (2.1) before the association and resamples (5) at the end, once all vehicles have updated;
         engine fastslam2 resamples and samples after it, from the proposal given the observations.
 
+        Observations that contradict the particles let these be drawn anew from the joint graph
+        first; if their numbers overflow then, they are refused, and the particles stay redrawn.
+
         Raises SlamError for no or too many observations, covariances that are not positive
         definite, descriptors of another kind, an unknown vehicle, a stamp before the last one, and
         an update before the first predict.
@@ -161,12 +164,16 @@ class FastSlam(Checkpointed):
         if self._engine.starts_new_round(number):
             self._end_round()
 
-        with self._rejecting(f'update({vehicle!r}) at stamp {observations.stamp}'):
+        what = f'update({vehicle!r}) at stamp {observations.stamp}'
+        with self._rejecting(what):
             normals, state, proposal = self._associate(number, observations)
-            if self._is_contradicted(number, state, proposal):
+        if self._is_contradicted(number, state, proposal):
+            redraw = self._draw([number])
+            if redraw is not None:
                 state.discard()
-                self.redraw([number])
-                normals, state, proposal = self._associate(number, observations)
+                self._take(redraw)
+                with self._rejecting(what):
+                    normals, state, proposal = self._associate(number, observations)
         found, group = state.found, self.groups.of(number)
         self._stamps[number] = observations.stamp
         # 2.6.2 importance weight
@@ -213,6 +220,8 @@ class FastSlam(Checkpointed):
         self, number: int, observations: LandmarkObservations
     ) -> tuple[Array, AssociationState, PoseProposal]:
         """Return standard normals (M, 3), the association, and the proposal made of both."""
+        if self.joint is not None:
+            self.joint.check_motion(number)
         # 2.2 candidate landmarks: similar descriptor, near where the observation is expected
         estimate = self.estimate(self.vehicles[number])
         reach = self._relocalizers[number].reach
@@ -357,7 +366,10 @@ class FastSlam(Checkpointed):
         """Redraw the paths of a group if it no longer represents the posterior."""
         if self.joint is None or not self.joint.is_due(group):
             return False
-        self.redraw(group.vehicles)
+        redraw = self._draw(group.vehicles)
+        if redraw is None:
+            return False
+        self._take(redraw)
         return True
 
     def redraw(self, vehicles: Sequence[int]) -> None:
@@ -369,12 +381,34 @@ class FastSlam(Checkpointed):
         """
         if self.joint is None:
             raise SlamError('redraw needs the setting joint_graph and engine fastslam2')
+        redraw = self._draw(vehicles)
+        if redraw is None:
+            names = [self.vehicles[number] for number in vehicles]
+            raise SlamError(f'the joint graph of {names} has no definite optimum')
+        self._take(redraw)
+
+    def _draw(self, vehicles: Sequence[int]) -> Redraw | None:
+        """Return samples of vehicles and of all that are connected with them.
+
+        None if the graph has no definite optimum, because covariances differ by too many orders of
+        magnitude; the particles that there are then go on.
+        """
+        if self.joint is None:
+            return None
         members, found = set[int](), set(vehicles)
         while found != members:
             members = found
             found = {v for n in members for v in self.groups.of(n).vehicles}
             found |= {v for n in members for v in self.joint.graph.tied(n)}
-        redraw = self.joint.redraw(sorted(members), self._random)
+        random = self._random.bit_generator.state
+        try:
+            return self.joint.redraw(sorted(members), self._random)
+        except SlamError:
+            self._random.bit_generator.state = random
+            return None
+
+    def _take(self, redraw: Redraw) -> None:
+        """Replace the particles of some vehicles by samples."""
         old = [self.groups.of(number) for number in redraw.vehicles]
         mine = self.map.entries_of(old)
         known = np.isin(self.map.ids[mine], redraw.ids)

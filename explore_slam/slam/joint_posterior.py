@@ -15,11 +15,12 @@ from typing import NamedTuple
 import numpy as np
 
 from explore_slam.data import InterRobotObservation
+from explore_slam.errors import SlamError
 from explore_slam.geometry import IDENTITY, Array, Pose2
 from explore_slam.slam.association.state import Observed
 from explore_slam.slam.checkpoint import State, part, under
 from explore_slam.slam.config import FastSlamConfig
-from explore_slam.slam.graph import JointGraph
+from explore_slam.slam.graph import JointGraph, Solution
 from explore_slam.slam.particles.group import Group
 from explore_slam.slam.particles.joint_samples import JointSamples
 from explore_slam.slam.particles.motion import PendingMotion, Segment
@@ -86,6 +87,11 @@ class JointPosterior:
         tail.motion.append(step, self.config.linearizable_heading)
         tail.moved |= step.mean != IDENTITY or bool(np.any(step.covariance))
 
+    def check_motion(self, vehicle: int) -> None:
+        """Raise FloatingPointError if the motion since the newest keyframe has overflown."""
+        if not all(np.isfinite(part).all() for part in self._tails[vehicle].motion.total()):
+            raise FloatingPointError('a motion is not finite')
+
     def keyframe(self, vehicle: int, estimate: Pose2) -> int:
         """Return the graph's keyframe at the current pose; a new one if the vehicle has moved.
 
@@ -151,34 +157,31 @@ class JointPosterior:
         return min(samples.distinct() for samples in group.samples) < least
 
     def redraw(self, vehicles: Sequence[int], random: np.random.Generator) -> Redraw:
-        """Draw the paths of vehicles anew; of vehicles that are tied together, all are given."""
+        """Draw the paths of vehicles anew; of vehicles that are tied together, all are given.
+
+        SlamError if the graph has no definite optimum; it is unchanged then.
+        """
         members = list(vehicles)
-        keyframes, poses, calibrations = [], [], dict[int, Array]()
-        done: set[int] = set()
-        for vehicle in members:
-            if vehicle in done:
-                continue
-            done |= self.graph.tied(vehicle)
-            self.graph.optimize(vehicle)
-            drawn = self.graph.draw(self.config.particles, random, vehicle)
-            keyframes.append(drawn.keyframes)
-            poses.append(drawn.poses)
-            calibrations |= drawn.calibrations
-        numbers = np.concatenate(keyframes)
+        solutions = self._solutions(members)
+        drawn = [solution.draw(self.config.particles, random) for solution in solutions]
+        if not all(np.isfinite(draw.poses).all() for draw in drawn):
+            raise SlamError(f'samples of vehicles {members} are not finite')
+        for solution in solutions:
+            self.graph.adopt(solution)
+        numbers = np.concatenate([draw.keyframes for draw in drawn])
         order = np.argsort(numbers)
-        path = self.graph.path()
-        means = path[numbers[order]]
         ids, observations = self.graph.observations_from(members)
         samples = JointSamples(
             self.draws,
             numbers[order],
-            means,
-            np.concatenate(poses)[order],
+            self.graph.path()[numbers[order]],
+            np.concatenate([draw.poses for draw in drawn])[order],
             ids,
             observations,
             np.arange(self.config.particles, dtype=np.int32),
         )
         self.draws += 1
+        calibrations = {v: some.T for draw in drawn for v, some in draw.calibrations.items()}
         for vehicle in members:
             self.calibrations[vehicle] = self.graph.calibration(vehicle)
         return Redraw(
@@ -186,10 +189,19 @@ class JointPosterior:
             samples,
             {v: samples.pose_of(self._tails[v].keyframe) for v in members},
             {v: self._tails[v].motion.copy() for v in members},
-            {v: samples.T for v, samples in calibrations.items()},
+            calibrations,
             ids,
             samples.fused_at_mean(ids)[:, :3] if len(ids) else np.empty((0, 3)),
         )
+
+    def _solutions(self, vehicles: Sequence[int]) -> list[Solution]:
+        """Return the optimum of each set of vehicles that are tied together."""
+        solutions, done = [], set[int]()
+        for vehicle in vehicles:
+            if vehicle not in done:
+                done |= self.graph.tied(vehicle)
+                solutions.append(self.graph.solve(self.graph.snapshot(vehicle)))
+        return solutions
 
     def path(self) -> Array:
         """Return the most likely poses (N, 3) of all keyframes of the graph."""

@@ -52,9 +52,12 @@ def symmetric(what: str, values: ArrayLike, size: int) -> Array:
 
 def information(what: str, covariance: ArrayLike | None, size: int = 3) -> Array:
     """Return the inverse of a covariance, which may be zero; None: exactly known."""
-    exact = EXACT_DEVIATION**2 * np.eye(size)
-    P = exact if covariance is None else symmetric(what, covariance, size) + exact
-    inverse: Array = np.linalg.inv(P)
+    if covariance is None:
+        return EXACT_DEVIATION**-2 * np.eye(size)
+    eigenvalues, vectors = np.linalg.eigh(symmetric(what, covariance, size))
+    # of a nearly singular matrix, the ordinary inverse may have eigenvalues below zero
+    weights = 1.0 / (np.maximum(eigenvalues, 0.0) + EXACT_DEVIATION**2)
+    inverse: Array = (vectors * weights) @ vectors.T
     return 0.5 * (inverse + inverse.T)
 
 

@@ -16,7 +16,7 @@ and the landmark rows of a block stay in the cache from the association to the a
     MASK      1 if the particle has a landmark for the observation, else 0    load
     ETA, LAMBDA   information vector η (3), matrix Λ (packed)                 accumulate
     COST      Σ w d² + terms of unmatched observations; −2 ln likelihood      accumulate, solve
-    PRODUCT, WEIGHTS  Π |S| / |2R|, Π w: moved to COST before they overflow   accumulate
+    PRODUCT, WEIGHTS  Π |S| / |2R|, Π w: their powers of two go to COST       accumulate
     Q … + 5   posterior covariance of the pose error, packed                  solve
     WEIGHT    robust weight w of the observation                              reweight
     BEST, PICK    least score so far and its candidate                        associate

@@ -111,7 +111,7 @@ class FastSlam2Engine:
     def propose(
         self, state: AssociationState, poses: Array, P: Array, normals: Array, log_weights: Array
     ) -> PoseProposal:
-        """See Engine. Landmarks are shrunk if too few particles would remain effective."""
+        """See Engine."""
         del normals, log_weights
         found, config = state.found, self.config
         return _propose(found, state.rows(), state.chosen, poses, P, config)

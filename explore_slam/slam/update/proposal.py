@@ -62,8 +62,10 @@ from explore_slam.slam.update.blocks import (
 from explore_slam.slam.update.gaussian import sample_gaussian, solve
 from explore_slam.slam.update.robust_weights import reweight, robust_cost
 
-# Observations after which the products of determinants and weights are moved to the cost.
-_FACTORS = 32
+# Products of determinants and weights are scaled back into 1e-100 … 1e100, by an exact power of
+# two whose logarithm goes to the cost: a single factor may then be as large or small as 1e±200.
+_SMALL, _LARGE = 2.0**-332, 2.0**332
+_LOG_LARGE = 332.0 * math.log(2.0)
 _LEAST_DETERMINANT = 1e-300  # of I + Λ P, 1 or more but for rounding
 
 
@@ -156,7 +158,9 @@ def _associate(  # noqa: PLR0912, C901 - a kernel
 
 
 @kernel(inline='always')
-def _accumulate(w: Array, scale: float, unmatched: float) -> None:  # pragma: no cover - compiled
+def _accumulate(
+    w: Array, scale: float, unmatched: float, t2: float
+) -> None:  # pragma: no cover - compiled
     """Add the loaded observation to η, Λ and the cost; scale is 1 / |2R|."""
     for i in range(BLOCK):
         cd, sd, zx, zy = w[CD, i], w[SD, i], w[ZX, i], w[ZY, i]
@@ -172,8 +176,13 @@ def _accumulate(w: Array, scale: float, unmatched: float) -> None:  # pragma: no
         gy = wxy * vx + wyy * vy + wyz * vz
         gz = wxz * vx + wyz * vy + wzz * vz
         w[COST, i] += gx * vx + gy * vy + gz * vz + (1.0 - mask) * unmatched
-        w[PRODUCT, i] *= mask * w[DET, i] * scale + (1.0 - mask)
-        w[WEIGHTS, i] *= mask * w[WEIGHT, i] + (1.0 - mask)
+        product = w[PRODUCT, i] * (mask * w[DET, i] * scale + (1.0 - mask))
+        large, small = product > _LARGE, product < _SMALL
+        w[PRODUCT, i] = product * (_SMALL if large else (_LARGE if small else 1.0))
+        w[COST, i] += _LOG_LARGE if large else (-_LOG_LARGE if small else 0.0)
+        weights = w[WEIGHTS, i] * (mask * w[WEIGHT, i] + (1.0 - mask))
+        w[WEIGHTS, i] = weights * (_LARGE if weights < _SMALL else 1.0)
+        w[COST, i] += t2 * _LOG_LARGE if weights < _SMALL else 0.0
         # rows of H in the predicted frame: [-cd, -sd, zy], [sd, -cd, -zx], 0
         w[ETA, i] += sd * gy - cd * gx
         w[ETA + 1, i] -= sd * gx + cd * gy
@@ -225,11 +234,7 @@ def _accumulate_all(
             reweight(w, t2)
             for i in range(n):
                 robust_weight[k, m0 + i] = w[WEIGHT, i]
-        _accumulate(w, scales[k], unmatched)
-        if k % _FACTORS == _FACTORS - 1:
-            for i in range(BLOCK):
-                w[COST, i] += math.log(w[PRODUCT, i]) - t2 * math.log(w[WEIGHTS, i])
-                w[PRODUCT, i] = w[WEIGHTS, i] = 1.0
+        _accumulate(w, scales[k], unmatched, t2)
     for i in range(BLOCK):
         w[COST, i] += math.log(w[PRODUCT, i]) - t2 * math.log(w[WEIGHTS, i])
     return w

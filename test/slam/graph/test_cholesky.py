@@ -22,7 +22,8 @@ def random_factors(random, nodes, factors):
 def system_of(factors, x):
     structure = eliminate(factors, len(x))
     parts = np.empty((len(x), 3, 3)), np.empty((len(structure.rows), 3, 3)), np.empty((len(x), 3))
-    assemble(factors, x, structure.place, structure.slots, *parts)
+    slots = structure.slots, structure.calibration_slots
+    assemble(factors, x, structure.place, *slots, *parts)
     return structure, *parts
 
 

@@ -5,9 +5,25 @@ from hypothesis import strategies as st
 
 from explore_slam.geometry import IDENTITY, Pose2, compose
 from explore_slam.slam import OdometryNoise, compound
-from explore_slam.slam.particles.motion import PendingMotion, rotated, split_heading
+from explore_slam.slam.particles.motion import (
+    PendingMotion,
+    Segment,
+    calibrated,
+    rotated,
+    split_heading,
+)
 
 NOISE = OdometryNoise(heading_variance_per_metre=0.01)
+
+
+def measured(increment, covariance):
+    return Segment.empty()._replace(mean=increment, covariance=covariance)
+
+
+def of_wheels(increment, calibration):
+    corrected, sensitivity = calibrated(increment, calibration)
+    noise = NOISE.covariance(increment)
+    return Segment(corrected, noise, sensitivity, sensitivity @ calibration)
 
 
 def test_a_way_in_many_steps_is_as_uncertain_as_in_few():
@@ -60,12 +76,69 @@ def test_long_gap_is_sampled_along_its_bend():
     """Heading uncertain by a radian: samples lie on an arc, not on its tangent."""
     motion = PendingMotion()
     for _ in range(100):
-        motion.append(Pose2(0.05, 0.0, 0.0), np.diag([1e-6, 1e-6, 0.01]), 0.1)
-    assert motion.mean.x == pytest.approx(5.0)
-    poses, left = motion.propagate(np.zeros((4000, 3)), 0.1, np.random.default_rng(0))
+        motion.append(measured(Pose2(0.05, 0.0, 0.0), np.diag([1e-6, 1e-6, 0.01])), 0.1)
+    assert motion.total().mean.x == pytest.approx(5.0)
+    start = np.zeros((4000, 3))
+    poses, left = motion.propagate(start, start, 0.1, np.random.default_rng(0))
     assert np.std(poses[:, 2]) == pytest.approx(1.0, abs=0.05)
     assert left[2, 2] <= 0.1**2
     assert np.hypot(poses[:, 0], poses[:, 1]).max() < 5.3
     # E[cos] of a random walk in heading: mean x = Σ step · exp(-σ²/2)
     expected = sum(0.05 * np.exp(-0.005 * n) for n in range(100))
     assert poses[:, 0].mean() == pytest.approx(expected, abs=0.1)
+
+
+def test_calibration_corrects_wheels_that_turn_and_drive_too_far():
+    """Wheels of 1.3 and 1.1 times the turn and distance, and a drift of 0.02 rad/m."""
+    true = Pose2(0.5, 0.1, 0.4)
+    seen = Pose2(1.1 * 0.5, 1.1 * 0.1, 1.3 * (0.4 - 0.02 * 1.1 * 0.5))
+    right = np.array([1 / 1.3 - 1.0, 1 / 1.1 - 1.0, 0.02])
+    assert calibrated(seen, right).increment == pytest.approx(true)
+    assert calibrated(seen, np.zeros(3)).increment == seen
+
+
+def test_sensitivities_are_the_numeric_derivatives_of_a_compounded_motion():
+    steps = [Pose2(0.5, 0.02, 0.3), Pose2(0.3, 0.0, -0.5), Pose2(0.6, -0.01, 0.2)]
+    at = np.array([0.05, -0.03, 0.02])
+
+    def total(calibration):
+        motion = PendingMotion()
+        for step in steps:
+            motion.append(of_wheels(step, calibration), 0.1)
+        return motion.total()
+
+    whole = total(at)
+    for i, step in enumerate(1e-6 * np.eye(3)):
+        change = np.asarray(total(at + step).mean) - np.asarray(total(at - step).mean)
+        np.testing.assert_allclose(change / 2e-6, whole.sensitivity[:, i], atol=1e-8)
+    # a particle of another calibration moves as if the steps had been corrected by its own
+    other = at + [0.01, -0.01, 0.01]
+    np.testing.assert_allclose(
+        whole.moves(np.array([at, other])), [whole.mean, total(other).mean], atol=3e-4
+    )
+    np.testing.assert_allclose(whole.moves(at[None])[0], whole.mean, atol=1e-15)
+
+
+def test_particles_move_by_their_own_calibration():
+    motion = PendingMotion()
+    for _ in range(10):
+        motion.append(of_wheels(Pose2(0.2, 0.0, 0.1), np.zeros(3)), 0.1)
+    poses = motion.apply(np.zeros((2, 3)), np.array([[0.0, 0.0, 0.0], [-0.2, 0.1, 0.0]]))
+    assert poses[0, 2] == pytest.approx(1.0)
+    assert poses[1, 2] == pytest.approx(0.8)
+    assert np.hypot(*poses[1, :2]) > np.hypot(*poses[0, :2])
+
+
+def test_motion_continues_from_its_saved_state():
+    motion, again = PendingMotion(), PendingMotion()
+    for _ in range(40):
+        motion.append(of_wheels(Pose2(0.2, 0.0, 0.1), np.array([0.01, 0.0, 0.02])), 0.1)
+    assert len(motion.segments) > 1
+    again.restore(motion.state_dict())
+    poses, calibrations = np.zeros((8, 3)), 0.01 * np.ones((8, 3))
+    for found, expected in zip(
+        again.propagate(poses, calibrations, 0.1, np.random.default_rng(1)),
+        motion.propagate(poses, calibrations, 0.1, np.random.default_rng(1)),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(found, expected)
