@@ -574,10 +574,27 @@ class FastSlam(Checkpointed):
         spread += rotated(pending.end_covariance(), -mean.theta)
         return mean, 0.5 * (spread + spread.T)
 
-    def best_pose(self, vehicle: str) -> Pose2:
-        """Return the pose of a vehicle in the best particle, predicted motion included."""
+    def odometry_calibration(self, vehicle: str) -> tuple[Array, Array]:
+        """Return mean (3,) and covariance (3, 3) of a vehicle's odometry calibration.
+
+        Its parts are the scale errors of turning and of driving and the heading drift (rad/m) by
+        which increments are corrected, see `particles.motion.calibrated`; zero where nothing is
+        calibrated.
+        """
         number = self._number(vehicle)
-        if self.joint is not None:  # the particles are samples: none of them is the best
+        weights, values = self.groups.of(number).weights(), self._calibrations[number]
+        mean = weights @ values
+        off = values - mean
+        return mean, (off * weights[:, None]).T @ off
+
+    def best_pose(self, vehicle: str) -> Pose2:
+        """Return the pose of a vehicle that its path ends at, predicted motion included.
+
+        It is the mean if the particles are samples of the joint posterior, else that of the best
+        particle.
+        """
+        number = self._number(vehicle)
+        if self.joint is not None:
             return self.estimate(vehicle)[0]
         return Pose2.from_array(self._predicted_poses(number)[self.best_particle(vehicle)])
 
@@ -614,9 +631,10 @@ class FastSlam(Checkpointed):
         return self.path.append(number, stamp, self.particle_poses(vehicle), tree)
 
     def best_path(self) -> Array:
-        """Return the poses (K, 3) of all keyframes along the lineage of the best particle.
+        """Return the poses (K, 3) of all keyframes along the most likely path.
 
-        As long as the lineage continues, earlier poses are the same bit by bit at every call.
+        It is the optimum of the joint graph, the same bit by bit until the next redraw; without a
+        graph, the lineage of the best particle, the same as long as that continues.
         """
         if self.joint is not None:
             return self.joint.path()[self.path.nodes]

@@ -71,6 +71,10 @@ class TeamBelief(Checkpointed):
         """See FastSlam.estimate."""
         return self.filter_of(vehicle).estimate(vehicle)
 
+    def odometry_calibration(self, vehicle: str) -> tuple[Array, Array]:
+        """See FastSlam.odometry_calibration."""
+        return self.filter_of(vehicle).odometry_calibration(vehicle)
+
     def best_pose(self, vehicle: str) -> Pose2:
         """See FastSlam.best_pose."""
         return self.filter_of(vehicle).best_pose(vehicle)

@@ -97,7 +97,8 @@ def test_estimate_includes_motion_since_the_update(make_slam):
 def test_without_covariance_the_configured_noise_is_used(make_slam):
     slam = make_slam({'a': Pose2(0.0, 0.0, 0.0)}, forward_variance_per_metre=0.25)
     slam.predict('a', Pose2(1.0, 0.0, 0.0))
-    assert slam.estimate('a')[1][0, 0] == pytest.approx(0.25)
+    scale = slam.config.calibration.distance_scale_deviation
+    assert slam.estimate('a')[1][0, 0] == pytest.approx(0.25 + scale**2, rel=1e-3)
 
 
 def test_set_pose_moves_one_vehicle(make_slam):

@@ -31,8 +31,9 @@ class SightingCorrelation:
         # by vehicle and entry of the map: id observed there, distance, turn and stamp
         self._ids = np.full((vehicles, 0), -1, np.int64)
         self._last = np.empty((vehicles, 0, 3))
-        # by observer and target: distance and turn of both, and stamp
-        self._vehicles = np.full((vehicles, vehicles, 3), np.nan)
+        # by observer and target: whether observed, distance and turn of both, and stamp
+        self._met = np.zeros((vehicles, vehicles), np.bool_)
+        self._vehicles = np.zeros((vehicles, vehicles, 3))
 
     def predict(self, vehicle: int, increment: Pose2) -> None:
         """Note the motion of a vehicle."""
@@ -44,15 +45,15 @@ class SightingCorrelation:
 
         Its error changes as either of the two moves.
         """
-        now = np.append(self._travelled[vehicle] + self._travelled[target], stamp)
-        since = now - self._vehicles[vehicle, target]
-        if not self.config.correlated_sightings or not np.isfinite(since).all():
+        if not self.config.correlated_sightings or not self._met[vehicle, target]:
             return 1.0
-        return float(self._inflation(since))
+        now = np.append(self._travelled[vehicle] + self._travelled[target], stamp)
+        return float(self._inflation(now - self._vehicles[vehicle, target]))
 
     def add_between(self, vehicle: int, target: int, stamp: float) -> None:
         """Note that a vehicle observed another one now."""
         now = np.append(self._travelled[vehicle] + self._travelled[target], stamp)
+        self._met[vehicle, target] = True
         self._vehicles[vehicle, target] = now
 
     def factors(self, vehicle: int, stamp: float, entries: Places, ids: Places) -> Array:
@@ -90,13 +91,14 @@ class SightingCorrelation:
             'travelled': self._travelled,
             'ids': self._ids,
             'last': self._last,
+            'met': self._met,
             'vehicles': self._vehicles,
         }
 
     def restore(self, state: State) -> None:
         """Restore what `state_dict` returned."""
         self._travelled = state['travelled'].copy()
-        self._vehicles = state['vehicles'].copy()
+        self._met, self._vehicles = state['met'].copy(), state['vehicles'].copy()
         self._ids, self._last = state['ids'].copy(), state['last'].copy()
 
     def _reserve(self, entries: int) -> None:

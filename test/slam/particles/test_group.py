@@ -43,14 +43,17 @@ THERE = [(43.0, -1.0), (43.0, 1.0), (44.0, 0.0)]
 
 
 def test_what_one_vehicle_sees_leaves_the_particles_of_another(make_slam):
-    slam = make_slam(APART)
+    slam = make_slam(APART, correlated_sightings=False)
     for step in range(4):
         look_around(slam, 'a', APART['a'], HERE, float(step), 0)
+        slam.add_keyframe('a', float(step))
     poses, weights, path = slam.particle_poses('a'), slam.weights('a'), slam.best_path()
     resampled = [
         look_around(slam, 'b', APART['b'], THERE, float(step), 50).resampled for step in range(12)
     ]
     assert any(resampled)
+    assert len(path) == 4
+    slam.redraw([1])
     np.testing.assert_array_equal(slam.particle_poses('a'), poses)
     np.testing.assert_array_equal(slam.weights('a'), weights)
     np.testing.assert_array_equal(slam.best_path(), path)
