@@ -227,14 +227,20 @@ class FastSlam(Checkpointed):
         reach = self._relocalizers[number].reach
         found = find_candidates(self.map, observations, self.config.association, *estimate, reach)
         found = self._with_correlated_noise(number, observations.stamp, found)
-        self.map.fuse(found.entries, self.groups)
-        poses, P = self._propagate(number)
-        poses = self._merge_groups(number, found, poses, P)
-        group = self.groups.of(number)
-        state = AssociationState(found, self.map.rows, group.tree)
-        # 2.1 sample (paper), 2.4 gate, 2.5 descriptor; Gaussian proposal of the pose (fastslam2)
-        normals = stratified_normals(self._random, self.config.particles, 3)
-        return normals, state, self._propose(state, poses, P, normals, group.log_weights)
+        fused = self.map.fuse(found.entries, self.groups)
+        try:
+            poses, P = self._propagate(number)
+            poses = self._merge_groups(number, found, poses, P)
+            group = self.groups.of(number)
+            state = AssociationState(found, self.map.rows, group.tree)
+            # 2.1 sample (paper), 2.4 gate, 2.5 descriptor; Gaussian proposal of the pose
+            # (fastslam2)
+            normals = stratified_normals(self._random, self.config.particles, 3)
+            return normals, state, self._propose(state, poses, P, normals, group.log_weights)
+        except FloatingPointError:
+            for draw, entries in fused.items():
+                self.map.defer(entries, draw, self.map.reference[entries])
+            raise
 
     def _with_correlated_noise(
         self, number: int, stamp: float, found: CandidateSet

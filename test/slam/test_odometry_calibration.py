@@ -19,9 +19,7 @@ def drive_wheels(slam, world, steps, *, turn=1.0, distance=1.0, drift=0.0, first
             noise.covariance(wheel) + 1e-12 * np.eye(3)
         ) @ world.random.standard_normal(3)
         world.true['a'] = world.true['a'].compose(Pose2(*true))
-        slam.predict(
-            'a', Pose2(distance * wheel.x, 0.0, turn * (wheel.theta + drift * wheel.x))
-        )
+        slam.predict('a', Pose2(distance * wheel.x, 0.0, turn * (wheel.theta + drift * wheel.x)))
         seen = world.see('a', float(step), reach=4.5)
         if len(seen):
             slam.update('a', seen)

@@ -151,14 +151,16 @@ class LandmarkMap:
         self.draw[entries] = number
         self.reference[entries] = reference
 
-    def fuse(self, entries: Places, groups: Groups) -> None:
-        """Fuse the rows of those of the entries that a draw has deferred."""
-        for number, some in deferred(self.draw, entries).items():
+    def fuse(self, entries: Places, groups: Groups) -> dict[int, Places]:
+        """Fuse the rows of those of the entries that a draw has deferred; return them by draw."""
+        waiting = deferred(self.draw, entries)
+        for number, some in waiting.items():
             group, samples = groups.with_samples(number)
             addresses = self.rows.allocate(len(some))
             self.rows.workspace[addresses] = samples.fused(self.ids[some])
             self.rows.commit(some, addresses, group.tree)
             self.draw[some] = -1
+        return waiting
 
     def of_particle(self, particle_of: ParticleOf, groups: Groups) -> Landmarks:
         """Return the landmarks that exist in one particle (of each ancestry tree).
