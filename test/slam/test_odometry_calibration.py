@@ -60,7 +60,7 @@ def test_distance_and_drift_are_found_too(make_world, make_slam):
 
 
 def test_a_motion_with_a_covariance_is_taken_as_it_is(make_world, make_slam, drive_circles):
-    """Scan matching has no wheels: nothing is learned of the calibration, which stays its prior."""
+    """Scan matching has no wheels: nothing is learned of the calibration beyond its prior."""
     world = make_world()
     slam = make_slam(world.start(**START))
     drive_circles(slam, world, 30)

@@ -1,4 +1,4 @@
-"""Repeated sightings of a landmark count as much as a first-order autoregressive error lets them."""
+"""Repeated sightings of a landmark count as its autoregressive error lets them."""
 
 import numpy as np
 import pytest
@@ -56,7 +56,7 @@ def test_far_away_sightings_are_independent(correlation):
 
 
 def test_n_sightings_have_the_information_of_the_autoregressive_process():
-    """Σ 1/(R f) against 1ᵀ C⁻¹ 1 of n samples with C_ij = ρ^|i−j|, which tends to n (1−ρ)/(1+ρ)."""
+    """Σ 1/(R f) against 1ᵀ C⁻¹ 1 of n samples with C_ij = ρ^|i−j|."""
     config = with_values(CorrelationConfig(), LENGTHS)
     correlation, n, step = SightingCorrelation(1, config), 200, 4.0
     information = 0.0
