@@ -496,7 +496,7 @@ def test_at_its_goal_a_vehicle_turns_to_the_heading_of_the_plan():
 
 
 def test_contacts_are_told_apart_counted_once_and_only_when_coming_closer():
-    starts = {'a': Pose2(2.0, 2.0, 0.0), 'b': Pose2(2.5, 2.0, 0.0), 'c': Pose2(4.0, 2.0, 0.0)}
+    starts = {'a': Pose2(2.0, 2.0, 0.0), 'b': Pose2(2.5, 2.0, 0.0), 'c': Pose2(1.2, 2.2, 0.0)}
     simulator = GridSimulator(GridWorld.from_drawing(HALL), starts, EXACT)
     assert simulator._contact(0, (2.0, 2.0), (2.05, 2.0)) == ''
     assert simulator._contact(0, (2.0, 2.0), (2.1, 2.0)) == 'b'
@@ -511,6 +511,7 @@ def test_contacts_are_told_apart_counted_once_and_only_when_coming_closer():
     assert [(hit.vehicle, hit.obstacle) for hit in simulator.collisions] == [('b', 'a')]
     assert simulator.true_pose('b').x == pytest.approx(2.45)
     assert simulator.collisions[0].stamp == pytest.approx(0.2)
+    assert simulator._drives[1].speed == 0.0
 
 
 def test_a_scan_is_never_shorter_than_its_minimum_and_has_the_stamp_of_its_time():
@@ -564,6 +565,15 @@ def test_specks_are_up_to_ten_cells_and_hold_nothing_occupied(tmp_path):
     assert free_of(10, 205) == 240
     assert free_of(11, 205) == 240 - 11
     assert free_of(2, 0) == 240 - 2
+
+
+def test_a_start_in_a_corner_of_the_world_is_inside():
+    world = GridWorld(np.zeros((4, 6), np.int8), 0.5)
+    for x, y in ((0.1, 0.1), (2.9, 1.9)):
+        assert world.reachable([[x, y]], 0.3)[world.to_cell([[x, y]])[0][0]].any()
+    for x, y in ((-0.1, 0.1), (0.1, -0.1), (3.1, 0.1), (0.1, 2.1)):
+        with pytest.raises(SimulationError, match='outside the world'):
+            world.reachable([[x, y]], 0.3)
 
 
 def test_cells_and_points_by_resolution_and_origin():

@@ -225,6 +225,15 @@ def test_pursuit_brakes_for_the_end_and_arrives():
         assert pursue(STRAIGHT, 0, np.array([x, 0.0, 0.0]), PURSUIT)[3] == done
 
 
+def test_pursuit_heads_for_the_last_waypoint_when_the_lookahead_ends_beyond_it():
+    corner = path((0, 0), (1.0, 0), (1.4, 0.3))
+    pose = np.array([1.1, 0.0, 0.5])
+    speed, turn, _, _ = pursue(corner, 1, pose, PURSUIT)
+    error = math.atan2(0.3, 0.3) - 0.5
+    assert turn == pytest.approx(2.5 * error)
+    assert speed == pytest.approx(0.6 * math.cos(error) ** 2)
+
+
 def test_pursuit_sums_what_remains_over_segments():
     corner = path((0, 0), (1.0, 0), (1.0, 0.3))
     slow = PURSUIT._replace(braking=0.1, tolerance=0.1, lookahead=0.3)
