@@ -176,3 +176,16 @@ def test_beyond_the_edge_of_the_grid_everything_is_unknown():
     known = np.ones((9, 9), np.bool_)
     seen = visible_unknown(known, ~known, 4, 4, 20, 720)
     assert seen == pytest.approx(math.pi * 20.0**2 - 81.0, rel=0.03)
+
+
+@pytest.mark.parametrize('turns', range(4))
+@pytest.mark.parametrize('flipped', [False, True])
+def test_a_pocket_is_found_on_every_side(turns, flipped):
+    unknown = np.zeros((7, 7), np.bool_)
+    unknown[1:3, 2:4] = True  # above cell (3, 3), and to the left of that
+    if flipped:
+        unknown = unknown[:, ::-1]
+    turned = np.ascontiguousarray(np.rot90(unknown, turns))
+    size, row, col = pocket_size(turned, marks((7, 7)), 1, np.array([[3, 3]]), 100)
+    assert size == 4
+    assert (row, col) == tuple(np.argwhere(turned).mean(axis=0))
