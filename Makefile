@@ -26,7 +26,7 @@ bench: setup-dev
 	$(PY) benchmarks/run.py $(ARGS)
 
 experiments: setup-dev
-	for n in 1 2 3 4; do $(VENV)/bin/explore_slam experiment $$n || exit 1; done
+	for name in 1 2 3 4 laps; do $(VENV)/bin/explore_slam experiment $$name || exit 1; done
 
 # the versions that Ubuntu 24.04 has
 test-lowest:

@@ -1,4 +1,4 @@
-"""`explore_slam experiment 1|2|3|4`: the experiments of the paper, beside its published tables."""
+"""`explore_slam experiment 1|2|3|4|laps`: the experiments of the paper, and laps of the first."""
 
 import argparse
 import os
@@ -17,22 +17,28 @@ HELP = 'repeat an experiment of the paper and print it beside the published tabl
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument(
-        'number', type=int, choices=(1, 2, 3, 4),
-        help='1: common and dedicated maps; 2: association; 3: time per step; 4: two vehicles',
+        'name', choices=('1', '2', '3', '4', 'laps'),
+        help='1: common and dedicated maps; 2: association; 3: time per step; 4: two vehicles; '
+        'laps: many laps of the crossing paths of 1, consistency and growth',
     )  # fmt: skip
     parser.add_argument(
         '--seeds',
         type=whole_numbers,
-        help='such as 0..19 or 3,5; default 0..19 (experiment 1) or 0..4 (2, 3, 4)',
+        help='such as 0..19 or 3,5; default 0..19 (experiment 1), 0..9 (laps) or 0..4 (2, 3, 4)',
     )
-    parser.add_argument('--particles', type=int, help='number of particles (default 1000)')
+    parser.add_argument(
+        '--particles', type=int, help='number of particles (default 1000; laps: 500)'
+    )
+    parser.add_argument(
+        '--laps', type=whole_numbers, help='experiment laps: numbers of laps (default 4,20)'
+    )
     parser.add_argument(
         '--landmarks', type=int, default=60, help='experiment 1: number of landmarks (default 60)'
     )
     parser.add_argument(
         '--without-isam2',
         action='store_true',
-        help='experiment 1: leave out the reference method (needs gtsam)',
+        help='experiments 1 and laps: leave out the reference method (needs gtsam)',
     )
     parser.add_argument(
         '--data',
@@ -49,15 +55,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run an experiment, print its tables, write tables and plots."""
-    report = _run_number(arguments)
+    report = _run_named(arguments)
     print(report.markdown())
     folder = report.save(arguments.output)
     print(f'tables and plots: {folder}', file=sys.stderr)
     return 0
 
 
-def _run_number(arguments: argparse.Namespace) -> 'ExperimentReport':
-    if arguments.number == 1:
+def _run_named(arguments: argparse.Namespace) -> 'ExperimentReport':
+    if arguments.name == '1':
         from explore_slam.studies.experiments import experiment1
 
         return experiment1.run(
@@ -65,6 +71,17 @@ def _run_number(arguments: argparse.Namespace) -> 'ExperimentReport':
                 seeds=arguments.seeds or range(20),
                 particles=arguments.particles or 1000,
                 landmarks=arguments.landmarks,
+                isam2=not arguments.without_isam2,
+            )
+        )
+    if arguments.name == 'laps':
+        from explore_slam.studies.experiments import laps
+
+        return laps.run(
+            laps.Options(
+                seeds=arguments.seeds or range(10),
+                laps=arguments.laps or (4, 20),
+                particles=arguments.particles or 500,
                 isam2=not arguments.without_isam2,
             )
         )
@@ -76,9 +93,9 @@ def _run_number(arguments: argparse.Namespace) -> 'ExperimentReport':
         particles=arguments.particles or 1000,
         world=arguments.world,
     )
-    if arguments.number == 2:
+    if arguments.name == '2':
         return experiment2.run(experiment2.Options(options, arguments.data or _recorded_frames()))
-    if arguments.number == 3:
+    if arguments.name == '3':
         return experiment3.run(options)
     return experiment4.run(options)
 

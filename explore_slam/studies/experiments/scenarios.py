@@ -117,14 +117,21 @@ def draw_scenario(
     landmarks: int = 60,
     max_range: float = 3.5,
     noise: Noise | None = None,
+    laps: int = 1,
 ) -> Scenario:
     """Simulate landmarks, true motion and measurements along the paths of this name.
 
     As in the paper, a vehicle follows its path by odometry, so that its true pose leaves the path
     with the noise of table I. It observes 180 degrees up to max_range (m).
+
+    laps: how often closed paths are driven. In more than one, vehicles are steered back onto the
+    path at each step, else they would leave the world, and the covariances of observations are
+    those at the true ranges: consistency can only be judged where the noise is known.
     """
     if name not in PATHS:
         raise EvaluationError(f'scenario is {name!r}, expected one of {list(PATHS)}')
+    if laps < 1 or (laps > 1 and any(path[0] != path[-1] for path in PATHS[name].values())):
+        raise EvaluationError(f'laps are {laps} on the paths {name!r}, expected 1 on open paths')
     noise = noise or Noise()
     rng = np.random.default_rng(np.random.SeedSequence([seed, len(name), landmarks]))
     positions = np.column_stack(
@@ -135,21 +142,26 @@ def draw_scenario(
         ]
     )
     descriptors = unique_descriptors(landmarks, rng)
-    planned = {vehicle: path_poses(corners) for vehicle, corners in PATHS[name].items()}
+    planned = {
+        vehicle: path_poses(corners + (laps - 1) * corners[1:])
+        for vehicle, corners in PATHS[name].items()
+    }
     true = {vehicle: poses[0] for vehicle, poses in planned.items()}
     starts = dict(true)
     steps = []
     for number in range(1, len(next(iter(planned.values())))):
         for vehicle, poses in planned.items():
-            increment = poses[number - 1].between(poses[number])
+            begin = poses[number - 1] if laps == 1 else true[vehicle]
+            increment = begin.between(poses[number])
             covariance = noise.motion_covariance(increment)
             noise_sample = rng.multivariate_normal(np.zeros(3), covariance, method='cholesky')
             true[vehicle] = true[vehicle].compose(
                 Pose2.from_array(np.add(increment, noise_sample))
             )
             seen = observe(
-                true[vehicle], positions, descriptors, float(number), max_range, noise, rng
-            )
+                true[vehicle], positions, descriptors, float(number), max_range, noise, rng,
+                exact_covariances=laps > 1,
+            )  # fmt: skip
             steps.append(VehicleStep(vehicle, true[vehicle], increment, covariance, *seen))
     return Scenario(name, positions, starts, steps)
 
@@ -162,8 +174,13 @@ def observe(
     max_range: float,
     noise: Noise,
     rng: np.random.Generator,
+    *,
+    exact_covariances: bool = False,
 ) -> tuple[LandmarkObservations, NDArray[np.int64]]:
-    """Simulate observations of the half plane ahead; return them with their identities (K,)."""
+    """Simulate observations of the half plane ahead; return them with their identities (K,).
+
+    exact_covariances: at the true ranges and angles instead of the measured ones.
+    """
     c, s = math.cos(pose.theta), math.sin(pose.theta)
     dx, dy, dz = landmarks[:, 0] - pose.x, landmarks[:, 1] - pose.y, landmarks[:, 2]
     forward, left = c * dx + s * dy, -s * dx + c * dy
@@ -174,6 +191,9 @@ def observe(
     azimuth = np.arctan2(left[rows], forward[rows]) + noise.angle * deviations[1]
     elevation = np.arcsin(dz[rows] / distance[rows]) + noise.angle * deviations[2]
     positions, covariances = from_polar(tau, azimuth, elevation, noise)
+    if exact_covariances:
+        angles = np.arctan2(left[rows], forward[rows]), np.arcsin(dz[rows] / distance[rows])
+        covariances = from_polar(distance[rows], *angles, noise)[1]
     return LandmarkObservations(stamp, positions, covariances, descriptors[rows]), rows
 
 

@@ -67,6 +67,10 @@ class FilterEstimator:
             return self.belief.best_pose(vehicle)
         return self.belief.estimate(vehicle)[0]
 
+    def estimate(self, vehicle: str) -> tuple[Pose2, Array]:
+        """Return mean and covariance (3, 3) of a pose."""
+        return self.belief.estimate(vehicle)
+
 
 class SmootherEstimator:
     """iSAM2 with one graph for all vehicles (common) or one for each (dedicated)."""
@@ -97,6 +101,10 @@ class SmootherEstimator:
     def pose(self, vehicle: str) -> Pose2:
         """See Estimator."""
         return self._of[vehicle].estimate(vehicle)[0]
+
+    def estimate(self, vehicle: str) -> tuple[Pose2, Array]:
+        """Return the newest pose and its covariance (3, 3)."""
+        return self._of[vehicle].estimate(vehicle)
 
 
 @dataclass

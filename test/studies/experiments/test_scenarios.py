@@ -102,3 +102,29 @@ def test_covariance_of_observations_is_that_of_sampled_noise():
     positions, _ = from_polar(tau, azimuth, elevation, noise)
     _, expected = from_polar(np.array([3.0]), np.array([0.7]), np.array([0.3]), noise)
     np.testing.assert_allclose(np.cov(positions.T), expected[0], rtol=0.03, atol=3e-6)
+
+
+def test_laps_stay_on_the_path_and_know_their_noise():
+    laps = 6
+    scenario = draw_scenario('crossing', 1, laps=laps)
+    corners = PATHS['crossing']['robot1']
+    true, planned = scenario.true_path('robot1'), path_poses(corners)
+    assert len(true) == laps * 28 + 1
+    for lap in range(laps):
+        there = true[28 * lap : 28 * (lap + 1) + 1, :2]
+        off = np.linalg.norm(there - [pose[:2] for pose in planned], axis=1)
+        assert off.max() < 0.15  # of one step
+    step = next(s for s in scenario.steps if len(s.observations) > 3)
+    local = step.true_pose.inverse()
+    c, s = math.cos(local.theta), math.sin(local.theta)
+    x, y, z = scenario.landmarks[step.identities].T
+    x, y = local.x + c * x - s * y, local.y + s * x + c * y
+    tau = np.sqrt(x**2 + y**2 + z**2)
+    _, expected = from_polar(tau, np.arctan2(y, x), np.arcsin(z / tau), Noise())
+    np.testing.assert_allclose(step.observations.covariances, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize(('name', 'laps'), [('separate', 2), ('crossing', 0)])
+def test_laps_that_cannot_be_driven_are_refused(name, laps):
+    with pytest.raises(EvaluationError, match=f'laps are {laps}'):
+        draw_scenario(name, 0, laps=laps)

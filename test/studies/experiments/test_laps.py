@@ -1,0 +1,57 @@
+"""Laps of the crossing paths at small size: as accurate as iSAM2, consistent, and bounded."""
+
+import argparse
+import json
+
+import numpy as np
+import pytest
+
+from explore_slam.cli import experiment
+from explore_slam.studies.experiments import laps
+from explore_slam.studies.experiments.scenarios import draw_scenario
+from explore_slam.studies.experiments.trials import SmootherEstimator
+
+
+@pytest.fixture(scope='module')
+def report():
+    return laps.run(laps.Options(seeds=(0, 1), laps=(3,), particles=200))
+
+
+def test_the_filter_is_as_accurate_as_isam2_and_consistent(report):
+    found, exact = report.metrics['3 laps/fastslam2'], report.metrics['3 laps/iSAM2']
+    assert found['position_rms'] < 1.25 * exact['position_rms']
+    assert 1.5 < np.mean(found['pose_nees_of_seeds']) < 6.0
+    assert np.mean(found['position_in_95_of_seeds']) > 0.85
+    assert 1.5 < np.mean(exact['pose_nees_of_seeds']) < 5.0
+
+
+def test_the_graph_grows_less_with_every_lap(report):
+    sizes = np.array(report.metrics['3 laps/fastslam2']['keyframes_observations_seconds_of_laps'])
+    growth = np.diff(sizes[:, :2], axis=0, prepend=0.0)
+    assert (growth[0] > 0).all()
+    assert (growth[2] < 0.5 * growth[0]).all()
+    assert report.markdown().count('### ') == 2
+
+
+def test_errors_are_those_of_the_scenario():
+    scenario = draw_scenario('crossing', 0, laps=2)
+    run = laps.follow(scenario, SmootherEstimator(scenario.start_poses, 'common'))
+    assert len(run.errors) == len(scenario.steps) == 2 * 2 * 28
+    assert run.by_lap(2).shape == (2, 3)
+    assert run.sizes[-1] == (0, 0)
+    assert 0.0 < run.position_rms < 0.05
+
+
+def test_command_writes_tables_and_plots(tmp_path, capsys):
+    parser = argparse.ArgumentParser()
+    experiment.configure(parser)
+    arguments = parser.parse_args(
+        ['laps', '--laps', '2', '--seeds', '0', '--particles', '50', '--without-isam2']
+        + ['--output', str(tmp_path)]
+    )
+    assert experiment.run(arguments) == 0
+    assert '| 2    | fastslam2 |' in capsys.readouterr().out
+    folder = tmp_path / 'latest'
+    assert (folder / 'growth.png').stat().st_size > 10_000
+    metrics = json.loads((folder / 'metrics.json').read_text())
+    assert len(metrics['2 laps/fastslam2']['position_rms_of_seeds']) == 1
