@@ -12,6 +12,7 @@ from explore_slam.vehicle.lms200_scan import (
     scan_ranges,
 )
 from explore_slam.vehicle.lms200_telegrams import (
+    BAUD_MODES,
     PASSWORD,
     Mode,
     Reply,
@@ -97,3 +98,22 @@ def test_recordings_of_a_real_scanner_decode_whole(recordings, name):
         assert known.size >= 350
         assert known.min() > 0.1
         assert known.max() < 12.0  # a room
+
+
+def test_command_bytes_are_those_of_the_manual():
+    def values(kind):
+        return {member.name: member.value for member in kind}
+
+    assert values(Request) == {
+        'RESET': 0x10, 'MODE': 0x20, 'SCAN': 0x30, 'STATUS': 0x31, 'TYPE': 0x3A,
+        'VARIANT': 0x3B, 'READ_CONFIGURATION': 0x74, 'WRITE_CONFIGURATION': 0x77,
+    }  # fmt: skip
+    assert values(Mode) == {
+        'INSTALLATION': 0x00, 'STREAM': 0x24, 'ON_REQUEST': 0x25, 'BAUD_38400': 0x40,
+        'BAUD_19200': 0x41, 'BAUD_9600': 0x42, 'BAUD_500000': 0x48,
+    }  # fmt: skip
+    assert values(Reply) == {
+        'POWER_ON': 0x90, 'RESET': 0x91, 'UNKNOWN': 0x92, 'MODE': 0xA0, 'SCAN': 0xB0,
+        'STATUS': 0xB1, 'TYPE': 0xBA, 'VARIANT': 0xBB, 'CONFIGURATION': 0xF4, 'WRITTEN': 0xF7,
+    }  # fmt: skip
+    assert BAUD_MODES == {9600: 0x42, 19200: 0x41, 38400: 0x40, 500000: 0x48}
