@@ -72,8 +72,9 @@ class Scene:
         proposals = Proposals(np.zeros((M, 3)), np.zeros((M, 6)), np.zeros(M))
         parameters = ProposalParameters(gate, 0.0, threshold**2, 1.0, self.P)
         propose(
-            self.candidate_rows, self.observed, parameters, poses, 0, end, proposals, self.chosen
-        )
+            self.candidate_rows, self.observed, self.observed, parameters, poses, 0, end,
+            proposals, self.chosen,
+        )  # fmt: skip
         sample_proposals(proposals.means, proposals.covariances, normals, poses)
         return poses, proposals.log_likelihoods
 
