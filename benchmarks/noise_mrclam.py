@@ -2,17 +2,21 @@
 
 python benchmarks/noise_mrclam.py FOLDER [FOLDER …]
 Compares odometry and measurements with the motion capture, for each robot and for all together.
-The figures are those that `explore_slam.recording.importers.mrclam` writes into a bag.
+`explore_slam.recording.importers.mrclam` has its figures from here.
+
+Distance: the line that fits the true distances over logged range / cos(bearing), the depth along
+the optical axis. All else is of distances and odometry as the importer corrects them.
 
 Odometry, moved by the delay with which the robots follow it: scale of turning and of driving and
-drift of the heading by least squares over windows of 2 s, then the variances that remain, per metre
-and per radian. Camera: standard deviation of range (at 1 m, growth per metre) and of bearing (robust: 1.4826
-times the median deviation). Correlation of the errors of one landmark seen twice, by the time
+drift of the heading by least squares over windows of 2 s, then the variances that remain, per
+metre and per radian. Camera: bias and standard deviation (robust: 1.4826 times the median deviation) of
+bearing and distance. Correlation of the errors of one landmark seen twice, by the time
 between; the time in which it falls to 1/e; the distance and the angle that are driven in three
 times as much, since all three count together.
 """
 
 import argparse
+import itertools
 from pathlib import Path
 from typing import NamedTuple
 
@@ -49,16 +53,35 @@ class Errors(NamedTuple):
     stamp: Array
     subject: Array
     range: Array
+    bearing: Array
     range_error: Array
     bearing_error: Array
     distance: Array
     angle: Array
 
 
-def motion(team: mrclam.Team, recording: mrclam.Recording, delay: float) -> Motion:
+def print_distances(team: mrclam.Team) -> None:
+    """Print how the true distances follow from logged ranges and bearings."""
+    depths, distances, shares = [], [], []
+    for robot in team.robots:
+        found = camera_errors(team, robot)
+        depths.append((found.range + found.range_error) / np.cos(found.bearing))
+        distances.append(found.range)
+        shares.append(found.range_error / found.range)
+    depth, distance = np.concatenate(depths), np.concatenate(distances)
+    A = np.stack([depth, np.ones(len(depth))], axis=1)
+    (scale, offset), *_ = np.linalg.lstsq(A, distance, rcond=None)
+    rest = (distance - A @ [scale, offset]) / distance
+    print(
+        f'distance = {scale:.4f} · range / cos(bearing) {offset:+.3f} m; error '
+        f'{_deviation(rest):.4f} of the distance, '
+        f'of the logged range {_deviation(np.concatenate(shares)):.4f}'
+    )
+
+
+def motion(team: mrclam.Team, recording: mrclam.Recording) -> Motion:
     """Compare the odometry of a robot with its truth, window by window."""
-    moved = recording.odometry + np.array([delay, 0.0, 0.0])
-    stamps, poses = integrate_velocities(moved, team.begin, team.end)
+    stamps, poses = integrate_velocities(recording.odometry, team.begin, team.end)
     edges = np.arange(team.begin, team.end, WINDOW)
     heading = np.unwrap(poses[:, 2])
     odometry = np.stack(
@@ -102,7 +125,8 @@ def print_odometry(name: str, found: Motion) -> None:
     print(
         f'{name}: turning × {scale:.3f}, driving × {forward:.3f}, drift {drift:+.3f} rad/m; '
         f'then heading {per_metre:.4f} rad²/m + {per_radian:.4f} rad²/rad, '
-        f'forward {(along**2).sum() / total:.4f} m²/m, lateral {(across**2).sum() / total:.4f} m²/m'
+        f'forward {(along**2).sum() / total:.4f} m²/m, '
+        f'lateral {(across**2).sum() / total:.4f} m²/m'
     )
 
 
@@ -134,7 +158,9 @@ def camera_errors(team: mrclam.Team, recording: mrclam.Recording) -> Errors:
     turned = np.interp(rows[:, 0], grid, _summed(np.abs(np.diff(true[:, 2]))))
     good = np.abs(range_error) < LARGEST_ERROR[0]
     good &= np.abs(bearing_error) < LARGEST_ERROR[1]
-    columns = (rows[:, 0], rows[:, 1], distance, range_error, bearing_error, driven, turned)
+    columns = (
+        rows[:, 0], rows[:, 1], distance, rows[:, 3], range_error, bearing_error, driven, turned,
+    )  # fmt: skip
     return Errors(*(column[good] for column in columns))
 
 
@@ -149,9 +175,7 @@ def print_camera(name: str, found: Errors) -> None:
         some = (found.range >= low) & (found.range < high)
         if some.any():
             error = found.range_error[some]
-            parts.append(
-                f'{low:g}–{high:g} m {np.median(error):+.3f} ± {_deviation(error):.3f}'
-            )
+            parts.append(f'{low:g}–{high:g} m {np.median(error):+.3f} ± {_deviation(error):.3f}')
     bearing = found.bearing_error
     print(
         f'{name}: bearing {np.median(bearing):+.4f} ± {_deviation(bearing):.4f} rad '
@@ -168,8 +192,11 @@ def fit_range(found: Errors) -> tuple[float, float]:
 
 
 def pairs(found: Errors, sigma: tuple[float, float]) -> Array:
-    """Return (P, 5): metres, radians and seconds between two sightings of one landmark; products
-    of their errors of range in units of its deviation, and of bearing (rad²)."""
+    """Return (P, 5): pairs of sightings of one landmark.
+
+    Metres, radians and seconds between them; products of their errors of range, in units of its
+    deviation, and of bearing (rad²).
+    """
     scaled = found.range_error / (sigma[0] + sigma[1] * found.range)
     parts = []
     for subject in np.unique(found.subject):
@@ -192,19 +219,20 @@ def pairs(found: Errors, sigma: tuple[float, float]) -> Array:
 
 
 def print_correlation(table: Array, variances: tuple[float, float]) -> None:
-    """Print correlations by the time between, and the lengths that fit those of the range."""
+    """Print correlations by the time between, and the lengths that fit their mean."""
     times, rhos, counts = [], [], []
-    for low, high in zip(EDGES[:-1], EDGES[1:], strict=True):
+    for low, high in itertools.pairwise(EDGES):
         some = table[(table[:, 2] >= low) & (table[:, 2] < high)]
         if not len(some):
             continue
         mean = some.mean(axis=0)
-        rho = mean[3] / variances[0]
+        both = mean[3:] / variances
         print(
             f'  {low:g} to {high:g} s apart ({len(some)} pairs, {mean[0]:.2f} m, '
-            f'{mean[1]:.2f} rad): range {rho:.2f}, bearing {mean[4] / variances[1]:.2f}'
+            f'{mean[1]:.2f} rad): range {both[0]:.2f}, bearing {both[1]:.2f}'
         )
-        if rho > 0.0 and high <= EDGES[-2]:
+        if high <= EDGES[-2]:
+            rho = both.mean()
             times.append(mean[2])
             rhos.append(rho)
             counts.append(len(some))
@@ -216,7 +244,7 @@ def print_correlation(table: Array, variances: tuple[float, float]) -> None:
     some = table[table[:, 2] < EDGES[-2]]
     speed, rate = some[:, 0].sum() / some[:, 2].sum(), some[:, 1].sum() / some[:, 2].sum()
     print(
-        f'  range errors last {time:.1f} s at {speed:.3f} m/s and {rate:.3f} rad/s: correlation '
+        f'  errors last {time:.1f} s at {speed:.3f} m/s and {rate:.3f} rad/s: correlation '
         f'lengths {3 * time * speed:.2f} m, {3 * time * rate:.2f} rad, {3 * time:.0f} s'
     )
 
@@ -226,12 +254,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split('\n')[0])
     parser.add_argument('folders', type=Path, nargs='+')
     for folder in parser.parse_args().folders:
-        team = mrclam.read(folder)
-        logs = [(robot.odometry, robot.measurements) for robot in team.robots]
+        logged = mrclam.read(folder)
+        print_distances(logged)
+        team = mrclam.corrected(logged)
+        logs = [(robot.odometry, robot.measurements) for robot in logged.robots]
         delay = odometry_delay(logs)
         each = [f'{odometry_delay([log]):.2f}' for log in logs]
         print(f'{folder.name}: the robots follow their odometry after {delay:.2f} s ({each})')
-        motions = [motion(team, robot, delay) for robot in team.robots]
+        motions = [motion(team, robot) for robot in team.robots]
         seen = [camera_errors(team, robot) for robot in team.robots]
         for number, found in enumerate(motions):
             print_odometry(f'robot{number + 1}', found)

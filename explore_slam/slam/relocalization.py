@@ -35,8 +35,8 @@ _MOST_MATCHES = 400  # newest matches considered, which bounds the time of a sea
 # standard deviation of odometry (m/m; rad/rad), generous for wheeled robots
 _DRIFT_PER_METRE = 0.05
 _DRIFT_PER_RADIAN = 0.05
-# Similar landmarks are noted for a vehicle within 1 m and 0.3 m per metre driven since its pose was
-# last confirmed: a collision or slipping wheels, but not another room.
+# Similar landmarks are noted within 1 m and 0.3 m per metre driven since the pose was last
+# confirmed: after a collision or slipping wheels, but not in another room.
 _BASE_REACH = 1.0
 _REACH_PER_METRE = 0.3
 _GATE = 3.0  # deviations (sigma) within which a match is an inlier

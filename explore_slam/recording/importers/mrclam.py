@@ -34,12 +34,12 @@ from explore_slam.recording.importers.registry import importer
 logger = logging.getLogger(__name__)
 
 ROBOTS = range(1, 6)
-# Distance (m) = DISTANCE_SCALE · depth + DISTANCE_OFFSET, with depth = logged range / cos(bearing).
+# Distance (m) = DISTANCE_SCALE · depth + DISTANCE_OFFSET; depth = logged range / cos(bearing).
 DISTANCE_SCALE = 0.973
 DISTANCE_OFFSET = -0.04
 LEAST_DISTANCE = 0.05  # m; closer, a code does not fit into the image
-RANGE_SIGMA = 0.01  # m
-RANGE_SIGMA_PER_METRE = 0.017
+RANGE_SIGMA = 0.02  # m
+RANGE_SIGMA_PER_METRE = 0.015
 BEARING_SIGMA = 0.0125  # rad
 HEIGHT_SIGMA = 0.05  # m
 TRUTH_PERIOD = 0.04  # s; the motion capture runs at 100 Hz, 25 Hz is enough to interpolate
@@ -52,9 +52,9 @@ SETTINGS: dict[str, float | str] = {
     'position_variance_per_radian': 0.0002,
     'heading_variance_per_metre': 0.0015,
     'heading_variance_per_radian': 0.0055,
-    'correlation_distance': 1.3,
-    'correlation_turn': 1.6,
-    'correlation_time': 23.0,
+    'correlation_distance': 1.0,
+    'correlation_turn': 1.2,
+    'correlation_time': 12.0,
 }
 # Delays (s) that are compared, and the most time between two bearings of one landmark that are.
 DELAYS = np.arange(0.0, 0.501, 0.01)
@@ -93,9 +93,7 @@ def import_mrclam(folder: Path, out: Path) -> dict[str, int]:
     delay = odometry_delay([(robot.odometry, robot.measurements) for robot in robots])
     logger.info('%s: the robots follow the logged odometry %.2f s later', folder, delay)
     streams = [
-        stream
-        for robot in robots
-        for stream in _streams(robot, float(begin), float(end), delay)
+        stream for robot in robots for stream in _streams(robot, float(begin), float(end), delay)
     ]
     return write_bag(out, streams, SETTINGS)
 
@@ -154,7 +152,7 @@ def odometry_delay(robots: Sequence[tuple[Array, Array]]) -> float:
         pairs = (first[:, 1] == second[:, 1]) & (elapsed > 0.0) & (elapsed < BEARING_GAP)
         if not pairs.any():
             continue
-        count += np.count_nonzero(pairs)
+        count += int(np.count_nonzero(pairs))
         first, second = first[pairs], second[pairs]
         turned = -wrap_angles(second[:, 3] - first[:, 3])
         held = odometry[:-1, 2] * np.diff(odometry[:, 0])
@@ -168,9 +166,7 @@ def odometry_delay(robots: Sequence[tuple[Array, Array]]) -> float:
     return float(DELAYS[np.argmin(unexplained)]) if count >= LEAST_BEARINGS else 0.0
 
 
-def _streams(
-    robot: _Robot, begin: float, end: float, delay: float
-) -> list[Iterator[Event]]:
+def _streams(robot: _Robot, begin: float, end: float, delay: float) -> list[Iterator[Event]]:
     start = _pose_at(robot.truth, begin)
     return [
         iter([start_event(robot.name, begin, start)]),
