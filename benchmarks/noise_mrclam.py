@@ -10,9 +10,9 @@ the optical axis. All else is of distances and odometry as the importer corrects
 Odometry, moved by the delay with which the robots follow it: scale of turning and of driving and
 drift of the heading by least squares over windows of 2 s, then the variances that remain, per
 metre and per radian. Camera: bias and standard deviation (robust: 1.4826 times the median
-deviation) of bearing and distance. Correlation of the errors of one landmark seen twice, by the time
-between; the time in which it falls to 1/e; the distance and the angle that are driven in three
-times as much, since all three count together.
+deviation) of bearing and distance. Correlation of the errors of one landmark seen twice, by the
+time between; the time in which it falls to 1/e; the distance and the angle that are driven in
+three times as much, since all three count together.
 """
 
 import argparse
