@@ -9,8 +9,8 @@ What happens to a record:
 2. Scans are matched with earlier ones and correct the odometry (laser odometry).
 3. Measurements are processed in the order of their stamps, each by its kind
    (explore_slam.agent.measurements): frames that become keyframes and landmark observations
-   update the filter, scans are added to the laser map.
-4. On request the occupancy grid is redrawn along the path of the best particle.
+   update the filter, scans are added to the laser map and close loops.
+4. On request the occupancy grid is redrawn along the most likely path.
 """
 
 import math
@@ -31,7 +31,7 @@ from explore_slam.data import OdometryReading, VehicleState, VehicleStatus
 from explore_slam.errors import AgentError
 from explore_slam.geometry import Array, Pose2
 from explore_slam.mapping import LaserMap, OccupancyGrid, save_map
-from explore_slam.slam import Landmarks, TeamBelief
+from explore_slam.slam import Landmarks, TeamBelief, rotated
 
 
 class Agent:
@@ -120,12 +120,12 @@ class Agent:
 
     def _process(self, track: VehicleTrack) -> None:
         """Match the scans and process the measurements that odometry has reached."""
-        noise = self.config.slam.odometry_noise
         while (scan := track.next_to_match()) is not None:
             if track.keyframe is None or scan.stamp >= track.keyframe.stamp:
-                refine_by_scan(track, scan, self.config.laser_mount.pose, noise)
-        timeout = self.config.scan_matching.scan_wait_timeout
-        while (measurement := track.next_ready(timeout)) is not None:
+                laser, bodies = self.config.laser_mount.pose, self._team.discs(track, scan.stamp)
+                refine_by_scan(track, scan, laser, self.config.slam, bodies)
+        patience = self.config.scan_matching.matching_patience
+        while (measurement := track.next_ready(patience)) is not None:
             kind_of(measurement).process(self._team, track, measurement)
 
     # -- estimates out -------------------------------------------------------------------------
@@ -156,7 +156,7 @@ class Agent:
 
     @property
     def grid(self) -> OccupancyGrid:
-        """The occupancy grid, redrawn along the path of the best particle."""
+        """The occupancy grid, redrawn along the most likely path."""
         self.laser_map.redraw(self.belief.best_path())
         return self.laser_map.grid
 
@@ -169,9 +169,13 @@ class Agent:
         """Return mean pose and covariance (3, 3) of a vehicle at its newest odometry."""
         track = self.track(vehicle)
         steps = track.steps_since_keyframe(track.odometry.last)
-        return compound_steps(
+        pose, covariance = compound_steps(
             *self.belief.estimate(vehicle), steps, self.config.slam.odometry_noise
         )
+        white = track.odometry.white_at(track.odometry.last)
+        if white is not None and track.keyframe and track.odometry.last > track.keyframe.stamp:
+            covariance = covariance + rotated(white, -pose.theta)
+        return pose, covariance
 
     def map_pose(self, vehicle: str) -> Pose2:
         """Return the pose of a vehicle relative to the grid: on the best particle's path."""
@@ -218,19 +222,19 @@ class Agent:
             if track.keyframe is not None and track.odometry.last > track.keyframe.stamp:
                 self._team.predict(track, track.odometry.last)
                 self._team.add_keyframe(track, track.odometry.last)
-        checkpoint.save(path, self.belief, self.laser_map)
+        checkpoint.save(path, self.belief, self.laser_map, self._team.loops)
         return path
 
     def load_state(self, path: Path) -> None:
         """Continue from a saved state of the same vehicles; AgentError changes nothing."""
-        belief, laser_map = checkpoint.load(path, self.config.mapping)
+        belief, laser_map, loops = checkpoint.load(path, self.config)
         if set(belief.vehicles) != set(self.start_poses):
             raise AgentError(
                 f'{path} is of vehicles {sorted(belief.vehicles)}, '
                 f'expected {sorted(self.start_poses)}'
             )
         self.reset()
-        self._team.belief, self._team.laser_map = belief, laser_map
+        self._team.belief, self._team.laser_map, self._team.loops = belief, laser_map, loops
         for vehicle in self.tracks:
             belief.restart_clock(vehicle)
 

@@ -1,4 +1,4 @@
-"""The agent's state as a file: the filter, and the scans with their keyframes.
+"""The agent's state as a file: the filter, the scans with their keyframes, and the closures.
 
 One npz file, written atomically, without pickled objects. Odometry is not stored, since its frame
 does not survive a restart of the bases: after loading, each vehicle continues from its pose.
@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from explore_slam.agent.config import AgentConfig
+from explore_slam.agent.loop_closing import LoopClosing
 from explore_slam.data import LaserScan
 from explore_slam.errors import AgentError, ExploreSlamError
 from explore_slam.geometry import Pose2
@@ -17,14 +19,15 @@ from explore_slam.mapping import Body, GridConfig, LaserMap
 from explore_slam.slam import TeamBelief, checkpoint
 
 State = dict[str, NDArray[Any]]
-VERSION = 1
+VERSION = 2
 
 
-def save(path: Path, belief: TeamBelief, laser_map: LaserMap) -> None:
+def save(path: Path, belief: TeamBelief, laser_map: LaserMap, loops: LoopClosing) -> None:
     """Write the state; AgentError if it cannot be written."""
     state = {'agent_version': np.array(VERSION)}
     state |= checkpoint.under('belief', belief.state_dict())
     state |= checkpoint.under('scans', _scans_state(laser_map, list(belief.vehicles)))
+    state |= checkpoint.under('loops', loops.state_dict())
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         checkpoint.write(path, state)
@@ -32,8 +35,8 @@ def save(path: Path, belief: TeamBelief, laser_map: LaserMap) -> None:
         raise AgentError(f'state cannot be saved: {error}') from error
 
 
-def load(path: Path, config: GridConfig) -> tuple[TeamBelief, LaserMap]:
-    """Read filter and scans; AgentError if the file is missing, truncated or of another kind."""
+def load(path: Path, config: AgentConfig) -> tuple[TeamBelief, LaserMap, LoopClosing]:
+    """Read filter, scans and closures; AgentError for a missing or different file."""
     try:
         state = checkpoint.read(path)
         version = int(state.get('agent_version', np.array(-1)))
@@ -41,7 +44,8 @@ def load(path: Path, config: GridConfig) -> tuple[TeamBelief, LaserMap]:
             raise AgentError(f'{path} has agent state version {version}, expected {VERSION}')
         belief = TeamBelief.from_state(checkpoint.part('belief', state))
         scans = checkpoint.part('scans', state)
-        return belief, _laser_map(scans, list(belief.vehicles), config)
+        loops = LoopClosing.from_state(checkpoint.part('loops', state), config.closures)
+        return belief, _laser_map(scans, list(belief.vehicles), config.mapping), loops
     except AgentError:
         raise
     except (ExploreSlamError, KeyError, ValueError, IndexError) as error:

@@ -3,10 +3,12 @@
 from dataclasses import dataclass
 
 from explore_slam.exploration import ExplorationConfig
-from explore_slam.mapping import GridConfig, ScanMatchingConfig
+from explore_slam.mapping import GridConfig
 from explore_slam.mounts import LaserMountConfig
+from explore_slam.registration import ScanMatchingConfig
 from explore_slam.settings import Section, section, setting
 from explore_slam.slam import FastSlamConfig
+from explore_slam.slam.closures import ClosureConfig
 from explore_slam.vision import VisionConfig
 
 
@@ -90,5 +92,6 @@ class AgentConfig(Section):
     vision: VisionConfig = section(VisionConfig)
     slam: FastSlamConfig = section(FastSlamConfig)
     scan_matching: ScanMatchingConfig = section(ScanMatchingConfig)
+    closures: ClosureConfig = section(ClosureConfig)
     mapping: GridConfig = section(GridConfig)
     exploration: ExplorationConfig = section(ExplorationConfig)

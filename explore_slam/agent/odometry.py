@@ -5,9 +5,11 @@ import math
 from bisect import bisect_left, bisect_right
 from typing import NamedTuple
 
+import numpy as np
+
 from explore_slam.data import OdometryReading
 from explore_slam.geometry import IDENTITY, Array, Pose2, wrap_angle
-from explore_slam.slam import OdometryNoise
+from explore_slam.slam import OdometryNoise, rotated
 
 logger = logging.getLogger(__name__)
 
@@ -39,6 +41,21 @@ def interpolate(a: Pose2, b: Pose2, fraction: float) -> Pose2:
     )
 
 
+class _Fix(NamedTuple):
+    """A pose that was measured better than by the wheels, and the time since the one before.
+
+    Covariances (3, 3) in the vehicle frame at the pose: white, of the error of this pose alone;
+    before, of that of the pose before (zero where there is none); wheels, of the odometry between.
+    """
+
+    since: float
+    stamp: float
+    heading: float
+    white: Array
+    before: Array
+    wheels: Array
+
+
 class OdometryBuffer:
     """Recent odometry readings of one vehicle as one continuous trajectory.
 
@@ -65,6 +82,7 @@ class OdometryBuffer:
         self._stamps: list[float] = []
         self._poses: list[Pose2] = []
         self._covariances: list[Array | None] = []  # of the step that ends at each pose
+        self._fixes: list[_Fix] = []
         self._correction: Pose2 | None = None  # trajectory = correction ⊕ reading
 
     def __len__(self) -> int:
@@ -138,11 +156,15 @@ class OdometryBuffer:
             last = pose
         return steps or [Step(IDENTITY, None)]
 
-    def correct(self, since: float, stamp: float, pose: Pose2, covariance: Array) -> None:
+    def correct(
+        self, since: float, stamp: float, pose: Pose2, drift: Array, white: Array, wheels: Array
+    ) -> None:
         """Bend the trajectory onto a measured pose at a stamp (s); later poses move along.
 
-        The correction grows linearly in time from the stamp `since`. The covariance (3, 3) of the
-        motion from there, in the frame of the pose, is distributed over the steps likewise.
+        The correction grows linearly in time from the stamp `since`. Covariances (3, 3) in the
+        frame of the pose: drift, by which the error has grown since then, is distributed over the
+        steps likewise; white, of an error that this pose alone has; wheels, of the odometry's
+        motion since then, by which poses in between are uncertain.
         """
         index = bisect_left(self._stamps, stamp)
         if index == len(self._stamps) or since >= stamp:
@@ -161,10 +183,41 @@ class OdometryBuffer:
                 old = self._poses[node]
                 self._poses[node] = interpolate(old, correction.compose(old), fraction)
             duration = (self._stamps[node] - last) / (stamp - since)
-            self._covariances[node], last = duration * covariance, self._stamps[node]
+            self._covariances[node], last = duration * drift, self._stamps[node]
+        before = np.zeros((3, 3))
+        if self._fixes:
+            known = self._fixes[-1]
+            before = rotated(known.white, pose.theta - known.heading)
+        self._fixes.append(_Fix(since, stamp, pose.theta, white, before, wheels))
         self._correction = (
             correction if self._correction is None else correction.compose(self._correction)
         )
+
+    def white_at(self, stamp: float) -> Array | None:
+        """Return the covariance (3, 3) of the error that a pose has by itself, if it was measured.
+
+        It is in the vehicle frame there. At a measured pose it is that of the measurement; a share
+        s of the time between two, the errors of both count, and odometry errs like a Brownian
+        bridge, with s (1 - s) times its covariance. After the last one its error remains.
+        """
+        number = bisect_left(self._fixes, stamp, key=lambda fix: fix.stamp)
+        if number == len(self._fixes):
+            if not self._fixes:
+                return None
+            fix, white = self._fixes[-1], self._fixes[-1].white
+        else:
+            fix = self._fixes[number]
+            if stamp <= fix.since:
+                # the wheels drove from the pose measured before
+                if number == 0:
+                    return None
+                fix = self._fixes[number - 1]
+                white = fix.white
+            else:
+                s = (stamp - fix.since) / (fix.stamp - fix.since)
+                white = s * s * fix.white + (1.0 - s) ** 2 * fix.before
+                white = white + s * (1.0 - s) * fix.wheels
+        return rotated(white, self.at(stamp).theta - fix.heading)
 
     def _restart_clock(self, reading: OdometryReading) -> None:
         """Continue from the last pose at the stamp of a clock that jumped back."""
@@ -176,7 +229,7 @@ class OdometryBuffer:
         )
         self._continue_from(reading)
         pose = self.pose
-        self._stamps, self._poses, self._covariances = [], [], []
+        self._stamps, self._poses, self._covariances, self._fixes = [], [], [], []
         self._append(reading.stamp, pose)
 
     def _append(self, stamp: float, pose: Pose2) -> None:
@@ -187,6 +240,7 @@ class OdometryBuffer:
         if len(self._stamps) > _TRIM_MINIMUM and self._stamps[0] < stamp - 2.0 * self._duration:
             keep = bisect_left(self._stamps, stamp - self._duration)
             del self._stamps[:keep], self._poses[:keep], self._covariances[:keep]
+            self._fixes = [fix for fix in self._fixes if fix.stamp >= self._stamps[0]]
 
     def _is_jump(self, stamp: float, pose: Pose2) -> bool:
         moved = math.hypot(pose.x - self.pose.x, pose.y - self.pose.y)

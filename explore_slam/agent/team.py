@@ -7,12 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from explore_slam.agent.config import AgentConfig
+from explore_slam.agent.loop_closing import LoopClosing
 from explore_slam.agent.odometry import OdometryBuffer
 from explore_slam.agent.vehicle_track import Keyframe, VehicleTrack
 from explore_slam.data import LandmarkObservations
 from explore_slam.errors import AgentError
 from explore_slam.geometry import Array, Pose2
-from explore_slam.mapping import LaserMap, ScanMatcher
+from explore_slam.mapping import LaserMap
+from explore_slam.registration import ScanMatcher
 from explore_slam.slam import TeamBelief, UpdateSummary
 from explore_slam.vision import FeatureExtractor, KeyframeSelector
 
@@ -40,6 +42,7 @@ class Team:
         self.start_poses = dict(start_poses)
         self.belief = TeamBelief(self.start_poses, config.slam, seed)
         self.laser_map = LaserMap(config.mapping)
+        self.loops = LoopClosing(config.closures)
         self.extractor = FeatureExtractor(config.vision)
         self.events: list[KeyframeEvent] = []
         self.tracks = {
@@ -82,8 +85,22 @@ class Team:
 
     def predict(self, track: VehicleTrack, stamp: float) -> None:
         """Propagate the filter by the odometry from the newest keyframe to a stamp (s)."""
+        white = track.odometry.white_at(stamp)
         for step in track.steps_since_keyframe(stamp):
-            self.belief.predict(track.name, step.increment, step.covariance)
+            self.belief.predict(track.name, step.increment, step.covariance, white)
+
+    def discs(self, track: VehicleTrack, stamp: float) -> list[tuple[float, float, float]]:
+        """Return discs (x m, y m, radius m), in the frame of a vehicle, that hide the others."""
+        if len(self.tracks) == 1:
+            return []
+        radius = self.config.exploration.paths.planning_radius + self.config.scans.body_margin
+        own = self.pose_at(track, stamp)
+        others = [self.pose_at(other, stamp) for other in self.tracks.values() if other != track]
+        return [(*own.between(pose)[:2], radius) for pose in others]
+
+    def pose_at(self, track: VehicleTrack, stamp: float) -> Pose2:
+        """Return the estimated pose of a vehicle at a stamp (s) after its newest keyframe."""
+        return self.belief.best_pose(track.name).compose(track.moved_since_keyframe(stamp))
 
     def add_keyframe(
         self, track: VehicleTrack, stamp: float, update: UpdateSummary | None = None

@@ -1,5 +1,6 @@
 """The agent's state of one vehicle, apart from the filter and the map."""
 
+from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
@@ -9,9 +10,11 @@ from explore_slam.agent.measurement_queue import MeasurementQueue, Stamped
 from explore_slam.agent.odometry import OdometryBuffer, Step
 from explore_slam.data import LaserScan, Plan, VehicleState
 from explore_slam.geometry import IDENTITY, Array, Pose2
-from explore_slam.mapping import ScanMatcher
+from explore_slam.registration import PointCloud, ScanMatcher
 from explore_slam.slam import OdometryNoise, compound
 from explore_slam.vision import KeyframeSelector
+
+_CLOUDS = 50  # as many scans as may wait by default
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,7 @@ class VehicleTrack:
 
     last_scan: stamp (s) and odometry pose of the newest scan that entered the map.
     matched_until: stamp (s) up to which scan matching has refined the odometry.
+    clouds: stamps (s) and point clouds of the newest scans that were placed by matching.
     last_match_attempt: stamp (s) of the newest scan that was passed to scan matching.
     last_heard: time (s) of the agent when odometry arrived last.
     last_seen: stamp (s) of the newest frame or landmarks that were processed.
@@ -53,6 +57,7 @@ class VehicleTrack:
     counts: dict[str, int] = field(default_factory=dict)
     waiting: MeasurementQueue[Stamped] = field(default_factory=MeasurementQueue)
     unmatched: MeasurementQueue[LaserScan] = field(default_factory=MeasurementQueue)
+    clouds: deque[tuple[float, PointCloud]] = field(default_factory=lambda: deque(maxlen=_CLOUDS))
 
     def count(self, name: str) -> None:
         """Count one event."""
@@ -63,6 +68,19 @@ class VehicleTrack:
         if self.waiting.push(measurement, capacity):
             self.count('dropped_without_odometry')
 
+    def cloud_of(self, stamp: float) -> PointCloud | None:
+        """Return the point cloud of a scan that matching has placed; older ones are forgotten."""
+        while self.clouds and self.clouds[0][0] < stamp:
+            self.clouds.popleft()
+        if self.clouds and self.clouds[0][0] == stamp:
+            return self.clouds[0][1]
+        return None
+
+    def count_many(self, name: str, times: int) -> None:
+        """Count an event that has happened some times, or not at all."""
+        if times:
+            self.counts[name] = self.counts.get(name, 0) + times
+
     def next_to_match(self) -> LaserScan | None:
         """Return the oldest scan to be matched that odometry has reached, or None."""
         if self.unmatched.first > self.odometry.last:
@@ -71,17 +89,17 @@ class VehicleTrack:
         self.last_match_attempt = max(self.last_match_attempt, scan.stamp)
         return scan
 
-    def next_ready(self, scan_wait_timeout: float) -> Stamped | None:
+    def next_ready(self, patience: float) -> Stamped | None:
         """Return the oldest waiting measurement that odometry has reached, or None.
 
         While scans are matched, a measurement waits for the next scan as well, at most for the
-        timeout (s): only then is the motion up to its stamp refined.
+        patience (s): only then is the motion up to its stamp refined.
         """
         if self.waiting.first > self.odometry.last:
             return None
         stamp = self.waiting.first
-        matching = stamp - scan_wait_timeout < self.last_match_attempt < stamp
-        if matching and self.odometry.last < stamp + scan_wait_timeout:
+        matching = stamp - patience < self.last_match_attempt < stamp
+        if matching and self.odometry.last < stamp + patience:
             return None
         return self.waiting.pop()
 
@@ -93,6 +111,7 @@ class VehicleTrack:
         self.unmatched.clear()
         self.selector.reset()
         self.matcher.reset()
+        self.clouds.clear()
         self.last_scan, self.last_seen = None, -np.inf
         self.matched_until = self.last_match_attempt = -np.inf
         if self.keyframe is not None:

@@ -1,9 +1,10 @@
-"""Occupancy grid along the best particle's path, redrawn from where that path changed.
+"""Occupancy grid along the most likely path, redrawn from where that path changed.
 
 Scans are stored with the keyframe at which they were taken. A redraw compares the new path with
-the one drawn last: the grid returns to the newest snapshot before the first scan whose poses
-changed, and the scans from there on are drawn again in their order. Cells are clamped, so that
-order matters; because it is preserved, the result equals a grid drawn from scratch bit for bit.
+the one drawn last: the grid returns to the newest snapshot before the first scan whose keyframe
+moved noticeably, and the scans from there on are drawn again in their order. Cells are clamped, so
+that order matters; because it is preserved, the result equals a grid drawn from scratch along the
+path that `LaserMap.path` returns, bit for bit.
 """
 
 import logging
@@ -11,16 +12,19 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from explore_slam.data import LaserScan
 from explore_slam.errors import MappingError
-from explore_slam.geometry import IDENTITY, Array, Pose2
+from explore_slam.geometry import IDENTITY, Array, Pose2, wrap_angles
 from explore_slam.mapping.config import GridConfig
 from explore_slam.mapping.occupancy_grid import NO_BODIES, OccupancyGrid
 
 logger = logging.getLogger(__name__)
 SNAPSHOT_SPACING = 16  # scans between the closest snapshots; powers of two of it further back
+# A scan is drawn again when its keyframe has moved by more than this distance (m), its turn
+# counted by the effect on returns at a typical range (m): less than half a cell shows nothing.
+REDRAW_DISTANCE, REDRAW_RANGE = 0.02, 3.0
 MAP_FRAME = -1  # in place of a keyframe: the offset is a pose in the map frame
 
 
@@ -74,7 +78,7 @@ def _snapshot_positions(count: int) -> set[int]:
 
 
 class LaserMap:
-    """All scans with their keyframes, and the occupancy grid along the best particle's path."""
+    """All scans with their keyframes, and the occupancy grid along the most likely path."""
 
     def __init__(self, config: GridConfig | None = None) -> None:
         self.config = config or GridConfig()
@@ -113,10 +117,12 @@ class LaserMap:
             raise MappingError(
                 f'path has shape {poses.shape} or values that are not finite, expected (K, 3)'
             )
-        kept = self._count_unchanged(poses)
+        moved = self._moved(poses)
+        kept = self._count_unchanged(moved)
         if kept < self._drawn:
             self._restore_snapshot(kept)
         start, refused = self._drawn, 0
+        poses[: len(moved)][~moved] = self._path[: len(moved)][~moved]
         self._path = poses
         while self._drawn < len(self._scans) and self._can_draw(self._scans[self._drawn], poses):
             try:
@@ -129,13 +135,26 @@ class LaserMap:
                 self._keep_snapshot()
         return RedrawSummary(start, self._drawn - start, len(self._scans) - self._drawn, refused)
 
-    def _count_unchanged(self, poses: Array) -> int:
-        """Return the number of drawn scans before the first one whose poses have changed."""
+    @property
+    def path(self) -> Array:
+        """Poses (K, 3) of the keyframes that the grid is drawn along; a copy."""
+        return self._path.copy()
+
+    def _moved(self, poses: Array) -> NDArray[np.bool_]:
+        """Return which keyframes of both paths have moved noticeably since they were drawn."""
         common = min(len(poses), len(self._path))
-        changed = np.ones(max(len(self._path), len(poses)) + 1, np.bool_)
-        changed[:common] = (poses[:common] != self._path[:common]).any(axis=1)
+        off = poses[:common] - self._path[:common]
+        distance = np.hypot(off[:, 0], off[:, 1])
+        turn = np.abs(wrap_angles(off[:, 2]))
+        moved: NDArray[np.bool_] = distance + REDRAW_RANGE * turn > REDRAW_DISTANCE
+        return moved
+
+    def _count_unchanged(self, moved: NDArray[np.bool_]) -> int:
+        """Return the number of drawn scans before the first one whose keyframes have moved."""
+        changed = np.ones(len(self._path) + 1, np.bool_)
+        changed[: len(moved)] = moved
         changed[MAP_FRAME] = False  # the last element, which belongs to no keyframe
-        if not changed[: len(self._path)].any():
+        if not changed.any():
             return self._drawn
         for number, item in enumerate(self._scans[: self._drawn]):
             if changed[item.keyframe] or any(changed[body.keyframe] for body in item.bodies):

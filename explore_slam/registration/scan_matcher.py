@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from explore_slam.data import LaserScan
 from explore_slam.geometry import IDENTITY, Array, Pose2, moved_enough
-from explore_slam.registration.alignment import Alignment, Prior
+from explore_slam.registration.alignment import RANGE_DEVIATION, Alignment, Prior
 from explore_slam.registration.cloud import PointCloud, scan_cloud
 from explore_slam.registration.config import ScanMatchingConfig
 from explore_slam.registration.correlation import SearchWindow
@@ -26,10 +26,10 @@ _LEAST_DEVIATIONS = np.array([1e-4, 1e-4, 1e-4])  # m, m, rad, of any motion
 _FEWEST_POINTS = 15
 # Variance of the step of the window's frame when a scan is kept, as a share of that of the scan's
 # own error. Were all kept scans equal, it would be (2 / (n + 1))², 0.02; but the last two or three
-# share most surfaces with the next one. The share holds at residuals of 0.02 m (Intel, ACES and
-# Belgioioso against the logs' own poses) and falls with their square (simulated office).
+# share most surfaces with the next one.
 _WINDOW_DRIFT = 0.5
-_DRIFT_RMS = 0.02  # m
+# m, least standard deviation of a return; above it, that of the residuals
+_LEAST_DEVIATION = 0.005
 # rad; at 6 m half a step is one cell of 0.05 m off, which the alignment makes good.
 _ANGLE_STEP = math.radians(1.5)
 _SIGMAS = 3.0  # the window covers the odometry's error
@@ -101,6 +101,7 @@ class ScanMatcher:
         self._refused: tuple[PointCloud, Pose2] | None = None
         self._refusals = 0
         self._map: LocalMap | None = None
+        self.restarts = 0  # how often the map began anew at a pose by the odometry
 
     @property
     def started(self) -> bool:
@@ -171,6 +172,7 @@ class ScanMatcher:
     def _restart(self, cloud: PointCloud, pose: Pose2) -> None:
         """Begin the map anew with one scan: the scans before it are out of sight."""
         self.reset()
+        self.restarts += 1
         self._keep(cloud, pose)
 
     def _keep(self, cloud: PointCloud, pose: Pose2) -> None:
@@ -262,20 +264,24 @@ def _scan_match(
     With the scan's information A and the odometry's covariance P, the error after the match has
     covariance C = (A + P⁻¹)⁻¹ = C A C + C P⁻¹ C. The first term is the scan's own: white. The
     second is what is left of the odometry's: a random walk. So is the error of the window's
-    frame, which moves when a scan is kept.
+    frame, which moves when a scan is kept. A takes the returns to be as noisy as their residuals:
+    in the simulated office both parts then agree with the true motion between scans 1 to 200
+    apart (benchmarks/scan_matching_noise.py).
     """
     certainty = np.linalg.inv(covariance)
-    left = np.linalg.inv(found.information + certainty)
-    white = left @ found.information @ left
+    deviation = max(found.rms, _LEAST_DEVIATION)
+    information = (RANGE_DEVIATION / deviation) ** 2 * found.information
+    left = np.linalg.inv(information + certainty)
+    white = left @ information @ left
     drift = left @ certainty @ left
     if window_moved:
-        drift = drift + _WINDOW_DRIFT * (found.rms / _DRIFT_RMS) ** 2 * white
+        drift = drift + _WINDOW_DRIFT * white
     off = np.asarray(prior.between(found.pose))
     return ScanMatch(
         found.pose,
         white,
         drift,
-        found.information,
+        information,
         found.share,
         found.rms,
         math.sqrt(max(float(off @ certainty @ off), 0.0)),

@@ -2,8 +2,9 @@
 
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.fast_slam import FastSlam
+from explore_slam.slam.joint_posterior import RelativePose
 from explore_slam.slam.landmarks.landmark_map import Landmarks
-from explore_slam.slam.particles.motion import OdometryNoise, compound, rotated
+from explore_slam.slam.particles.motion import OdometryNoise, calibrated, compound, rotated
 from explore_slam.slam.summary import UpdateSummary
 from explore_slam.slam.team_belief import TeamBelief
 
@@ -12,8 +13,10 @@ __all__ = [
     'FastSlamConfig',
     'Landmarks',
     'OdometryNoise',
+    'RelativePose',
     'TeamBelief',
     'UpdateSummary',
+    'calibrated',
     'compound',
     'rotated',
     'warm_up',

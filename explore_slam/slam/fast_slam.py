@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from explore_slam.data import InterRobotObservation, LandmarkObservations
 from explore_slam.errors import SlamError
-from explore_slam.geometry import Array, Pose2, compose, wrap_angles
+from explore_slam.geometry import Array, Pose2, between, compose, wrap_angles
 from explore_slam.settings import values_of, with_values
 from explore_slam.slam import checks
 from explore_slam.slam.association.candidates import find_candidates
@@ -19,7 +19,7 @@ from explore_slam.slam.association.state import MAJORITY, AssociationState, Cand
 from explore_slam.slam.checkpoint import Checkpointed, State, part, text_array, text_value, under
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.descriptors.kinds import kind_named
-from explore_slam.slam.joint_posterior import JointPosterior, Redraw
+from explore_slam.slam.joint_posterior import JointPosterior, Redraw, RelativePose
 from explore_slam.slam.landmarks.landmark_map import LandmarkMap, Landmarks, make_index
 from explore_slam.slam.particles.group import Group, Groups
 from explore_slam.slam.particles.motion import PendingMotion, Segment, calibrated, rotated
@@ -72,10 +72,13 @@ class FastSlam(Checkpointed):
         self.vehicles = tuple(start_poses)
         particles, association = self.config.particles, self.config.association
         self._numbers = {name: number for number, name in enumerate(self.vehicles)}
-        # of every vehicle and particle: pose (x, y, theta), and calibration of the odometry
-        self._states = np.zeros((len(starts), particles, 6))
+        # of every vehicle and particle: pose (x, y, theta), calibration of the odometry, and the
+        # measured pose at which the next motion begins (mean given the pose)
+        self._states = np.zeros((len(starts), particles, 9))
         self._states[:, :, :3] = np.array(starts, np.float64)[:, None, :]
         self._pending = [PendingMotion() for _ in starts]
+        # (3, 3) in the vehicle frame, of where the next motion begins given the pose; None: there
+        self._chain_covariances: list[Array | None] = [None] * len(starts)
         self._predicted = [False] * len(starts)
         self._stamps = [-math.inf] * len(starts)
         self._random = np.random.default_rng(seed)
@@ -98,7 +101,13 @@ class FastSlam(Checkpointed):
 
     # -- motion ---------------------------------------------------------------------------------
 
-    def predict(self, vehicle: str, increment: Pose2, covariance: Array | None = None) -> None:
+    def predict(
+        self,
+        vehicle: str,
+        increment: Pose2,
+        covariance: Array | None = None,
+        white: Array | None = None,
+    ) -> None:
         """Propagate a vehicle by an odometry increment.
 
         Increments accumulate and are applied at the next update, so that calls are cheap.
@@ -106,15 +115,32 @@ class FastSlam(Checkpointed):
         increment: motion since the last call, in the vehicle frame (m, m, rad).
         covariance: (3, 3) of the increment (m², rad²). Default: the configured odometry noise.
         Zero: exact.
+        white: (3, 3) of an error of the measured pose at the end of the increment, in the vehicle
+        frame there, that the next increment takes back: matching a scan with a map measures each
+        pose by itself, so that increments lead from measured pose to measured pose. Default: none.
         """
         number = self._number(vehicle)
         step = self._step(number, checks.check_pose('increment', increment), covariance)
+        error = np.zeros((3, 3))
+        if white is not None:
+            error = checks.check_motion_covariance('white', white)
+        if step.is_motion():
+            self._leave_pose(number)
+            self._pending[number].white = error
         self._pending[number].append(step, self.config.linearizable_heading)
         self._relocalizers[number].predict(step.mean)
         self._correlation.predict(number, step.mean)
         if self.joint is not None:
-            self.joint.predict(number, step)
+            self.joint.predict(number, step, error)
         self._predicted[number] = True
+
+    def _leave_pose(self, number: int) -> None:
+        """Continue from where the motion begins, if the pose has been updated since."""
+        covariance = self._chain_covariances[number]
+        if covariance is not None:
+            self._poses[number] = self._chains[number]
+            self._pending[number] = PendingMotion.of(covariance)
+            self._chain_covariances[number] = None
 
     def _step(self, number: int, increment: Pose2, covariance: Array | None) -> Segment:
         """Return an increment as a motion, corrected by the calibration if it is of wheels."""
@@ -135,6 +161,7 @@ class FastSlam(Checkpointed):
         spread = checks.check_motion_covariance('covariance', covariance)
         self._poses[number] = np.asarray(known)
         self._pending[number] = PendingMotion.of(rotated(spread, known.theta))
+        self._chain_covariances[number] = None
         self._relocalizers[number].reset()
         if self.joint is not None:
             self.joint.restart(number, known, spread)
@@ -167,14 +194,14 @@ class FastSlam(Checkpointed):
 
         what = f'update({vehicle!r}) at stamp {observations.stamp}'
         with self._rejecting(what):
-            normals, state, proposal = self._associate(number, observations)
+            normals, state, proposal, P = self._associate(number, observations)
         if self._is_contradicted(number, state, proposal):
             redraw = self._draw([number])
             if redraw is not None:
                 state.discard()
                 self._take(redraw)
                 with self._rejecting(what):
-                    normals, state, proposal = self._associate(number, observations)
+                    normals, state, proposal, P = self._associate(number, observations)
         found, group = state.found, self.groups.of(number)
         self._stamps[number] = observations.stamp
         # 2.6.2 importance weight
@@ -183,8 +210,9 @@ class FastSlam(Checkpointed):
         # 5 resample (fastslam2)
         resampled = self._resample_before_sampling(group, state, proposal)
         # 2.1 sample (fastslam2)
+        predicted = proposal.poses.copy()
         poses = proposal.sample(normals)
-        self._place(number, poses)
+        self._place(number, poses, predicted, P)
         # 2.6.1 update the associated landmarks
         update_associated(state, poses, self.config.filter_threads)
         # 4 best particle
@@ -219,8 +247,11 @@ class FastSlam(Checkpointed):
 
     def _associate(
         self, number: int, observations: LandmarkObservations
-    ) -> tuple[Array, AssociationState, PoseProposal]:
-        """Return standard normals (M, 3), the association, and the proposal made of both."""
+    ) -> tuple[Array, AssociationState, PoseProposal, Array]:
+        """Return standard normals (M, 3), the association, the proposal made of both, and P.
+
+        P (3, 3) is the covariance of the predicted poses.
+        """
         if self.joint is not None:
             self.joint.check_motion(number)
         # 2.2 candidate landmarks: similar descriptor, near where the observation is expected
@@ -237,11 +268,12 @@ class FastSlam(Checkpointed):
             # 2.1 sample (paper), 2.4 gate, 2.5 descriptor; Gaussian proposal of the pose
             # (fastslam2)
             normals = stratified_normals(self._random, self.config.particles, 3)
-            return normals, state, self._propose(state, poses, P, normals, group.log_weights)
+            proposal = self._propose(state, poses, P, normals, group.log_weights)
         except FloatingPointError:
             for draw, entries in fused.items():
                 self.map.defer(entries, draw, self.map.reference[entries])
             raise
+        return normals, state, proposal, P
 
     def _with_correlated_noise(
         self, number: int, stamp: float, found: CandidateSet
@@ -346,17 +378,42 @@ class FastSlam(Checkpointed):
     @property
     def _calibrations(self) -> Array:
         """Calibrations (V, M, 3) of the odometry; a view."""
-        return self._states[:, :, 3:]
+        return self._states[:, :, 3:6]
+
+    @property
+    def _chains(self) -> Array:
+        """Measured poses (V, M, 3) at which the next motion begins; a view."""
+        return self._states[:, :, 6:]
 
     def _predicted_poses(self, number: int) -> Array:
         """Return the mean predicted pose (M, 3) of a vehicle in each particle."""
         return self._pending[number].apply(self._poses[number], self._calibrations[number])
 
-    def _place(self, number: int, poses: Array) -> None:
-        """Set the poses (M, 3) of a vehicle, which include all of its motion."""
+    def _place(
+        self,
+        number: int,
+        poses: Array,
+        predicted: Array,
+        P: Array,
+        remaining: Array | None = None,
+    ) -> None:
+        """Set the poses (M, 3) of a vehicle, which include all of its motion.
+
+        predicted (M, 3) with covariance P (3, 3): before the update. remaining (3, 3): covariance
+        that the poses still have, in the vehicle frame. Where a white error W is part of P, the
+        next motion does not begin at the pose x but at the measured pose c, x = c ⊞ w. Given x, c
+        is Gaussian: the conditional of a sum of two.
+        """
+        W = self._pending[number].white
+        left = np.zeros((3, 3)) if remaining is None else remaining
+        if self.joint is not None and W.any():
+            gain = np.eye(3) - W @ np.linalg.inv(P)
+            self._chains[number] = compose(predicted, between(predicted, poses) @ gain.T)
+            spread = P - W - gain @ (P - left) @ gain.T
+            self._chain_covariances[number] = 0.5 * (spread + spread.T)
         poses[:, 2] = wrap_angles(poses[:, 2])
         self._poses[number] = poses
-        self._pending[number] = PendingMotion()
+        self._pending[number] = PendingMotion() if remaining is None else PendingMotion.of(left)
 
     def _record(self, number: int, state: AssociationState, committed: Committed) -> None:
         """Record an update in the joint graph: the associations of most of the weight."""
@@ -386,8 +443,7 @@ class FastSlam(Checkpointed):
         are fused from the stored observations when they are next needed. Landmarks of which no
         observation is stored are removed.
         """
-        if self.joint is None:
-            raise SlamError('redraw needs the setting joint_graph and engine fastslam2')
+        self._joint()
         redraw = self._draw(vehicles)
         if redraw is None:
             names = [self.vehicles[number] for number in vehicles]
@@ -428,6 +484,10 @@ class FastSlam(Checkpointed):
         self.groups.replace(group)
         for number in redraw.vehicles:
             self._poses[number] = redraw.poses[number]
+            self._chains[number] = redraw.chains[number]
+            self._chain_covariances[number] = np.zeros((3, 3))
+            if redraw.moved[number]:
+                self._leave_pose(number)
             if number in redraw.calibrations:
                 self._calibrations[number] = redraw.calibrations[number]
             self._pending[number] = redraw.pending[number]
@@ -527,16 +587,16 @@ class FastSlam(Checkpointed):
     def _update_inter_robot(
         self, number: int, target: int, observation: InterRobotObservation
     ) -> None:
-        motion, zeros = self._pending[target], np.zeros((self.config.particles, 3))
+        zeros = np.zeros((self.config.particles, 3))
+        target_P = self._pending[target].end_covariance()
         poses, P = self._propagate(number)
         target_poses = self._predicted_poses(target)
 
         def condition(poses: Array, theirs: Array, normals: Array) -> tuple[Array, Array]:
             weights = self.groups.of(number).weights()
             return condition_on_observation(
-                (poses, P), (theirs, motion.end_covariance()), observation, self.config, normals,
-                weights,
-            )  # fmt: skip
+                (poses, P), (theirs, target_P), observation, self.config, normals, weights
+            )
 
         def likelihood(orders: Sequence[Index]) -> Array:
             return condition(poses.copy(), target_poses[orders[0]], zeros)[0]
@@ -548,11 +608,11 @@ class FastSlam(Checkpointed):
             target_poses = self._predicted_poses(target)
             group = self.groups.of(number)
         normals = stratified_normals(self._random, self.config.particles, 3)
+        predicted, target_predicted = poses.copy(), target_poses.copy()
         log_likelihoods, remaining = condition(poses, target_poses, normals)
         group.reweight(log_likelihoods)
-        self._place(number, poses)
-        self._place(target, target_poses)
-        self._pending[target] = PendingMotion.of(remaining)
+        self._place(number, poses, predicted, P)
+        self._place(target, target_poses, target_predicted, target_P, remaining)
         if self.joint is not None:
             seer, seen = (
                 self.joint.keyframe(v, self.estimate(self.vehicles[v])[0])
@@ -562,6 +622,80 @@ class FastSlam(Checkpointed):
         if self._engine.resamples_before_sampling(group):
             self._resample(group, group.weights())
         self._redraw_if_due(group)
+
+    # -- loop closures --------------------------------------------------------------------------
+
+    def pin(self, keyframe: int) -> None:
+        """Keep a keyframe of `add_keyframe`, so that closures can be measured relative to it."""
+        self._joint().pin(self._node(keyframe))
+
+    def unpin(self, keyframe: int) -> None:
+        """Take back a `pin`."""
+        self._joint().unpin(self._node(keyframe))
+
+    def close_loops(self, closures: Sequence[RelativePose]) -> list[int]:
+        """Record relative poses of keyframes; return a number for each, for `reopen_loop`.
+
+        The paths are redrawn at once if the closures move the estimate by more than its deviation
+        or the last redraw is some keyframes ago, otherwise with closures to come. Groups of
+        vehicles that a closure ties together are merged.
+        """
+        joint = self._joint()
+        measured = [
+            closure._replace(
+                reference=self._node(closure.reference), keyframe=self._node(closure.keyframe)
+            )
+            for closure in closures
+        ]
+        ends = [joint.graph.vehicles_of([c.reference, c.keyframe]).tolist() for c in measured]
+        merges = any(self.groups.of(a) is not self.groups.of(b) for a, b in ends)
+        factors: list[int] = []
+        try:
+            factors.extend(joint.close(closure) for closure in measured)
+        except SlamError:
+            for factor in factors:
+                joint.reopen(factor)
+            raise
+        if merges or joint.is_closure_due(measured):
+            redraw = self._draw(sorted({vehicle for pair in ends for vehicle in pair}))
+            if redraw is None:
+                for factor in factors:
+                    joint.reopen(factor)
+                raise SlamError('with these closures the joint graph has no definite optimum')
+            self._take(redraw)
+        return factors
+
+    def reopen_loop(self, number: int) -> None:
+        """Take back a closure."""
+        self._joint().reopen(number)
+
+    def closure_distances(self) -> dict[int, float]:
+        """Return the squared Mahalanobis distance of every closure from the path, by number."""
+        return self._joint().closure_distances()
+
+    def relative_covariance(self, reference: int, keyframes: Places) -> Array:
+        """Return covariances (n, 3, 3) of keyframes' poses in the frame of a reference.
+
+        They are those of the components of the relative poses, in the axes of the reference.
+        """
+        nodes = np.array(self.path.nodes, np.int64)
+        return self._joint().relative_covariance(self._node(reference), nodes[keyframes])
+
+    @property
+    def redraws(self) -> int:
+        """How often paths were drawn; 0 without a joint graph."""
+        return 0 if self.joint is None else self.joint.draws
+
+    def _joint(self) -> JointPosterior:
+        if self.joint is None:
+            raise SlamError('closures need the setting joint_graph and engine fastslam2')
+        return self.joint
+
+    def _node(self, keyframe: int) -> int:
+        """Return the number of a keyframe in the joint graph."""
+        if not 0 <= keyframe < len(self.path):
+            raise SlamError(f'keyframe is {keyframe}, expected 0 … {len(self.path) - 1}')
+        return self.path.nodes[keyframe]
 
     @contextmanager
     def _rejecting(self, what: str) -> Iterator[None]:
@@ -709,6 +843,9 @@ class FastSlam(Checkpointed):
             'states': self._states,
             'predicted': np.array(self._predicted),
             'stamps': np.array(self._stamps),
+            'chain_covariances': np.array(
+                [np.full((3, 3), np.nan) if P is None else P for P in self._chain_covariances]
+            ),
             **under('map', self.map.state_dict()),
             **under('path', self.path.state_dict()),
             **under('groups', self.groups.state_dict(stores)),
@@ -741,6 +878,9 @@ class FastSlam(Checkpointed):
         self._states = state['states'].copy()
         self._predicted = state['predicted'].tolist()
         self._stamps = state['stamps'].tolist()
+        self._chain_covariances = [
+            None if np.isnan(P).any() else P.copy() for P in state['chain_covariances']
+        ]
         self.map.restore(part('map', state))
         self.path.restore(part('path', state))
         self.groups.restore(part('groups', state), [self.map.rows, self.path.rows])

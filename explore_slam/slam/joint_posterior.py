@@ -16,7 +16,7 @@ import numpy as np
 
 from explore_slam.data import InterRobotObservation
 from explore_slam.errors import SlamError
-from explore_slam.geometry import IDENTITY, Array, Pose2
+from explore_slam.geometry import Array, Pose2, between, wrap_angle
 from explore_slam.slam.association.state import Observed
 from explore_slam.slam.checkpoint import State, part, under
 from explore_slam.slam.config import FastSlamConfig
@@ -24,12 +24,19 @@ from explore_slam.slam.graph import JointGraph, Solution
 from explore_slam.slam.particles.group import Group
 from explore_slam.slam.particles.joint_samples import JointSamples
 from explore_slam.slam.particles.motion import PendingMotion, Segment
+from explore_slam.slam.relative_covariance import RelativeCovariances
 from explore_slam.slam.storage.row_format import Places
 
 # Deviation (m, m, rad) that a motion has at least: a graph without it would be singular where
 # odometry claims to be exact.
 _LEAST_DEVIATIONS = np.array([1e-4, 1e-4, 1e-4])
 
+
+# Closures wait for others until the last redraw is this many keyframes ago (more redraws change
+# nothing: design study on the simulated office)
+_BATCH = 8
+_LEAST_INFORMATION = 1e-4  # of a closure in directions that it leaves free
+_SURPRISE = 3.0  # squared Mahalanobis distance of one standard deviation in three dimensions
 
 # Part of the samples whose descendants are left right after a draw: one resampling leaves about
 # 60 % of them.
@@ -48,18 +55,33 @@ class _Tail:
 class Redraw(NamedTuple):
     """Samples for some vehicles: what the particles are replaced by.
 
-    poses[v] (M, 3) of each vehicle at its newest keyframe, the motion since then, and the
-    calibrations[v] (M, 3) of the odometry; landmarks:
+    poses[v] (M, 3) of each vehicle at its newest keyframe, chains[v] (M, 3) where the motion since
+    then begins, that motion, whether it is one, and the calibrations[v] (M, 3) of the odometry;
+    landmarks:
     ids (L,) that the graph knows, and their positions (L, 3) given the most likely path.
     """
 
     vehicles: list[int]
     samples: JointSamples
     poses: dict[int, Array]
+    chains: dict[int, Array]
     pending: dict[int, PendingMotion]
+    moved: dict[int, bool]
     calibrations: dict[int, Array]
     ids: Places
     positions: Array
+
+
+class RelativePose(NamedTuple):
+    """A measured pose of one keyframe in the frame of another, as loop closing finds it.
+
+    information (3, 3): of the components of the pose, in the axes of the reference.
+    """
+
+    reference: int
+    keyframe: int
+    pose: Pose2
+    information: Array
 
 
 class JointPosterior:
@@ -71,6 +93,10 @@ class JointPosterior:
         self.draws = 0
         self._tails = [_Tail() for _ in starts]
         self._next = 0
+        self._redrawn_at = 0  # number of the next keyframe at the last redraw
+        # closures that have not been part of an optimum yet, and a vehicle of each
+        self._believed: dict[int, int] = {}
+        self.relative_covariance = RelativeCovariances(self.graph)
         self.calibrations = np.zeros((len(starts), 3))
         for vehicle, pose in enumerate(starts):
             self.graph.add_start(vehicle, self._next, np.asarray(pose))
@@ -81,11 +107,13 @@ class JointPosterior:
 
     # -- recording ------------------------------------------------------------------------------
 
-    def predict(self, vehicle: int, step: Segment) -> None:
-        """Append an odometry increment."""
+    def predict(self, vehicle: int, step: Segment, white: Array) -> None:
+        """Append an odometry increment; white (3, 3): see FastSlam.predict."""
         tail = self._tails[vehicle]
         tail.motion.append(step, self.config.linearizable_heading)
-        tail.moved |= step.mean != IDENTITY or bool(np.any(step.covariance))
+        if step.is_motion():
+            tail.motion.white = white
+            tail.moved = True
 
     def check_motion(self, vehicle: int) -> None:
         """Raise FloatingPointError if the motion since the newest keyframe has overflown."""
@@ -105,6 +133,7 @@ class JointPosterior:
                 self._next,
                 np.asarray(motion.mean) - motion.offset,
                 motion.covariance + np.diag(_LEAST_DEVIATIONS**2),
+                tail.motion.white if tail.motion.white.any() else None,
                 estimate=np.asarray(estimate),
                 sensitivity=motion.sensitivity,
             )
@@ -123,6 +152,59 @@ class JointPosterior:
         self.graph.add_relative_position(
             keyframe, of, observation.position, observation.covariance
         )
+
+    def pin(self, keyframe: int) -> None:
+        """Keep a keyframe as a variable, for closures that are still to be found."""
+        self.graph.pin(keyframe)
+
+    def unpin(self, keyframe: int) -> None:
+        """Take back a `pin`."""
+        self.graph.unpin(keyframe)
+
+    def close(self, closure: RelativePose) -> int:
+        """Record a closure between keyframes of the graph; return its factor.
+
+        It is believed until the graph is next optimized, and robust from then on: from a start
+        that is far off, a robust kernel takes new closures for outliers, however many agree.
+        """
+        factor = self.graph.add_relative_pose(
+            closure.reference,
+            closure.keyframe,
+            np.asarray(closure.pose),
+            closure.information,
+            robust=False,
+        )
+        self._believed[factor] = int(self.graph.vehicles_of([closure.keyframe])[0])
+        return factor
+
+    def reopen(self, factor: int) -> None:
+        """Take back a closure."""
+        self.graph.remove_factor(factor)
+        self._believed.pop(factor, None)
+
+    def closure_distances(self) -> dict[int, float]:
+        """Return the squared Mahalanobis distance of every closure at the estimate, by factor."""
+        factors, distances = self.graph.closure_residuals()
+        return dict(zip(factors.tolist(), distances.tolist(), strict=True))
+
+    def is_closure_due(self, closures: Sequence[RelativePose]) -> bool:
+        """Return whether closures call for a redraw at once, instead of with later ones.
+
+        That is so when the last redraw is some keyframes ago, or when they move the estimate by
+        more than its deviation.
+        """
+        if self._next - self._redrawn_at >= _BATCH:
+            return True
+        path = self.graph.path()
+        for closure in closures:
+            P = self.relative_covariance(closure.reference, np.array([closure.keyframe]))[0]
+            P = P + np.linalg.inv(closure.information + _LEAST_INFORMATION * np.eye(3))
+            expected = between(path[closure.reference], path[closure.keyframe])
+            off = np.asarray(closure.pose) - expected
+            off[2] = wrap_angle(off[2])
+            if off @ np.linalg.solve(P, off) > _SURPRISE:
+                return True
+        return False
 
     def restart(self, vehicle: int, pose: Pose2, covariance: Array) -> None:
         """Continue the path of a vehicle at a pose that its motion does not lead to."""
@@ -159,7 +241,7 @@ class JointPosterior:
     def redraw(self, vehicles: Sequence[int], random: np.random.Generator) -> Redraw:
         """Draw the paths of vehicles anew; of vehicles that are tied together, all are given.
 
-        SlamError if the graph has no definite optimum; it is unchanged then.
+        SlamError if the graph has no definite optimum; what was measured is unchanged then.
         """
         members = list(vehicles)
         solutions = self._solutions(members)
@@ -168,6 +250,12 @@ class JointPosterior:
             raise SlamError(f'samples of vehicles {members} are not finite')
         for solution in solutions:
             self.graph.adopt(solution)
+            self.relative_covariance.renew(solution.problem.vehicles[0])
+        chains = {
+            v: draw.chains[np.searchsorted(draw.keyframes, self._tails[v].keyframe)].T.copy()
+            for draw, solution in zip(drawn, solutions, strict=True)
+            for v in solution.problem.vehicles
+        }
         numbers = np.concatenate([draw.keyframes for draw in drawn])
         order = np.argsort(numbers)
         ids, observations = self.graph.observations_from(members)
@@ -181,6 +269,7 @@ class JointPosterior:
             np.arange(self.config.particles, dtype=np.int32),
         )
         self.draws += 1
+        self._redrawn_at = self._next
         calibrations = {v: some.T for draw in drawn for v, some in draw.calibrations.items()}
         for vehicle in members:
             self.calibrations[vehicle] = self.graph.calibration(vehicle)
@@ -188,19 +277,34 @@ class JointPosterior:
             members,
             samples,
             {v: samples.pose_of(self._tails[v].keyframe) for v in members},
+            chains,
             {v: self._tails[v].motion.copy() for v in members},
+            {v: self._tails[v].moved for v in members},
             calibrations,
             ids,
             samples.fused_at_mean(ids)[:, :3] if len(ids) else np.empty((0, 3)),
         )
 
     def _solutions(self, vehicles: Sequence[int]) -> list[Solution]:
-        """Return the optimum of each set of vehicles that are tied together."""
+        """Return the optimum of each set of vehicles that are tied together.
+
+        Closures that are new become robust once they have been believed.
+        """
         solutions, done = [], set[int]()
         for vehicle in vehicles:
-            if vehicle not in done:
-                done |= self.graph.tied(vehicle)
-                solutions.append(self.graph.solve(self.graph.snapshot(vehicle)))
+            if vehicle in done:
+                continue
+            tied = self.graph.tied(vehicle)
+            done |= tied
+            solution = self.graph.solve(self.graph.snapshot(vehicle))
+            believed = [factor for factor, owner in self._believed.items() if owner in tied]
+            if believed:
+                self.graph.adopt(solution)
+                for factor in believed:
+                    self.graph.make_robust(factor)
+                    del self._believed[factor]
+                solution = self.graph.solve(self.graph.snapshot(vehicle))
+            solutions.append(solution)
         return solutions
 
     def path(self) -> Array:
@@ -211,9 +315,11 @@ class JointPosterior:
 
     def state_dict(self) -> State:
         """Return the graph and the motion since the newest keyframes."""
+        self.relative_covariance.forget()  # as in what is restored from the state
         state = under('graph', self.graph.state_dict())
         state['calibrations'] = self.calibrations
-        state['counters'] = np.array([self.draws, self._next], np.int64)
+        state['counters'] = np.array([self.draws, self._next, self._redrawn_at], np.int64)
+        state['believed'] = np.array(list(self._believed.items()), np.int64).reshape(-1, 2)
         state['tails'] = np.array([[t.keyframe, t.moved] for t in self._tails], np.int64)
         for vehicle, tail in enumerate(self._tails):
             state |= under(f'motion{vehicle}', tail.motion.state_dict())
@@ -222,8 +328,10 @@ class JointPosterior:
     def restore(self, state: State) -> None:
         """Restore what `state_dict` returned, for the same vehicles and settings."""
         self.graph = JointGraph.from_state(part('graph', state), self.config.graph)
+        self.relative_covariance = RelativeCovariances(self.graph)
+        self._believed = dict(state['believed'].tolist())
         self.calibrations = state['calibrations'].copy()
-        self.draws, self._next = state['counters'].tolist()
+        self.draws, self._next, self._redrawn_at = state['counters'].tolist()
         for vehicle, (keyframe, moved) in enumerate(state['tails'].tolist()):
             motion = PendingMotion()
             motion.restore(part(f'motion{vehicle}', state))

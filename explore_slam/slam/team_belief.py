@@ -11,7 +11,9 @@ from explore_slam.geometry import Array, Pose2
 from explore_slam.slam.checkpoint import Checkpointed, State, part, under
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.fast_slam import FastSlam
+from explore_slam.slam.joint_posterior import RelativePose
 from explore_slam.slam.landmarks.landmark_map import Landmarks
+from explore_slam.slam.storage.row_format import Places
 from explore_slam.slam.summary import UpdateSummary
 
 
@@ -32,7 +34,8 @@ class TeamBelief(Checkpointed):
                 for number, (name, pose) in enumerate(start_poses.items())
             ]
             self._filter_of = {name: number for number, name in enumerate(self.vehicles)}
-        self._keyframes: list[int] = []
+        self._keyframes: list[int] = []  # the filter of each
+        self._own_numbers: list[int] = []  # and its number there
 
     def filter_of(self, vehicle: str) -> FastSlam:
         """Return the filter that holds a vehicle."""
@@ -43,9 +46,15 @@ class TeamBelief(Checkpointed):
                 f'there is no vehicle {vehicle!r}, expected one of {list(self.vehicles)}'
             ) from None
 
-    def predict(self, vehicle: str, increment: Pose2, covariance: Array | None = None) -> None:
+    def predict(
+        self,
+        vehicle: str,
+        increment: Pose2,
+        covariance: Array | None = None,
+        white: Array | None = None,
+    ) -> None:
         """See FastSlam.predict."""
-        self.filter_of(vehicle).predict(vehicle, increment, covariance)
+        self.filter_of(vehicle).predict(vehicle, increment, covariance, white)
 
     def update(self, vehicle: str, observations: LandmarkObservations) -> UpdateSummary:
         """See FastSlam.update."""
@@ -114,7 +123,7 @@ class TeamBelief(Checkpointed):
 
     def add_keyframe(self, vehicle: str, stamp: float) -> int:
         """See FastSlam.add_keyframe; keyframes are numbered over all vehicles with any maps."""
-        self.filter_of(vehicle).add_keyframe(vehicle, stamp)
+        self._own_numbers.append(self.filter_of(vehicle).add_keyframe(vehicle, stamp))
         self._keyframes.append(self._filter_of[vehicle])
         return len(self._keyframes) - 1
 
@@ -131,6 +140,76 @@ class TeamBelief(Checkpointed):
     def trajectory(self, vehicle: str) -> tuple[Array, Array]:
         """See FastSlam.trajectory."""
         return self.filter_of(vehicle).trajectory(vehicle)
+
+    # -- loop closures --------------------------------------------------------------------------
+
+    @property
+    def closes_loops(self) -> bool:
+        """Whether closures can be recorded."""
+        return self.filters[0].joint is not None
+
+    def in_one_map_with(self, vehicle: str) -> list[int]:
+        """Return the numbers of the vehicles, in their order, whose map is that of a vehicle."""
+        mine = self._filter_of[vehicle]
+        return [n for n, name in enumerate(self.vehicles) if self._filter_of[name] == mine]
+
+    def pin(self, keyframe: int) -> None:
+        """See FastSlam.pin."""
+        number, own = self._own(keyframe)
+        self.filters[number].pin(own)
+
+    def unpin(self, keyframe: int) -> None:
+        """See FastSlam.unpin."""
+        number, own = self._own(keyframe)
+        self.filters[number].unpin(own)
+
+    def close_loops(self, closures: Sequence[RelativePose]) -> list[int]:
+        """See FastSlam.close_loops; all keyframes must be of one map."""
+        filters = {self._own(k)[0] for c in closures for k in (c.reference, c.keyframe)}
+        if len(filters) != 1:
+            raise SlamError(f'closures are of the maps {sorted(filters)}, expected those of one')
+        (number,) = filters
+        own = [
+            closure._replace(
+                reference=self._own(closure.reference)[1], keyframe=self._own(closure.keyframe)[1]
+            )
+            for closure in closures
+        ]
+        count = len(self.filters)
+        return [n * count + number for n in self.filters[number].close_loops(own)]
+
+    def reopen_loop(self, number: int) -> None:
+        """See FastSlam.reopen_loop."""
+        factor, owner = divmod(number, len(self.filters))
+        self.filters[owner].reopen_loop(factor)
+
+    def closure_distances(self) -> dict[int, float]:
+        """See FastSlam.closure_distances."""
+        count = len(self.filters)
+        return {
+            factor * count + owner: distance
+            for owner, item in enumerate(self.filters)
+            for factor, distance in item.closure_distances().items()
+        }
+
+    def relative_covariance(self, reference: int, keyframes: Places) -> Array:
+        """See FastSlam.relative_covariance; all keyframes must be of one map."""
+        number, own = self._own(reference)
+        others = np.array([self._own(keyframe)[1] for keyframe in keyframes.tolist()], np.int64)
+        return self.filters[number].relative_covariance(own, others)
+
+    @property
+    def redraws(self) -> int:
+        """How often paths were drawn, in all filters."""
+        return sum(item.redraws for item in self.filters)
+
+    def _own(self, keyframe: int) -> tuple[int, int]:
+        """Return the filter of a keyframe, and its number there."""
+        if not 0 <= keyframe < len(self._keyframes):
+            raise SlamError(f'keyframe is {keyframe}, expected 0 … {len(self._keyframes) - 1}')
+        return self._keyframes[keyframe], self._own_numbers[keyframe]
+
+    # -- state ----------------------------------------------------------------------------------
 
     def state_dict(self) -> State:
         """See Checkpointed."""
@@ -161,4 +240,9 @@ class TeamBelief(Checkpointed):
             name: number for number, item in enumerate(filters) for name in item.vehicles
         }
         belief._keyframes = state['keyframes'].tolist()
+        seen = [0] * len(filters)
+        belief._own_numbers = []
+        for owner in belief._keyframes:
+            belief._own_numbers.append(seen[owner])
+            seen[owner] += 1
         return belief

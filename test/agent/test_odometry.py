@@ -9,6 +9,8 @@ from explore_slam.agent.odometry import OdometryBuffer, interpolate
 from explore_slam.data import OdometryReading
 from explore_slam.geometry import IDENTITY, Pose2
 
+ZERO = np.zeros((3, 3))
+
 
 @pytest.fixture
 def buffer():
@@ -79,7 +81,7 @@ def test_a_correction_bends_the_chain_and_all_that_follows(buffer):
     measured = buffer.at(stamp).compose(Pose2(0.02, -0.01, 0.1))
     moved = buffer.at(stamp).between(after)
     covariance = 1e-4 * np.eye(3)
-    buffer.correct(since, stamp, measured, covariance)
+    buffer.correct(since, stamp, measured, covariance, ZERO, ZERO)
     assert buffer.at(0.2) == before
     np.testing.assert_allclose(buffer.at(stamp), measured)
     np.testing.assert_allclose(buffer.at(0.6), measured.compose(moved))
@@ -109,7 +111,7 @@ def test_a_correction_bends_the_chain_and_all_that_follows(buffer):
 
 def test_a_correction_beyond_the_newest_reading_is_left_out(buffer):
     poses = [buffer.at(t) for t in (0.2, 0.9)]
-    buffer.correct(0.0, 5.0, Pose2(9.0, 9.0, 0.0), np.eye(3))
+    buffer.correct(0.0, 5.0, Pose2(9.0, 9.0, 0.0), np.eye(3), ZERO, ZERO)
     assert [buffer.at(t) for t in (0.2, 0.9)] == poses
 
 
@@ -144,7 +146,8 @@ def test_steps_beyond_the_newest_reading_end_there(buffer):
 
 def test_a_correction_grows_linearly_and_so_does_its_covariance(buffer):
     measured = buffer.at(0.8)
-    buffer.correct(0.2, 0.8, Pose2(measured.x, 0.06, 0.0), np.diag([6e-4, 0.0, 0.0]))
+    drift = np.diag([6e-4, 0.0, 0.0])
+    buffer.correct(0.2, 0.8, Pose2(measured.x, 0.06, 0.0), drift, ZERO, ZERO)
     for stamp, offset in (
         (0.1, 0.0),
         (0.2, 0.0),
@@ -162,16 +165,49 @@ def test_a_correction_grows_linearly_and_so_does_its_covariance(buffer):
 
 
 def test_a_second_correction_is_added_to_the_first(buffer):
-    buffer.correct(0.0, 0.5, Pose2(0.25, 0.1, 0.0), np.zeros((3, 3)))
-    buffer.correct(0.5, 1.0, Pose2(0.5, 0.3, 0.0), np.zeros((3, 3)))
+    buffer.correct(0.0, 0.5, Pose2(0.25, 0.1, 0.0), ZERO, ZERO, ZERO)
+    buffer.correct(0.5, 1.0, Pose2(0.5, 0.3, 0.0), ZERO, ZERO, ZERO)
     assert buffer.at(0.75).y == pytest.approx(0.2, abs=0.011)
     buffer.add(OdometryReading(1.1, Pose2(0.55, 0.0, 0.0)))
     assert tuple(buffer.pose) == pytest.approx((0.55, 0.3, 0.0))
 
 
+def test_a_pose_between_two_measured_ones_errs_with_both_and_like_a_bridge(buffer):
+    assert buffer.white_at(0.5) is None
+    first, second = np.diag([4e-4, 1e-4, 1e-6]), np.diag([1e-4, 9e-4, 4e-6])
+    wheels = np.diag([2e-3, 1e-3, 1e-4])
+    buffer.correct(0.0, 0.4, buffer.at(0.4), ZERO, first, wheels)
+    buffer.correct(0.4, 0.8, buffer.at(0.8), ZERO, second, wheels)
+    np.testing.assert_allclose(buffer.white_at(0.4), first, atol=1e-15)
+    np.testing.assert_allclose(buffer.white_at(0.8), second, atol=1e-15)
+    half = 0.25 * first + 0.25 * second + 0.25 * wheels
+    np.testing.assert_allclose(buffer.white_at(0.6), half, atol=1e-15)
+    np.testing.assert_allclose(buffer.white_at(0.2), 0.25 * first + 0.25 * wheels, atol=1e-15)
+    np.testing.assert_allclose(buffer.white_at(0.9), second, atol=1e-15)  # the wheels go on
+
+
+def test_the_error_of_a_measured_pose_turns_with_the_vehicle():
+    buffer = OdometryBuffer('robot1', 10.0, 2.0, 1.0)
+    for tick, heading in enumerate((0.0, 0.0, math.pi / 2)):
+        buffer.add(OdometryReading(0.1 * tick, Pose2(0.0, 0.0, heading)))
+    white = np.diag([4e-4, 1e-4, 1e-6])
+    buffer.correct(0.0, 0.1, buffer.at(0.1), ZERO, white, ZERO)
+    np.testing.assert_allclose(buffer.white_at(0.2), np.diag([1e-4, 4e-4, 1e-6]), atol=1e-12)
+
+
+def test_a_restarted_clock_forgets_measured_poses():
+    buffer = OdometryBuffer('robot1', 10.0, 2.0, 1.0)
+    for stamp in (20.0, 20.1):
+        buffer.add(OdometryReading(stamp, IDENTITY))
+    buffer.correct(20.0, 20.1, IDENTITY, ZERO, np.eye(3), ZERO)
+    assert buffer.white_at(20.1) is not None
+    buffer.add(OdometryReading(3.0, IDENTITY))
+    assert buffer.white_at(3.0) is None
+
+
 def test_nothing_is_corrected_without_time(buffer):
     before = buffer.at(0.5)
-    buffer.correct(0.5, 0.5, Pose2(9.0, 9.0, 0.0), np.eye(3))
+    buffer.correct(0.5, 0.5, Pose2(9.0, 9.0, 0.0), np.eye(3), ZERO, ZERO)
     assert buffer.at(0.5) == before
 
 

@@ -11,12 +11,12 @@ from explore_slam.agent.scan_odometry import refine_by_scan
 from explore_slam.agent.vehicle_track import Keyframe, VehicleTrack
 from explore_slam.data import LaserScan, OdometryReading
 from explore_slam.geometry import IDENTITY, Pose2
-from explore_slam.mapping import ScanMatcher, ScanMatchingConfig
-from explore_slam.slam import OdometryNoise
+from explore_slam.registration import ScanMatcher, ScanMatchingConfig
+from explore_slam.slam import FastSlamConfig
 from explore_slam.vision import KeyframeSelector
 
 LASER = Pose2(0.1, 0.0, 0.0)
-NOISE = OdometryNoise()
+SLAM = FastSlamConfig()
 SLIP = 1.2  # the wheels report this many times the true motion
 
 
@@ -49,7 +49,7 @@ class Drive:
 
     def refine(self):
         scan = self.world.scan_from(self.stamp, self.true.compose(LASER), beams=361)
-        refine_by_scan(self.track, scan, LASER, NOISE)
+        refine_by_scan(self.track, scan, LASER, SLAM)
 
     def error(self):
         moved = self.start.between(self.true)
@@ -101,7 +101,7 @@ def test_a_scan_that_matches_nothing_is_counted_and_changes_nothing():
     before = drive.track.odometry.pose
     ranges = np.full(361, 0.3, np.float32)
     odd = LaserScan(drive.stamp, -math.pi / 2, math.pi / 360, ranges, 0.05, 8.0)
-    refine_by_scan(drive.track, odd, LASER, NOISE)
+    refine_by_scan(drive.track, odd, LASER, SLAM)
     assert drive.track.counts == {'unmatched_scans': 1}
     assert drive.track.odometry.pose == before
     assert drive.track.matched_until == until

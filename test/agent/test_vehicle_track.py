@@ -9,7 +9,7 @@ from explore_slam.agent.odometry import OdometryBuffer, Step
 from explore_slam.agent.vehicle_track import Keyframe, VehicleTrack, compound_steps
 from explore_slam.data import LandmarkObservations, LaserScan, OdometryReading
 from explore_slam.geometry import IDENTITY, Pose2
-from explore_slam.mapping import ScanMatcher, ScanMatchingConfig
+from explore_slam.registration import ScanMatcher, ScanMatchingConfig
 from explore_slam.slam import OdometryNoise
 from explore_slam.vision import KeyframeSelector
 

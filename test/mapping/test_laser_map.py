@@ -86,6 +86,32 @@ def test_without_memory_for_snapshots_the_result_is_the_same(generator):
     assert laser_map.grid.same_as(from_scratch(laser_map, path))
 
 
+def test_scans_are_drawn_again_only_where_a_keyframe_has_moved_noticeably(generator):
+    laser_map = LaserMap()
+    path = np.cumsum(generator.normal(0.0, 0.2, (100, 3)), axis=0)
+    add_scans(laser_map, generator, 100)
+    laser_map.redraw(path)
+    grid, little = laser_map.grid, path + (0.006, 0.006, 0.003)
+    assert laser_map.redraw(little).drawn == 0
+    assert laser_map.grid is grid
+    np.testing.assert_array_equal(laser_map.path, path)
+    turned = little.copy()
+    turned[90:, 2] += 0.006  # with the turn before, more than 2 cm at 3 m
+    assert 10 <= laser_map.redraw(turned).drawn < 40
+    np.testing.assert_array_equal(laser_map.path[:90], path[:90])
+    np.testing.assert_array_equal(laser_map.path[90:], turned[90:])
+    assert laser_map.grid.same_as(from_scratch(laser_map, laser_map.path))
+
+
+def test_small_motions_add_up(generator):
+    laser_map = LaserMap()
+    path = np.zeros((5, 3))
+    add_scans(laser_map, generator, 5)
+    laser_map.redraw(path)
+    drawn = [laser_map.redraw(path + (0.006 * k, 0.0, 0.0)).drawn for k in range(1, 5)]
+    assert drawn == [0, 0, 0, 5]
+
+
 def test_a_scan_waits_for_its_keyframe(generator):
     laser_map = LaserMap()
     add_scans(laser_map, generator, 3)

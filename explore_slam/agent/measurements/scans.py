@@ -1,4 +1,4 @@
-"""Laser scans: matched to refine odometry, then thinned and drawn into the occupancy grid."""
+"""Laser scans: matched to refine odometry, thinned, drawn into the grid, and closing loops."""
 
 from explore_slam.agent.measurements.kind import MeasurementKind, enqueue
 from explore_slam.agent.team import Team
@@ -6,6 +6,7 @@ from explore_slam.agent.vehicle_track import VehicleTrack
 from explore_slam.data import LaserScan
 from explore_slam.geometry import Pose2, moved_enough
 from explore_slam.mapping import MAP_FRAME, Body
+from explore_slam.registration import scan_cloud
 
 
 def enqueue_scan(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
@@ -33,6 +34,24 @@ def process(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
         moved.compose(team.config.laser_mount.pose),
         _bodies(team, track, scan.stamp),
     )
+    _close_loops(team, track, scan, moved)
+
+
+def _close_loops(team: Team, track: VehicleTrack, scan: LaserScan, moved: Pose2) -> None:
+    """Hang a scan on the newest keyframe, unless matching has refused it, and search for loops.
+
+    moved: motion since the keyframe.
+    """
+    matching = team.config.scan_matching
+    cloud = track.cloud_of(scan.stamp)
+    if not matching.scan_matching:
+        cloud = scan_cloud(scan, team.config.laser_mount.pose, matching.matching_range)
+        cloud = cloud.masked(team.discs(track, scan.stamp))
+    if cloud is None or track.keyframe is None:
+        return
+    counts = team.loops.add_scan(team.belief, track.name, track.keyframe, moved, cloud, scan.stamp)
+    track.count_many('closures', counts.closed)
+    track.count_many('closures_taken_back', counts.taken_back)
 
 
 def _enters_map(team: Team, track: VehicleTrack, stamp: float, pose: Pose2) -> bool:

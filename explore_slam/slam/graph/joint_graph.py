@@ -268,6 +268,13 @@ class JointGraph:
             RELATIVE_POSE, i, j, measured, W, kernel, self.config.closure_scale
         )
 
+    def make_robust(self, factor: int) -> None:
+        """Give a relative pose that was added without it the Cauchy kernel."""
+        table = self._storage.factors
+        row = self._factor_row(factor)
+        table['robust'][row], table['scale'][row] = CAUCHY, self.config.closure_scale
+        self._storage.touch([int(table[end][row]) for end in ('a', 'b')])
+
     def add_relative_position(self, a: int, b: int, z: ArrayLike, R: ArrayLike) -> int:
         """Add the position z (2,) of b's vehicle that a's vehicle measured, at these keyframes.
 
@@ -283,14 +290,11 @@ class JointGraph:
     def remove_factor(self, factor: int) -> None:
         """Take back a factor that one of the methods above returned."""
         store = self._storage
-        numbers = store.factors['number']
-        row = int(np.searchsorted(numbers, factor))
-        if row == len(numbers) or numbers[row] != factor:
-            raise SlamError(f'factor {factor} is not in the graph')
+        row = self._factor_row(factor)
         a, b = int(store.factors['a'][row]), int(store.factors['b'][row])
         if a < 0 and not self._has_other_prior(row):
             raise SlamError(f'factor {factor} is the only prior of vehicle {store.vehicle_of(b)}')
-        store.factors.keep(numbers != factor)
+        store.factors.keep(store.factors['number'] != factor)
         ends = [end for end in (a, b) if end >= 0]
         store.touch(ends)
         for end in ends:
@@ -464,6 +468,39 @@ class JointGraph:
         factors = Factors.of_rows(table, closures)
         return table['number'][closures], squared_norms(factors, self._storage.keyframes['pose'])
 
+    def vehicles_of(self, keyframes: ArrayLike) -> Integers:
+        """Return the vehicles (n,) of keyframes (n,)."""
+        numbers = checks.integers('keyframes', keyframes)
+        table = self._storage.keyframes
+        rows = np.minimum(np.searchsorted(table['number'], numbers), len(table) - 1)
+        unknown = numbers[table['number'][rows] != numbers]
+        if len(unknown):
+            raise SlamError(f'keyframe {unknown[0]} is not in the graph')
+        found: Integers = table['vehicle'][rows]
+        return found
+
+    def newest_keyframe(self, vehicle: int) -> int:
+        """Return the newest keyframe of the vehicles that are tied to one."""
+        rows = [self._storage.newest[member] for member in self._component(vehicle)]
+        return int(self._storage.keyframes['number'][max(rows)])
+
+    def motion_covariance(self, begin: int, end: int) -> Array:
+        """Return the covariance (3, 3), in the axes of the first, of the motion between keyframes.
+
+        They are of the same vehicle.
+        """
+        table, first = self._storage.keyframes, self._storage.row_of(begin)
+        row, rows = self._storage.row_of(end), list[int]()
+        while row > first:
+            rows.append(row)
+            row = int(table['before'][row])
+        mean, covariance = np.zeros(3), np.zeros((3, 3))
+        for row in reversed(rows):
+            mean, covariance = motion.compound(
+                mean, covariance, table['increment'][row], table['covariance'][row]
+            )
+        return covariance
+
     def live_keyframes(self) -> Integers:
         """Return the numbers (N,) of the keyframes that are variables, ascending."""
         numbers: Integers = self._storage.keyframes['number'][self._storage.keyframes['live']]
@@ -528,6 +565,13 @@ class JointGraph:
         if self._ties[0] != self._storage.changes:
             self._ties = (self._storage.changes, components(self._storage))
         return self._ties[1]
+
+    def _factor_row(self, factor: int) -> int:
+        numbers = self._storage.factors['number']
+        row = int(np.searchsorted(numbers, factor))
+        if row == len(numbers) or numbers[row] != factor:
+            raise SlamError(f'factor {factor} is not in the graph')
+        return row
 
     def _ends(self, a: int, b: int) -> tuple[int, int]:
         """Return the rows of the two keyframes of a factor."""

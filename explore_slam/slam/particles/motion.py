@@ -156,6 +156,10 @@ class Segment(NamedTuple):
         """Return no motion."""
         return cls(IDENTITY, np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3))
 
+    def is_motion(self) -> bool:
+        """Return whether the vehicle moves, or may have moved."""
+        return self.mean != IDENTITY or bool(np.any(self.covariance))
+
     def extended(self, other: 'Segment') -> 'Segment':
         """Return this motion followed by another."""
         mean, covariance = compound(self.mean, self.covariance, other.mean, other.covariance)
@@ -182,9 +186,13 @@ class PendingMotion:
     It is kept in segments, each so short that its heading uncertainty allows linearization.
     Nothing is sampled before an observation needs it: samples drawn earlier would be depleted by
     the resamplings that other vehicles cause meanwhile.
+
+    white (3, 3): covariance of an error of the pose measured last that the next motion takes back,
+    in the vehicle frame there (see `FastSlam.predict`).
     """
 
     segments: list[Segment] = field(default_factory=list)
+    white: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
     @classmethod
     def of(cls, covariance: Array) -> 'PendingMotion':
@@ -206,12 +214,15 @@ class PendingMotion:
 
     def copy(self) -> 'PendingMotion':
         """Return a motion that goes on by itself."""
-        return PendingMotion(list(self.segments))
+        return PendingMotion(list(self.segments), self.white)
 
     def end_covariance(self) -> Array:
-        """Return the linearized covariance (3, 3) in the vehicle frame after the mean motion."""
+        """Return the linearized covariance (3, 3) in the vehicle frame after the mean motion.
+
+        The white error is part of it.
+        """
         total = self.total()
-        return rotated(total.covariance, total.mean.theta)
+        return rotated(total.covariance, total.mean.theta) + self.white
 
     def apply(self, poses: Array, calibrations: Array) -> Array:
         """Return poses (M, 3) moved by the mean motion for calibrations (M, 3)."""
@@ -222,7 +233,7 @@ class PendingMotion:
     def state_dict(self) -> State:
         """Return the segments."""
         rows = [np.concatenate([np.ravel(part) for part in segment]) for segment in self.segments]
-        return {'segments': np.array(rows, np.float64).reshape(-1, 24)}
+        return {'segments': np.array(rows, np.float64).reshape(-1, 24), 'white': self.white}
 
     def restore(self, state: State) -> None:
         """Restore the segments."""
@@ -235,6 +246,7 @@ class PendingMotion:
             )
             for row in state['segments']
         ]
+        self.white = state['white'].copy()
 
     def propagate(
         self, poses: Array, calibrations: Array, heading_limit: float, random: np.random.Generator
@@ -243,7 +255,7 @@ class PendingMotion:
 
         calibrations (M, 3) of the particles. If the heading is more uncertain than heading_limit
         (rad), it is sampled and the position is conditioned on the sample; a heading deviation of
-        half the limit remains.
+        half the limit remains. The covariance contains the white error.
         """
         left = Segment.empty()
         uncertain = self.end_covariance()[2, 2] > heading_limit**2
@@ -257,7 +269,7 @@ class PendingMotion:
                 moves = moves + factors[:, None] * direction
             poses = compose(poses, moves)
             left = left.extended(segment._replace(covariance=rest))
-        return poses, rotated(left.covariance, left.mean.theta)
+        return poses, rotated(left.covariance, left.mean.theta) + self.white
 
 
 def split_heading(covariance: Array, deviation: float) -> tuple[Array, Array]:

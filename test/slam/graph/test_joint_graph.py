@@ -46,6 +46,8 @@ def graph_of(steps=4):
         (lambda g: g.add_prior(5, [0, 0, 0]), 'keyframe 5 is not'),
         (lambda g: g.remove_factor(0), 'only prior of vehicle 0'),
         (lambda g: g.remove_factor(77), 'factor 77 is not'),
+        (lambda g: g.make_robust(77), 'factor 77 is not'),
+        (lambda g: g.vehicles_of([1, 12]), 'keyframe 12 is not'),
         (lambda g: g.merge_landmarks([1, 2], [3]), 'old has 2 ids'),
         (lambda g: g.merge_landmarks([1, 2], [2, 3]), 'landmark 2 is to be merged'),
         (lambda g: g.optimize(3), 'vehicle 3 is not'),
@@ -194,3 +196,35 @@ def test_planar_observations_are_those_without_height(make_world):
     newest = worlds[0].newest[0]
     planar, same = (world.graph.covariance(newest) for world in worlds)
     np.testing.assert_allclose(planar, same, rtol=1e-6, atol=1e-12)
+
+
+def test_a_closure_made_robust_is_the_same_as_one_added_so():
+    graphs = graph_of(6), graph_of(6)
+    wrong, information = [3.0, 1.0, 0.5], 1e4 * np.eye(3)
+    graphs[0].add_relative_pose(0, 5, wrong, information)
+    factor = graphs[1].add_relative_pose(0, 5, wrong, information, robust=False)
+    graphs[1].optimize()
+    pulled = graphs[1].path()[5, 1]
+    graphs[1].make_robust(factor)
+    for graph in graphs:
+        graph.optimize()
+    assert abs(graphs[0].path()[5, 1]) < 0.1 * abs(pulled)
+    # the robust cost has two minima far from each other; from the same start both are the same
+    again = graph_of(6)
+    again.make_robust(again.add_relative_pose(0, 5, wrong, information, robust=False))
+    again.optimize()
+    np.testing.assert_array_equal(again.path(), graphs[0].path())
+
+
+def test_motion_between_keyframes_is_as_uncertain_as_the_posterior_of_a_chain():
+    graph = JointGraph()
+    graph.add_start(0, 0, [1.0, 2.0, 0.4])
+    graph.add_start(1, 1, [5.0, 2.0, 0.4])
+    for k in range(2, 9):
+        graph.add_keyframe(k % 2, k, [0.7, 0.1, 0.3], np.diag([2e-4, 1e-4, 3e-4]))
+    graph.optimize()
+    expected = graph.relative_covariance(2, [8])[0]
+    np.testing.assert_allclose(graph.motion_covariance(2, 8), expected, rtol=1e-3, atol=1e-9)
+    assert not graph.motion_covariance(8, 8).any()
+    np.testing.assert_array_equal(graph.vehicles_of([8, 1, 3, 0]), [0, 1, 1, 0])
+    assert (graph.newest_keyframe(0), graph.newest_keyframe(1)) == (8, 7)
