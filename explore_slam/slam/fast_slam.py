@@ -843,8 +843,9 @@ class FastSlam(Checkpointed):
             'states': self._states,
             'predicted': np.array(self._predicted),
             'stamps': np.array(self._stamps),
+            'has_chain_covariance': np.array([P is not None for P in self._chain_covariances]),
             'chain_covariances': np.array(
-                [np.full((3, 3), np.nan) if P is None else P for P in self._chain_covariances]
+                [np.zeros((3, 3)) if P is None else P for P in self._chain_covariances]
             ),
             **under('map', self.map.state_dict()),
             **under('path', self.path.state_dict()),
@@ -879,7 +880,10 @@ class FastSlam(Checkpointed):
         self._predicted = state['predicted'].tolist()
         self._stamps = state['stamps'].tolist()
         self._chain_covariances = [
-            None if np.isnan(P).any() else P.copy() for P in state['chain_covariances']
+            P.copy() if known else None
+            for P, known in zip(
+                state['chain_covariances'], state['has_chain_covariance'], strict=True
+            )
         ]
         self.map.restore(part('map', state))
         self.path.restore(part('path', state))
