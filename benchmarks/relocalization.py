@@ -67,9 +67,7 @@ def office(seed: int, count: int) -> Iterator[Moment]:
         )
         noisy = local[seen] + random.normal(0.0, DEVIATION, (len(seen), 3))
         spread = np.tile(DEVIATION**2 * np.eye(3), (len(seen), 1, 1))
-        found = LandmarkObservations(
-            0.5 * number, noisy, spread, vectors[seen].astype(np.float32)
-        )
+        found = LandmarkObservations(0.5 * number, noisy, spread, vectors[seen].astype(np.float32))
         steps = np.array([increment])
         yield Moment('robot1', 0.5 * number, steps, found if len(seen) else None, pose)
 
@@ -203,9 +201,7 @@ def main() -> None:
         team = mrclam.corrected(mrclam.read(arguments.mrclam))
         moments = list(team_moments(team))
         first = next(n for n, m in enumerate(moments) if m.stamp > team.begin + WAITING)
-        config = with_values(
-            FastSlamConfig(), {**SETTINGS, 'maximum_descriptor_distance': 0.0}
-        )
+        config = with_values(FastSlamConfig(), {**SETTINGS, 'maximum_descriptor_distance': 0.0})
         slam = FastSlam(mrclam.start_poses(team), config, arguments.seed)
         study('MR.CLAM', slam, moments, first, arguments.restarts, arguments.seed)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from explore_slam.data import InterRobotObservation, LandmarkObservations
 from explore_slam.errors import SlamError
-from explore_slam.geometry import Array, Pose2, compose, wrap_angles
+from explore_slam.geometry import Array, Pose2, between, compose, wrap_angles
 from explore_slam.settings import values_of, with_values
 from explore_slam.slam import checks
 from explore_slam.slam.association.candidates import find_candidates
@@ -167,14 +167,14 @@ class FastSlam(Checkpointed):
 
         what = f'update({vehicle!r}) at stamp {observations.stamp}'
         with self._rejecting(what):
-            normals, state, proposal = self._associate(number, observations)
+            normals, state, proposal, P = self._associate(number, observations)
         if self._is_contradicted(number, state, proposal):
             redraw = self._draw([number])
             if redraw is not None:
                 state.discard()
                 self._take(redraw)
                 with self._rejecting(what):
-                    normals, state, proposal = self._associate(number, observations)
+                    normals, state, proposal, P = self._associate(number, observations)
         found, group = state.found, self.groups.of(number)
         self._stamps[number] = observations.stamp
         # 2.6.2 importance weight
@@ -183,8 +183,9 @@ class FastSlam(Checkpointed):
         # 5 resample (fastslam2)
         resampled = self._resample_before_sampling(group, state, proposal)
         # 2.1 sample (fastslam2)
+        predicted = proposal.poses.copy()
         poses = proposal.sample(normals)
-        self._place(number, poses)
+        self._place(number, self._without_frame_error(predicted, poses, P))
         # 2.6.1 update the associated landmarks
         update_associated(state, poses, self.config.filter_threads)
         # 4 best particle
@@ -219,8 +220,11 @@ class FastSlam(Checkpointed):
 
     def _associate(
         self, number: int, observations: LandmarkObservations
-    ) -> tuple[Array, AssociationState, PoseProposal]:
-        """Return standard normals (M, 3), the association, and the proposal made of both."""
+    ) -> tuple[Array, AssociationState, PoseProposal, Array]:
+        """Return standard normals (M, 3), the association, and the proposal made of both.
+
+        The last result is the covariance (3, 3) of the predicted poses in the vehicle frame.
+        """
         if self.joint is not None:
             self.joint.check_motion(number)
         # 2.2 candidate landmarks: similar descriptor, near where the observation is expected
@@ -237,7 +241,10 @@ class FastSlam(Checkpointed):
             # 2.1 sample (paper), 2.4 gate, 2.5 descriptor; Gaussian proposal of the pose
             # (fastslam2)
             normals = stratified_normals(self._random, self.config.particles, 3)
-            return normals, state, self._propose(state, poses, P, normals, group.log_weights)
+            error = self.config.frame_error.covariance()
+            total = P if error is None else P + error
+            proposal = self._propose(state, poses, total, normals, group.log_weights)
+            return normals, state, proposal, P
         except FloatingPointError:
             for draw, entries in fused.items():
                 self.map.defer(entries, draw, self.map.reference[entries])
@@ -312,6 +319,23 @@ class FastSlam(Checkpointed):
             return pair_likelihoods(found, blocks, theirs, orders, poses, P, self.config)
 
         return poses[self.groups.merge(group, others, likelihood, self._states, self._random)]
+
+    def _without_frame_error(self, predicted: Array, seen_from: Array, P: Array) -> Array:
+        """Return samples (M, 3) of the poses of a vehicle whose frame seems seen from others.
+
+        predicted (M, 3) with the covariance P (3, 3); seen_from (M, 3): the same with the common
+        error of the frame, sampled given the observations. What these say of the pose, they say
+        by way of it: the pose given seen_from is that of two Gaussians added.
+        """
+        error = self.config.frame_error.covariance()
+        if error is None:
+            return seen_from
+        gain = np.linalg.solve(P + error, P).T
+        rest = P - gain @ P
+        values, vectors = np.linalg.eigh(0.5 * (rest + rest.T))
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        normals = stratified_normals(self._random, len(predicted), 3)
+        return compose(predicted, between(predicted, seen_from) @ gain.T + normals @ root.T)
 
     def _propose(
         self, state: AssociationState, poses: Array, P: Array, normals: Array, log_weights: Array

@@ -20,7 +20,7 @@ from explore_slam.geometry import IDENTITY, Array, Pose2
 from explore_slam.slam.association.state import Observed
 from explore_slam.slam.checkpoint import State, part, under
 from explore_slam.slam.config import FastSlamConfig
-from explore_slam.slam.graph import JointGraph, Solution
+from explore_slam.slam.graph import Draws, JointGraph, Solution
 from explore_slam.slam.particles.group import Group
 from explore_slam.slam.particles.joint_samples import JointSamples
 from explore_slam.slam.particles.motion import PendingMotion, Segment
@@ -105,6 +105,7 @@ class JointPosterior:
                 self._next,
                 np.asarray(motion.mean) - motion.offset,
                 motion.covariance + np.diag(_LEAST_DEVIATIONS**2),
+                white=self.config.frame_error.covariance(),
                 estimate=np.asarray(estimate),
                 sensitivity=motion.sensitivity,
             )
@@ -187,12 +188,25 @@ class JointPosterior:
         return Redraw(
             members,
             samples,
-            {v: samples.pose_of(self._tails[v].keyframe) for v in members},
+            {v: self._present_poses(v, drawn) for v in members},
             {v: self._tails[v].motion.copy() for v in members},
             calibrations,
             ids,
             samples.fused_at_mean(ids)[:, :3] if len(ids) else np.empty((0, 3)),
         )
+
+    def _present_poses(self, vehicle: int, drawn: Sequence[Draws]) -> Array:
+        """Return the samples (M, 3) of a vehicle at its newest keyframe.
+
+        The nodes that observations belong to contain the common error of their frame; the motion
+        leads from chain to chain without it.
+        """
+        keyframe = self._tails[vehicle].keyframe
+        draw = next(d for d in drawn if keyframe in d.keyframes)
+        row = int(np.searchsorted(draw.keyframes, keyframe))
+        framed = self.config.frame_error.covariance() is not None
+        poses: Array = (draw.chains if framed else draw.poses)[row].T.copy()
+        return poses
 
     def _solutions(self, vehicles: Sequence[int]) -> list[Solution]:
         """Return the optimum of each set of vehicles that are tied together."""
@@ -204,8 +218,8 @@ class JointPosterior:
         return solutions
 
     def path(self) -> Array:
-        """Return the most likely poses (N, 3) of all keyframes of the graph."""
-        return self.graph.path()
+        """Return the most likely poses (N, 3) of all keyframes, without errors of frames."""
+        return self.graph.path(chains=self.config.frame_error.covariance() is not None)
 
     # -- state ----------------------------------------------------------------------------------
 
