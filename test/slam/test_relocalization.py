@@ -156,7 +156,7 @@ def test_two_landmarks_are_too_few():
 
 
 def test_landmarks_close_together_do_not_tell_the_heading():
-    """Deviations of 4 cm (observation, landmark, 3 cm at least): 0.15 rad at an extent of 0.27 m."""
+    """Matches that deviate by 4 cm determine 0.15 rad from an extent of 0.27 m on."""
     for spread, found in ((0.1, False), (1.0, True)):
         positions = {
             n: np.array([6.0 + spread * np.cos(a), spread * np.sin(a), 0.02])

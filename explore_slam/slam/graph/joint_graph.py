@@ -413,7 +413,8 @@ class JointGraph:
     def path(self, *, chains: bool = False) -> Array:
         """Return the estimated poses (K, 3) of all keyframes ever added, ascending by number.
 
-        chains: those with the white errors, where the motion ends. Those that were dropped hang between their neighbours by the motion that was measured.
+        chains: those with the white errors, where the motion ends. Keyframes that were dropped
+        hang between their neighbours by the motion that was measured.
         """
         keyframes = self._storage.keyframes
         poses: Array = keyframes['chain' if chains else 'pose'][:, :, None].copy()
