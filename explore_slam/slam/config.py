@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from explore_slam.errors import ConfigError
 from explore_slam.geometry import Array
 from explore_slam.settings import Section, section, setting
 from explore_slam.slam.descriptors.kinds import KINDS, kind_named
@@ -128,6 +129,49 @@ class CorrelationConfig(Section):
     def lengths(self) -> Array:
         """Return the correlation lengths (m, rad, s)."""
         return np.array([self.correlation_distance, self.correlation_turn, self.correlation_time])
+
+
+@dataclass(frozen=True)
+class FrameErrorConfig(Section):
+    """Error that all observations of one frame have in common, as if seen from a pose nearby.
+
+    Depth scale, rolling shutter and registration of a camera displace a frame as a whole.
+    """
+
+    frame_position_deviation: float = setting(
+        0.0,
+        'Deviation of x and of y that the observations of one frame share',
+        unit='m',
+        low=0.0,
+        high=1.0,
+    )
+    frame_heading_deviation: float = setting(
+        0.0,
+        'Deviation of the heading that the observations of one frame share',
+        unit='rad',
+        low=0.0,
+        high=1.0,
+    )
+
+    def covariance(self) -> Array | None:
+        """Return the covariance (3, 3) in the vehicle frame; None if there is no such error."""
+        deviations = np.array(
+            [
+                self.frame_position_deviation,
+                self.frame_position_deviation,
+                self.frame_heading_deviation,
+            ]
+        )
+        return np.diag(deviations**2) if deviations.all() else None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if (self.frame_position_deviation > 0.0) != (self.frame_heading_deviation > 0.0):
+            raise ConfigError(
+                f'frame_position_deviation is {self.frame_position_deviation} m and '
+                f'frame_heading_deviation {self.frame_heading_deviation} rad, expected both to be '
+                'zero or both above'
+            )
 
 
 @dataclass(frozen=True)
@@ -256,6 +300,7 @@ class FastSlamConfig(Section):
     odometry_noise: OdometryNoise = section(OdometryNoise)
     calibration: CalibrationConfig = section(CalibrationConfig)
     correlation: CorrelationConfig = section(CorrelationConfig)
+    frame_error: FrameErrorConfig = section(FrameErrorConfig)
     graph: GraphConfig = section(GraphConfig)
     association: AssociationConfig = section(AssociationConfig)
     existence: ExistenceConfig = section(ExistenceConfig)

@@ -212,7 +212,7 @@ class FastSlam(Checkpointed):
         # 2.1 sample (fastslam2)
         predicted = proposal.poses.copy()
         poses = proposal.sample(normals)
-        self._place(number, poses, predicted, P)
+        self._place(number, self._without_frame_error(predicted, poses, P), predicted, P)
         # 2.6.1 update the associated landmarks
         update_associated(state, poses, self.config.filter_threads)
         # 4 best particle
@@ -268,7 +268,10 @@ class FastSlam(Checkpointed):
             # 2.1 sample (paper), 2.4 gate, 2.5 descriptor; Gaussian proposal of the pose
             # (fastslam2)
             normals = stratified_normals(self._random, self.config.particles, 3)
-            proposal = self._propose(state, poses, P, normals, group.log_weights)
+            error = self.config.frame_error.covariance()
+            total = P if error is None else P + error
+            proposal = self._propose(state, poses, total, normals, group.log_weights)
+            return normals, state, proposal, P
         except FloatingPointError:
             for draw, entries in fused.items():
                 self.map.defer(entries, draw, self.map.reference[entries])
@@ -344,6 +347,23 @@ class FastSlam(Checkpointed):
             return pair_likelihoods(found, blocks, theirs, orders, poses, P, self.config)
 
         return poses[self.groups.merge(group, others, likelihood, self._states, self._random)]
+
+    def _without_frame_error(self, predicted: Array, seen_from: Array, P: Array) -> Array:
+        """Return samples (M, 3) of the poses of a vehicle whose frame seems seen from others.
+
+        predicted (M, 3) with the covariance P (3, 3); seen_from (M, 3): the same with the common
+        error of the frame, sampled given the observations. What these say of the pose, they say
+        by way of it: the pose given seen_from is that of two Gaussians added.
+        """
+        error = self.config.frame_error.covariance()
+        if error is None:
+            return seen_from
+        gain = np.linalg.solve(P + error, P).T
+        rest = P - gain @ P
+        values, vectors = np.linalg.eigh(0.5 * (rest + rest.T))
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        normals = stratified_normals(self._random, len(predicted), 3)
+        return compose(predicted, between(predicted, seen_from) @ gain.T + normals @ root.T)
 
     def _propose(
         self, state: AssociationState, poses: Array, P: Array, normals: Array, log_weights: Array

@@ -20,7 +20,7 @@ from explore_slam.geometry import Array, Pose2, between, wrap_angle
 from explore_slam.slam.association.state import Observed
 from explore_slam.slam.checkpoint import State, part, under
 from explore_slam.slam.config import FastSlamConfig
-from explore_slam.slam.graph import JointGraph, Solution
+from explore_slam.slam.graph import Draws, JointGraph, Solution
 from explore_slam.slam.particles.group import Group
 from explore_slam.slam.particles.joint_samples import JointSamples
 from explore_slam.slam.particles.motion import PendingMotion, Segment
@@ -133,13 +133,20 @@ class JointPosterior:
                 self._next,
                 np.asarray(motion.mean) - motion.offset,
                 motion.covariance + np.diag(_LEAST_DEVIATIONS**2),
-                tail.motion.white if tail.motion.white.any() else None,
+                self._white(tail.motion.white),
                 estimate=np.asarray(estimate),
                 sensitivity=motion.sensitivity,
             )
             self._tails[vehicle] = _Tail(self._next)
             self._next += 1
         return self._tails[vehicle].keyframe
+
+    def _white(self, motion: Array) -> Array | None:
+        """Return the white error (3, 3) of a keyframe: that of its motion and that of its frame."""
+        frame = self.config.frame_error.covariance()
+        if frame is not None:
+            return motion + frame
+        return motion if motion.any() else None
 
     def observe(self, keyframe: int, ids: Places, observed: Observed) -> None:
         """Record observations (K,) of landmarks by id, -1 where there is none, at a keyframe."""
@@ -256,6 +263,8 @@ class JointPosterior:
             for draw, solution in zip(drawn, solutions, strict=True)
             for v in solution.problem.vehicles
         }
+        # the nodes of a keyframe that observations belong to contain the error of its frame
+        framed = self.config.frame_error.covariance() is not None
         numbers = np.concatenate([draw.keyframes for draw in drawn])
         order = np.argsort(numbers)
         ids, observations = self.graph.observations_from(members)
@@ -276,7 +285,7 @@ class JointPosterior:
         return Redraw(
             members,
             samples,
-            {v: samples.pose_of(self._tails[v].keyframe) for v in members},
+            chains if framed else {v: samples.pose_of(self._tails[v].keyframe) for v in members},
             chains,
             {v: self._tails[v].motion.copy() for v in members},
             {v: self._tails[v].moved for v in members},
@@ -308,8 +317,8 @@ class JointPosterior:
         return solutions
 
     def path(self) -> Array:
-        """Return the most likely poses (N, 3) of all keyframes of the graph."""
-        return self.graph.path()
+        """Return the most likely poses (N, 3) of all keyframes, without errors of frames."""
+        return self.graph.path(chains=self.config.frame_error.covariance() is not None)
 
     # -- state ----------------------------------------------------------------------------------
 

@@ -58,8 +58,9 @@ _ACCEPTED_PART = 0.5
 _ACCEPTED_GAIN = 1.5
 _RIVAL_DISTANCE = 1.0
 _RIVAL_TURN = 0.5
-_LEAST_EXTENT = 0.1  # m: of the inliers, and the largest heading deviation (rad) they may give
-_LARGEST_HEADING_DEVIATION = 0.3
+_LEAST_EXTENT = 0.1  # m, of the inliers
+# rad: landmarks close together or far away that leave the heading more uncertain do not decide
+_LARGEST_HEADING_DEVIATION = 0.15
 
 
 class _Pairs(NamedTuple):
@@ -322,7 +323,7 @@ class Relocalizer:
         )
 
     def _refine(self, frame: Pose2, pairs: _Pairs, votes: int) -> Relocalized | None:
-        """Fit the pose of the odometry frame to its inliers; None with too few landmarks."""
+        """Fit the pose of the odometry frame to its inliers; None if they do not determine it."""
         points, landmarks, deviations = pairs.points, pairs.landmarks, pairs.deviations
         c, s = math.cos(frame.theta), math.sin(frame.theta)
         x = frame.x + c * points[:, 0] - s * points[:, 1] - landmarks[:, 0]
@@ -340,8 +341,11 @@ class Relocalizer:
         fitted = self._pose_of_vehicle(math.atan2(cross, dot), center, goal)
         deviation = float(np.sqrt(np.mean(deviations[inside] ** 2)))
         extent = math.sqrt(float(weights @ (p**2).sum(axis=1)))
-        heading = min(deviation / max(extent, _LEAST_EXTENT), _LARGEST_HEADING_DEVIATION)
-        return Relocalized(fitted, deviation, heading, votes, ids)
+        heading = deviation / max(extent, _LEAST_EXTENT)
+        if heading > _LARGEST_HEADING_DEVIATION:
+            return None
+        away = math.hypot(fitted.x - goal[0], fitted.y - goal[1])
+        return Relocalized(fitted, math.hypot(deviation, heading * away), heading, votes, ids)
 
     def _pose_of_vehicle(self, turn: float, center: Array, goal: Array) -> Pose2:
         """Return the pose if the odometry frame is rotated, and its point center moved to goal."""

@@ -256,7 +256,9 @@ def observe(stamp: float, subjects: Array, measurements: Array) -> LandmarkObser
     covariances[:, 2, 2] = HEIGHT_SIGMA**2
     for row, (distance, bearing) in enumerate(measurements.tolist()):
         positions[row, :2], covariances[row, :2, :2] = planar_measurement(distance, bearing)
-    descriptors = np.stack([landmark_descriptor(int(subject)) for subject in subjects])
+    descriptors = np.empty((count, DESCRIPTOR_LENGTH), np.float32)
+    for row, subject in enumerate(subjects.tolist()):
+        descriptors[row] = landmark_descriptor(int(subject))
     return LandmarkObservations(stamp, positions, covariances, descriptors)
 
 

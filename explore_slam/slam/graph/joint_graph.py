@@ -414,13 +414,14 @@ class JointGraph:
         pose: Array = self._storage.keyframes['pose'][row].copy()
         return pose
 
-    def path(self) -> Array:
+    def path(self, *, chains: bool = False) -> Array:
         """Return the estimated poses (K, 3) of all keyframes ever added, ascending by number.
 
-        Those that were dropped hang between their neighbours by the motion that was measured.
+        chains: those with the white errors, where the motion ends. Keyframes that were dropped
+        hang between their neighbours by the motion that was measured.
         """
         keyframes = self._storage.keyframes
-        poses: Array = keyframes['pose'][:, :, None].copy()
+        poses: Array = keyframes['chain' if chains else 'pose'][:, :, None].copy()
         live = np.flatnonzero(keyframes['live'])
         bounding.hang_dropped(self._storage, live, keyframes['chain'][:, :, None], poses)
         return poses[:, :, 0]

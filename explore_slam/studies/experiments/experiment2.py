@@ -125,12 +125,15 @@ def _filter_table(
             'precision': correct / max(total, 1),
             'position_rms': [run.position_rms for run in runs],
             'heading_rms': [run.heading_rms for run in runs],
+            'odometry_rms': [run.odometry_rms for run in runs],
+            'pose_nees': [run.pose_nees for run in runs],
         }
         rows.append(
             (
                 f'{e0}', f'{correct}/{total} = {100 * correct / max(total, 1):.1f} %',
                 spread(run.position_rms for run in runs), spread(run.heading_rms for run in runs),
                 spread(run.odometry_rms for run in runs),
+                spread((run.pose_nees for run in runs), 1),
             )
         )  # fmt: skip
     return Table(
@@ -141,6 +144,7 @@ def _filter_table(
             'RMS position (m)',
             'RMS heading (rad)',
             'odometry position (m)',
+            'NEES of the pose',
         ),
         tuple(rows),
     )

@@ -128,6 +128,12 @@ def test_without_bearings_of_landmarks_there_is_no_delay():
     assert mrclam.odometry_delay([(odometry, rows)]) == 0.0
 
 
+def test_no_landmarks_are_no_observations():
+    found = mrclam.observe(1.0, np.empty(0), np.empty((0, 2)))
+    assert len(found) == 0
+    assert found.descriptors.shape == (0, 128)
+
+
 def test_descriptors_are_unit_vectors_far_apart_and_always_the_same():
     vectors = np.stack([mrclam.landmark_descriptor(subject) for subject in range(6, 21)])
     squared = 2.0 - 2.0 * vectors @ vectors.T
