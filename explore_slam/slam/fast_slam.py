@@ -495,6 +495,8 @@ class FastSlam(Checkpointed):
         old = [self.groups.of(number) for number in redraw.vehicles]
         mine = self.map.entries_of(old)
         known = np.isin(self.map.ids[mine], redraw.ids)
+        if self.joint is not None:
+            self.joint.graph.remove_landmarks(self.map.ids[mine[~known]])
         self.map.remove(mine[~known])
         kept = mine[known]
         places = np.searchsorted(redraw.ids, self.map.ids[kept])

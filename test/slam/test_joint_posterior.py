@@ -549,6 +549,38 @@ def test_path_and_map_are_bounded_by_the_area(make_world, make_slam):
     assert len(keyframes) == 10 * len(path) + 1
 
 
+def test_what_is_seen_only_once_is_forgotten_everywhere(make_world, make_slam):
+    """Five features of every frame are never seen again, as real images have them."""
+    world = make_world(1, deviation=0.05)
+    path = ring(world, 4.0)
+    slam = make_slam(world.start(a=path[0]), particles=100, correlated_sightings=False)
+    see, random = world.see, np.random.default_rng(0)
+
+    def see_more(vehicle, stamp, reach):
+        seen = see(vehicle, stamp, reach)
+        places = random.uniform([0.5, -1.0, 0.0], [2.5, 1.0, 1.0], (5, 3))
+        vectors = random.standard_normal((5, 128)).astype(np.float32)
+        return LandmarkObservations(
+            stamp,
+            np.vstack([seen.positions, places]),
+            np.concatenate([seen.covariances, np.tile(0.0025 * np.eye(3), (5, 1, 1))]),
+            np.vstack([seen.descriptors, vectors / np.linalg.norm(vectors, axis=1)[:, None]]),
+        )
+
+    world.see = see_more
+    sizes = []
+    for _ in range(6):
+        drive_ring(slam, world, path, len(path))
+        slam._stamps[0] = -1.0
+        state = slam.state_dict()
+        stored = state['joint/graph/storage/landmarks/number'] >= 0
+        visits = state['joint/graph/storage/visits']
+        sizes.append((len(slam.map), np.count_nonzero(stored), len(visits)))
+    sizes = np.array(sizes)
+    assert (sizes[5] <= 1.2 * sizes[2]).all(), sizes
+    assert (sizes[:, 1] <= sizes[:, 0] + 5 * 8).all(), sizes
+
+
 @pytest.mark.parametrize('threads', [1, 2])
 def test_a_saved_state_continues_bit_by_bit_through_redraws(
     make_world, make_slam, drive_circles, threads

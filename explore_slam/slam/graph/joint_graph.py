@@ -308,9 +308,11 @@ class JointGraph:
             [store.landmark_rows[n] for n in ids if n in store.landmark_rows], np.int64
         )
         if len(rows):
-            store.drop_observations(np.isin(store.observations['landmark'], rows))
+            observed = np.isin(store.observations['landmark'], rows)
+            store.drop_observations(observed)
             store.forget_landmarks(rows)
-            store.touch()
+            if observed.any():
+                store.touch()
 
     def merge_landmarks(self, old: ArrayLike, into: ArrayLike) -> None:
         """Give the observations of landmarks old (n,) to landmarks into (n,): they are the same.
