@@ -20,7 +20,7 @@ from explore_slam.geometry import Array, Pose2, between, wrap_angle
 from explore_slam.slam.association.state import Observed
 from explore_slam.slam.checkpoint import State, part, under
 from explore_slam.slam.config import FastSlamConfig
-from explore_slam.slam.graph import Draws, JointGraph, Solution
+from explore_slam.slam.graph import JointGraph, Solution
 from explore_slam.slam.particles.group import Group
 from explore_slam.slam.particles.joint_samples import JointSamples
 from explore_slam.slam.particles.motion import PendingMotion, Segment
