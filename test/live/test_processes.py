@@ -8,6 +8,14 @@ import pytest
 from explore_slam.live.processes import interrupts_held
 
 
+@pytest.fixture(autouse=True)
+def interruptible():
+    """A shell's background job ignores SIGINT: these tests need Python's own handler."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def test_an_interrupt_comes_after_what_it_would_have_broken():
     done = []
 
