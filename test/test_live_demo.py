@@ -87,7 +87,7 @@ def test_ctrl_c_ends_everything_and_leaves_the_folder(tmp_path):
     finally:
         demo.kill()
         demo.stdout.close()
-    assert 'interrupted: ending all nodes' in rest
+    assert 'interrupted: stopping all nodes' in rest
     assert (tmp_path / 'latest' / 'metrics.json').exists()
     mine = str(tmp_path)
     left = [path for path in Path('/proc').glob('[0-9]*/cmdline') if mine in read(path)]
