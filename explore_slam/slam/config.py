@@ -32,7 +32,7 @@ class AssociationConfig(Section):
         high=1.0,
     )
     association_gate: float = setting(
-        8.0,
+        4.5,
         'Engine fastslam2: largest Mahalanobis distance of a match',
         unit='sigma',
         low=1.0,
