@@ -1,10 +1,7 @@
-"""MR.CLAM recordings (Leung et al., IJRR 30(8), 2011) as events in time order, without bags.
-
-Sensors are treated as by the importer (`explore_slam.recording.importers.mrclam`).
-"""
+"""MR.CLAM recordings (Leung et al., IJRR 30(8), 2011) as events in time order, without bags."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +9,6 @@ from numpy.typing import NDArray
 
 from explore_slam.data import InterRobotObservation, LandmarkObservations
 from explore_slam.geometry import Array, Pose2
-from explore_slam.recording.importers import mrclam as importer
 
 ROBOTS = 5
 
@@ -50,7 +46,7 @@ class Event:
 
 
 def read(folder: Path) -> Team:
-    """Read a folder as it was logged; the common interval is that of odometry and truth."""
+    """Read a folder; the common interval is that of all odometry and ground truth."""
     barcodes = np.loadtxt(folder / 'Barcodes.dat')
     subject_of = {int(code): int(subject) for subject, code in barcodes}
     robots = []
@@ -70,18 +66,6 @@ def read(folder: Path) -> Team:
     end = min(min(r.odometry[-1, 0], r.truth[-1, 0]) for r in robots)
     marks = np.loadtxt(folder / 'Landmark_Groundtruth.dat')
     return Team(robots, marks[np.argsort(marks[:, 0]), 1:3], begin, end)
-
-
-def corrected(team: Team) -> Team:
-    """Return the team with distances for ranges, and odometry when the robots follow it."""
-    robots = []
-    delay = importer.odometry_delay([(r.odometry, r.measurements) for r in team.robots])
-    for robot in team.robots:
-        measurements = robot.measurements.copy()
-        measurements[:, 2] = importer.distances(measurements[:, 2], measurements[:, 3])
-        odometry = robot.odometry + np.array([delay, 0.0, 0.0])
-        robots.append(replace(robot, odometry=odometry, measurements=measurements))
-    return replace(team, robots=robots)
 
 
 def true_poses(recording: Recording, stamps: Array) -> Array:
@@ -140,15 +124,35 @@ def start_poses(team: Team) -> dict[str, Pose2]:
     }
 
 
+def covariances(ranges: Array, bearings: Array, sr: float, sr_part: float, sb: float) -> Array:
+    """Return covariances (m, 2, 2) for range noise sr + sr_part · range and bearing noise sb."""
+    c, s = np.cos(bearings), np.sin(bearings)
+    J = np.array([[c, -ranges * s], [s, ranges * c]]).transpose(2, 0, 1)
+    Q = np.zeros_like(J)
+    Q[:, 0, 0] = (sr + sr_part * ranges) ** 2
+    Q[:, 1, 1] = sb**2
+    return J @ Q @ J.transpose(0, 2, 1)
+
+
 def observations(
-    stamp: float, measured: Array
+    stamp: float, measured: Array, noise: tuple[float, float, float]
 ) -> tuple[LandmarkObservations, list[InterRobotObservation]]:
     """Convert measurements to observations of landmarks (bar code as descriptor) and of robots."""
-    marks = measured[:, 0] > ROBOTS
+    subject, distance, bearing = measured.T
+    xy = np.stack([distance * np.cos(bearing), distance * np.sin(bearing)], axis=1)
+    R2 = covariances(distance, bearing, *noise)
+    R = np.zeros((len(xy), 3, 3))
+    R[:, :2, :2] = R2
+    R[:, 2, 2] = 1e-4
+    marks = subject > ROBOTS
+    seen = LandmarkObservations(
+        stamp,
+        np.c_[xy[marks], np.zeros(marks.sum())],
+        R[marks],
+        np.eye(128, dtype=np.float32)[subject[marks].astype(int)],
+    )
     inter_robot = [
-        InterRobotObservation(
-            stamp, f'robot{int(subject)}', *importer.planar_measurement(distance, bearing)
-        )
-        for subject, distance, bearing in measured[~marks].tolist()
+        InterRobotObservation(stamp, f'robot{int(subject[i])}', xy[i], R2[i])
+        for i in np.flatnonzero(~marks)
     ]
-    return importer.observe(stamp, measured[marks, 0], measured[marks, 1:]), inter_robot
+    return seen, inter_robot

@@ -1,17 +1,13 @@
 """Settings: checked when made, found by leaf name, saved and loaded as ROS parameter files."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import pytest
 
-from explore_slam.agent import AgentConfig
 from explore_slam.errors import ConfigError
-from explore_slam.nodes.agent_parameters import AgentNodeConfig
 from explore_slam.settings import (
     Section,
     load_settings,
-    read_parameters,
     save_settings,
     section,
     setting,
@@ -20,7 +16,6 @@ from explore_slam.settings import (
     values_of,
     with_values,
 )
-from explore_slam.slam import FastSlamConfig
 
 
 @dataclass(frozen=True)
@@ -110,14 +105,3 @@ def test_the_text_can_be_limited_to_a_tier():
     assert 'engine: paper' in settings_text(Outer(), 'advanced')
     assert 'particles' not in settings_text(Outer(), 'advanced')
     assert settings_text(Outer()).count(': ') > basic.count(': ')
-
-
-def test_the_configuration_of_the_agent_starts_with_the_defaults_of_the_code():
-    """Node, demo, replay, closed loop and benchmarks have one set of defaults."""
-    file = Path(__file__).resolve().parents[1] / 'config' / 'agent.yaml'
-    found = read_parameters(file)
-    defaults = values_of(AgentNodeConfig())
-    assert found
-    assert {name: defaults[name] for name in found} == found
-    assert values_of(AgentConfig()).items() <= defaults.items()
-    assert values_of(FastSlamConfig()).items() <= values_of(AgentConfig()).items()

@@ -32,7 +32,7 @@ class AssociationConfig(Section):
         high=1.0,
     )
     association_gate: float = setting(
-        4.5,
+        8.0,
         'Engine fastslam2: largest Mahalanobis distance of a match',
         unit='sigma',
         low=1.0,
@@ -99,7 +99,7 @@ class RelocalizationConfig(Section):
 class CorrelationConfig(Section):
     """How long the errors of repeated observations of one landmark stay alike.
 
-    They depend on the sensor: `benchmarks/noise_mrclam.py` finds those of the robots of MR.CLAM.
+    The lengths were found on MR.CLAM 6 (`benchmarks/noise_mrclam.py`).
     """
 
     correlated_sightings: bool = setting(
@@ -168,7 +168,7 @@ class CalibrationConfig(Section):
 class FastSlamConfig(Section):
     """Settings of the filter."""
 
-    particles: int = setting(300, 'Number of particles', low=1, high=20_000, tier='basic')
+    particles: int = setting(500, 'Number of particles', low=1, high=20_000, tier='basic')
     engine: str = setting(
         'fastslam2',
         'FastSLAM 2.0, or the algorithm of the paper to the letter',

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from explore_slam.data import InterRobotObservation, LandmarkObservations
 from explore_slam.errors import SlamError
-from explore_slam.geometry import Array, Pose2, compose, wrap_angles
+from explore_slam.geometry import Array, Pose2, wrap_angles
 from explore_slam.settings import values_of, with_values
 from explore_slam.slam import checks
 from explore_slam.slam.association.candidates import find_candidates
@@ -30,9 +30,8 @@ from explore_slam.slam.particles.resampling import (
     stratified_normals,
     systematic_ancestors,
 )
-from explore_slam.slam.relocalization import Relocalized, Relocalizer
+from explore_slam.slam.relocalization import Relocalizer
 from explore_slam.slam.storage.ancestry import AncestryTree, Index
-from explore_slam.slam.storage.row_format import COVARIANCE, Places
 from explore_slam.slam.summary import UpdateSummary
 from explore_slam.slam.update.engine import PoseProposal
 from explore_slam.slam.update.engines import make_engine
@@ -436,7 +435,7 @@ class FastSlam(Checkpointed):
         self, number: int, found: CandidateSet, agreed: NDArray[np.bool_]
     ) -> tuple[bool, bool]:
         """Note what was matched; return whether the vehicle is lost, and whether it was found."""
-        relocalizer, R = self._relocalizers[number], found.measured.R
+        relocalizer, R = self._relocalizers[number], found.observed.R
         deviations = np.sqrt(0.5 * (R[:, 0] + R[:, 3]))
         similar = np.where(found.is_distinctive[:, None], found.similar_ids, -1)
         relocalizer.add(found.observed.z, deviations, similar, agreed)
@@ -450,51 +449,9 @@ class FastSlam(Checkpointed):
         pose = relocalizer.search(positions, current, self._random)
         if pose is None:
             return True, False
-        self._restart(number, pose)
+        spread = np.array([pose.position_deviation] * 2 + [pose.heading_deviation])
+        self.set_pose(self.vehicles[number], pose.pose, np.diag(spread**2))
         return True, True
-
-    def _restart(self, number: int, found: Relocalized) -> None:
-        """Place a vehicle where it was relocalized, in each particle relative to its own map.
-
-        The particles differ in where they have the landmarks; the common frame of these is no
-        better known to the vehicle than to them.
-        """
-        deviations = np.array([found.position_deviation] * 2 + [found.heading_deviation])
-        P = np.diag(deviations**2)
-        moves = self._moves_of(self.map.entries_with(found.ids), found.pose)
-        poses = compose(np.asarray(found.pose), moves)
-        self._poses[number] = poses
-        self._pending[number] = PendingMotion.of(P)
-        self._relocalizers[number].reset()
-        if self.joint is not None:
-            mean, spread = mean_and_covariance(poses, self.groups.of(number).weights())
-            self.joint.restart(number, mean, spread + rotated(P, -mean.theta))
-        self._predicted[number] = True
-
-    def _moves_of(self, entries: Places, pose: Pose2) -> Array:
-        """Return how the landmarks of each particle are moved from their mean.
-
-        entries (n,): two landmarks or more. The moves (M, 3) are those of a rigid body, in the
-        frame of a pose (least squares, for small angles).
-        """
-        self.map.fuse(entries, self.groups)
-        rows = self.map.rows.read(entries)
-        there = rows[:, COVARIANCE] > 0.0
-        mean = (rows[:, :2] * there[:, None]).sum(axis=2)
-        mean /= np.maximum(there.sum(axis=1), 1)[:, None]
-        c, s = math.cos(pose.theta), math.sin(pose.theta)
-        axes = np.array([[c, s], [-s, c]])  # rows: the axes of the frame, in the map
-        place = (mean - [pose.x, pose.y]) @ axes.T
-        off = np.where(there[:, None], rows[:, :2] - mean[:, :, None], 0.0)
-        off = np.einsum('ab,nbm->nam', axes, off)
-        center, shift = place.mean(axis=0), off.mean(axis=0)
-        arm = place - center
-        turned = (arm[:, :1] * off[:, 1] - arm[:, 1:] * off[:, 0]).sum(axis=0)
-        turned /= max(float((arm**2).sum()), np.finfo(float).tiny)
-        x = shift[0] + turned * center[1]
-        y = shift[1] - turned * center[0]
-        moves: Array = np.stack([x, y, turned], axis=1)
-        return moves
 
     # -- inter-robot observations ---------------------------------------------------------------
 

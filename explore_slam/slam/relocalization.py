@@ -2,16 +2,11 @@
 
 The observations of the last updates that are similar to landmarks are kept in the odometry frame
 of the vehicle. When most of these matches contradict its pose in nearly all particles, the pose
-that most of them agree on is searched: two matches of different landmarks make a hypothesis, all
-others vote (RANSAC: Fischler and Bolles, 1981), and a rigid transformation is fitted to the
-inliers in closed form (Procrustes problem; Umeyama, 1991).
-
-As long as the pose is trusted, only landmarks near it are considered, within what the vehicle can
-have drifted since its pose was last confirmed, so that repeated textures elsewhere do not mislead
-it. The pose of a vehicle that is lost, whose last updates agreed with nothing, or that has been
-given a new pose is not trusted: landmarks are looked up by descriptor in the whole map, until
-enough observations of different landmarks agree with its pose. A pose that is found must stand out
-from all others.
+that
+most of them agree on is searched: two matches of different landmarks make a hypothesis, all others
+vote (RANSAC: Fischler and Bolles, 1981), and a rigid transformation is fitted to the inliers in
+closed form (Procrustes problem; Umeyama, 1991). Only poses that the vehicle can have reached since
+its pose was last confirmed are considered, so that repeated textures elsewhere do not mislead it.
 """
 
 import math
@@ -23,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.compiled import kernel
-from explore_slam.geometry import IDENTITY, Array, Pose2, compose, wrap_angles
+from explore_slam.geometry import IDENTITY, Array, Pose2
 from explore_slam.slam.checkpoint import State, part, under
 from explore_slam.slam.config import RelocalizationConfig
 from explore_slam.slam.storage.row_format import Places
@@ -32,32 +27,22 @@ from explore_slam.slam.storage.row_format import Places
 # with a probability below 1e-37; with a tenth right, 5 % of searches fail.
 _TRIALS = 300
 _MOST_MATCHES = 400  # newest matches considered, which bounds the time of a search
-# standard deviation of odometry (m/m; rad/rad), generous for wheeled robots
-_DRIFT_PER_METRE = 0.05
-_DRIFT_PER_RADIAN = 0.05
-# Similar landmarks are noted within 1 m and 0.3 m per metre driven since the pose was last
-# confirmed: after a collision or slipping wheels, but not in another room.
+_DRIFT_PER_METRE = 0.05  # standard deviation of odometry (m/m), generous for wheeled robots
+# The pose of a lost vehicle is searched within 1 m and 0.3 m per metre driven since its pose was
+# last confirmed: a collision or slipping wheels, but not another room.
 _BASE_REACH = 1.0
 _REACH_PER_METRE = 0.3
 _GATE = 3.0  # deviations (sigma) within which a match is an inlier
 _LEAST_DEVIATION = 0.03  # m: of a match, for what observation and landmark do not tell
 _LEAST_BASELINE = 0.3  # m between the landmarks of a hypothesis, so that its heading is determined
 _LEAST_LANDMARKS = 3  # different inlier landmarks: two can agree by chance
-# A vehicle is lost below this part of agreeing matches.
+# A vehicle is lost below this part of confirmed matches; half of an update's confirm its pose.
 _LOST_PART = 0.35
-# Its pose is confirmed by half of an update's matches and of those of the window, but at least
-# three of these, of two landmarks: a single agreement can be chance.
 _CONFIRMED_PART = 0.5
-_CONFIRMING = 3
-_CONFIRMING_LANDMARKS = 2
-# Updates in succession in which nothing agrees, after which a pose is not trusted any more.
-_DISAGREEING_UPDATES = 4
 # A pose is accepted if at least half of the matches agree on it, and 1.5 times as many as on the
-# current one or on any other, which is one farther away than this (m, rad).
+# current one.
 _ACCEPTED_PART = 0.5
 _ACCEPTED_GAIN = 1.5
-_RIVAL_DISTANCE = 1.0
-_RIVAL_TURN = 0.5
 _LEAST_EXTENT = 0.1  # m: of the inliers, and the largest heading deviation (rad) they may give
 _LARGEST_HEADING_DEVIATION = 0.3
 
@@ -92,18 +77,18 @@ def _votes(frame: Array, pairs: _Pairs) -> int:  # pragma: no cover - compiled
 
 
 @kernel
-def _evaluate_hypotheses(
-    samples: Places, pairs: _Pairs
-) -> tuple[Places, Array]:  # pragma: no cover - compiled
-    """Return the votes (T,) for poses (T, 3) of the odometry frame in the map.
+def _best_hypothesis(
+    samples: Places, pairs: _Pairs, odometry: Array, current: Array, reach: float
+) -> tuple[int, Array]:  # pragma: no cover - compiled
+    """Return the most votes, and the pose (3,) of the odometry frame in the map that has them.
 
-    Each of samples (T, 2) places two points on two landmarks; without votes if these do not fit.
+    Each of samples (T, 2) places two points on two landmarks. Poses that put the vehicle, at
+    odometry (3,) in its frame, farther than reach (m) from its current position (2,) are skipped.
     """
     points, landmarks = pairs.points, pairs.landmarks
     deviations, ids = pairs.deviations, pairs.ids
-    votes, frames = np.zeros(len(samples), np.int64), np.zeros((len(samples), 3))
+    most, best, frame = 0, np.zeros(3), np.zeros(3)
     for t in range(len(samples)):
-        frame = frames[t]
         a, b = samples[t]
         px, py = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
         mx, my = landmarks[b, 0] - landmarks[a, 0], landmarks[b, 1] - landmarks[a, 1]
@@ -117,15 +102,22 @@ def _evaluate_hypotheses(
         x, y = 0.5 * (points[a] + points[b])
         frame[0] = 0.5 * (landmarks[a, 0] + landmarks[b, 0]) - c * x + s * y
         frame[1] = 0.5 * (landmarks[a, 1] + landmarks[b, 1]) - s * x - c * y
-        votes[t] = _votes(frame, pairs)
-    return votes, frames
+        x = frame[0] + c * odometry[0] - s * odometry[1] - current[0]
+        y = frame[1] + s * odometry[0] + c * odometry[1] - current[1]
+        if math.hypot(x, y) > reach:
+            continue
+        votes = _votes(frame, pairs)
+        if votes > most:
+            most = votes
+            best[:] = frame
+    return most, best
 
 
 def warm_up() -> None:
     """Compile the search, which otherwise happens when the first vehicle is lost."""
     two, ids = np.eye(2), np.arange(2)
     pairs = _Pairs(two, two, np.ones(2), ids, ids)
-    _evaluate_hypotheses(ids[None], pairs)
+    _best_hypothesis(ids[None], pairs, np.zeros(3), np.zeros(2), 1.0)
 
 
 @dataclass(frozen=True)
@@ -133,8 +125,7 @@ class Matches:
     """Observations of one update that are similar to landmarks.
 
     points (n, 2) in the odometry frame; deviations (n,) m; similar_ids (n, A) of the landmarks, or
-    -1; agreed (n,): associated in most of the particles; distance and turn: driven (m) and turned
-    (rad) until then.
+    -1; agreed (n,): associated in most of the particles; distance: driven until then (m).
     """
 
     points: Array
@@ -142,33 +133,25 @@ class Matches:
     similar_ids: Places
     agreed: NDArray[np.bool_]
     distance: float
-    turn: float
 
     def state_dict(self) -> State:
         """Return the arrays."""
-        return vars(self) | {
-            'distance': np.array(self.distance),
-            'turn': np.array(self.turn),
-        }
+        return vars(self) | {'distance': np.array(self.distance)}
 
     @classmethod
     def from_state(cls, state: State) -> 'Matches':
         """Return matches as saved."""
-        return cls(**(state | {name: float(state[name]) for name in ('distance', 'turn')}))
+        return cls(**(state | {'distance': float(state['distance'])}))
 
 
 @dataclass(frozen=True)
 class Relocalized:
-    """Pose of a vehicle by its matches, in the map, with deviations (m, rad).
-
-    inliers: observations that agree; ids (n,) of the landmarks that they are of.
-    """
+    """Pose of a vehicle by its matches, in the map, with deviations (m, rad)."""
 
     pose: Pose2
     position_deviation: float
     heading_deviation: float
     inliers: int
-    ids: Places
 
 
 class Relocalizer:
@@ -178,10 +161,7 @@ class Relocalizer:
         self.config = config
         self.odometry = IDENTITY
         self.distance = 0.0
-        self.turn = 0.0
         self.distance_since_confirmed = 0.0
-        self.is_trusted = True
-        self._disagreeing = 0
         self.updates: deque[Matches] = deque(maxlen=config.relocalization_window)
 
     def predict(self, increment: Pose2) -> None:
@@ -190,30 +170,22 @@ class Relocalizer:
         length = math.hypot(increment.x, increment.y)
         self.distance_since_confirmed += length
         self.distance += length
-        self.turn += abs(increment.theta)
 
     @property
     def reach(self) -> float:
         """How far (m) the vehicle may be from its pose in the particles."""
-        if not self.is_trusted:
-            return math.inf
         return _BASE_REACH + _REACH_PER_METRE * self.distance_since_confirmed
 
     def reset(self) -> None:
-        """Drop all matches, because the vehicle has been given a new pose, yet to be confirmed."""
+        """Drop all matches, because the vehicle has been given a new pose."""
         self.updates.clear()
         self.distance_since_confirmed = 0.0
-        self.is_trusted = False
-        self._disagreeing = 0
 
     def add(
         self, z: Array, deviations: Array, similar_ids: Places, agreed: NDArray[np.bool_]
     ) -> None:
         """Add the observations z (K, 3) of one update; see Matches for the others."""
         matched = (similar_ids >= 0).any(axis=1)
-        self._disagreeing = 0 if agreed.any() else self._disagreeing + 1
-        if self._disagreeing >= _DISAGREEING_UPDATES:
-            self.is_trusted = False
         if not matched.any():
             return
         c, s = math.cos(self.odometry.theta), math.sin(self.odometry.theta)
@@ -226,25 +198,10 @@ class Relocalizer:
                 similar_ids[matched],
                 agreed[matched],
                 self.distance,
-                self.turn,
             )
         )
-        if self.is_lost:
-            self.is_trusted = False
-        elif self._is_confirmed():
+        if np.count_nonzero(agreed[matched]) >= _CONFIRMED_PART * len(x):
             self.distance_since_confirmed = 0.0
-            self.is_trusted = True
-
-    def _is_confirmed(self) -> bool:
-        """Return whether the newest update and most of the window agree with the pose."""
-        newest = self.updates[-1].agreed
-        if np.count_nonzero(newest) < max(1.0, _CONFIRMED_PART * len(newest)):
-            return False
-        agreed = np.concatenate([update.agreed for update in self.updates])
-        if np.count_nonzero(agreed) < max(_CONFIRMING, _CONFIRMED_PART * len(agreed)):
-            return False
-        nearest = np.concatenate([update.similar_ids[:, 0] for update in self.updates])
-        return len(np.unique(nearest[agreed])) >= _CONFIRMING_LANDMARKS
 
     @property
     def is_lost(self) -> bool:
@@ -270,43 +227,29 @@ class Relocalizer:
         least = self.config.relocalization_matches
         if len(pairs.points) < least:
             return None
+        odometry = np.asarray(self.odometry, np.float64)
         frame = np.asarray(current.compose(self.odometry.inverse()), np.float64)
         current_votes = _votes(frame, pairs)
         samples = random.integers(0, len(pairs.points), (_TRIALS, 2))
-        votes, frames = _evaluate_hypotheses(samples, pairs)
-        best = int(np.argmax(votes))
+        position = np.array([current.x, current.y])
+        votes, best = _best_hypothesis(samples, pairs, odometry, position, self.reach)
         observations = int(pairs.owners.max()) + 1
-        rivals = max(current_votes, self._most_votes_elsewhere(votes, frames, frames[best]))
-        if votes[best] < max(least, _ACCEPTED_PART * observations, _ACCEPTED_GAIN * rivals):
+        if votes < max(least, _ACCEPTED_PART * observations, _ACCEPTED_GAIN * current_votes):
             return None
-        return self._refine(Pose2.from_array(frames[best]), pairs, int(votes[best]))
-
-    def _most_votes_elsewhere(self, votes: Places, frames: Array, best: Array) -> int:
-        """Return the most of votes (T,) for a frame (T, 3) that places the vehicle elsewhere."""
-        poses = compose(frames, np.asarray(self.odometry, np.float64))
-        chosen = compose(best, np.asarray(self.odometry, np.float64))
-        off = np.hypot(poses[:, 0] - chosen[0], poses[:, 1] - chosen[1])
-        turned = np.abs(wrap_angles(poses[:, 2] - chosen[2]))
-        elsewhere = (off > _RIVAL_DISTANCE) | (turned > _RIVAL_TURN)
-        return int(votes[elsewhere].max(initial=0))
+        return self._refine(Pose2.from_array(best), pairs, votes)
 
     def _pairs(self, positions: dict[int, Array]) -> _Pairs:
         points, landmarks, deviations, owners, ids = [], [], [], [], []
         owner = 0
         for update in reversed(self.updates):
-            driven = _DRIFT_PER_METRE * (self.distance - update.distance)
-            turned = _DRIFT_PER_RADIAN * (self.turn - update.turn)
-            away = np.hypot(*(update.points - [self.odometry.x, self.odometry.y]).T)
-            drifts = np.hypot(driven, turned * away).tolist()
+            drift = _DRIFT_PER_METRE * (self.distance - update.distance)
             for n, similar in enumerate(update.similar_ids.tolist()):
                 known = [i for i in similar if i in positions]
                 for i in known:
                     points.append(update.points[n])
                     landmarks.append(positions[i][:2])
                     deviations.append(
-                        math.hypot(
-                            update.deviations[n], positions[i][2], drifts[n], _LEAST_DEVIATION
-                        )
+                        math.hypot(update.deviations[n], positions[i][2], drift, _LEAST_DEVIATION)
                     )
                     owners.append(owner)
                     ids.append(i)
@@ -328,8 +271,7 @@ class Relocalizer:
         x = frame.x + c * points[:, 0] - s * points[:, 1] - landmarks[:, 0]
         y = frame.y + s * points[:, 0] + c * points[:, 1] - landmarks[:, 1]
         inside = np.hypot(x, y) < _GATE * deviations
-        ids = np.unique(pairs.ids[inside])
-        if len(ids) < _LEAST_LANDMARKS:
+        if len(np.unique(pairs.ids[inside])) < _LEAST_LANDMARKS:
             return None
         weights = 1.0 / deviations[inside] ** 2
         weights /= weights.sum()
@@ -341,7 +283,7 @@ class Relocalizer:
         deviation = float(np.sqrt(np.mean(deviations[inside] ** 2)))
         extent = math.sqrt(float(weights @ (p**2).sum(axis=1)))
         heading = min(deviation / max(extent, _LEAST_EXTENT), _LARGEST_HEADING_DEVIATION)
-        return Relocalized(fitted, deviation, heading, votes, ids)
+        return Relocalized(fitted, deviation, heading, votes)
 
     def _pose_of_vehicle(self, turn: float, center: Array, goal: Array) -> Pose2:
         """Return the pose if the odometry frame is rotated, and its point center moved to goal."""
@@ -354,9 +296,7 @@ class Relocalizer:
     def state_dict(self) -> State:
         """Return odometry and recent matches."""
         state: State = {
-            'odometry': np.array(self.odometry),
-            'driven': np.array([self.distance_since_confirmed, self.distance, self.turn]),
-            'trust': np.array([self.is_trusted, self._disagreeing], np.int64),
+            'motion': np.array([*self.odometry, self.distance_since_confirmed, self.distance]),
             'updates': np.array(len(self.updates)),
         }
         for number, update in enumerate(self.updates):
@@ -365,10 +305,8 @@ class Relocalizer:
 
     def restore(self, state: State) -> None:
         """Restore odometry and recent matches."""
-        self.odometry = Pose2(*state['odometry'].tolist())
-        self.distance_since_confirmed, self.distance, self.turn = state['driven'].tolist()
-        trusted, self._disagreeing = state['trust'].tolist()
-        self.is_trusted = bool(trusted)
+        x, y, theta, self.distance_since_confirmed, self.distance = state['motion'].tolist()
+        self.odometry = Pose2(x, y, theta)
         self.updates.clear()
         for number in range(int(state['updates'])):
             self.updates.append(Matches.from_state(part(str(number), state)))

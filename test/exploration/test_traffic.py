@@ -149,10 +149,3 @@ def test_conflicts_by_distance_and_time():
     # in the same direction that is no conflict
     assert not paths_conflict(own, crossing, np.ones((3, 2)), -away, 0.6, 1.0)
     assert not paths_conflict(own, np.full((3, 2), np.nan), np.ones((3, 2)), still, 9.0, 9.0)
-
-
-@pytest.mark.parametrize(('distance', 'right'), [(25.0, Right.GO), (15.0, Right.STOP)])
-def test_what_lies_beyond_the_horizon_does_not_matter(distance, right):
-    """Within 40 s at 0.5 m/s a vehicle drives 20 m."""
-    found = grants(traveler('a', (0, 0), (40, 0)), traveler('b', (distance, 0.3)))
-    assert found['a'].right is right

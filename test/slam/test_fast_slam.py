@@ -138,10 +138,6 @@ def test_a_lost_vehicle_is_relocalized(make_world, make_slam, drive_circles):
     assert sum(summary.relocated for summary in found) == 1
     assert np.abs(world.error('a', slam.estimate('a')[0]))[:2].max() < 0.15
     assert len(slam.map) <= 60 + 3
-    # the joint graph goes on from the pose that was found: no motion pulls it back
-    slam.redraw([0])
-    assert np.abs(world.error('a', slam.estimate('a')[0]))[:2].max() < 0.15
-    assert len(slam.landmarks()) > 10
 
 
 @pytest.mark.parametrize(('engine', 'searched'), [('paper', 0), ('fastslam2', 1)])

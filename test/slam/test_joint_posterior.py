@@ -158,36 +158,6 @@ def test_rows_are_the_product_of_the_stored_observations(make_world, make_slam, 
             )
 
 
-def test_rows_follow_the_sample_that_a_particle_descends_from(
-    make_world, make_slam, drive_circles
-):
-    world = make_world()
-    slam = make_slam(world.start(a=STARTS['a']), **UNBOUNDED)
-    drive_circles(slam, world, 6)
-    group, samples = drawn(slam)
-    whole = samples.fused(samples.ids)
-    ancestors = np.random.default_rng(0).integers(0, 200, 200).astype(np.int32)
-    group.resample(ancestors)
-    np.testing.assert_array_equal(samples.fused(samples.ids), whole[:, :, ancestors])
-
-
-def test_motion_since_the_newest_keyframe_is_still_to_come(make_world, make_slam, drive_circles):
-    world = make_world()
-    slam = make_slam(world.start(a=STARTS['a']), **UNBOUNDED)
-    drive_circles(slam, world, 6)
-    slam.redraw([0])
-    before, spread = slam.estimate('a')
-    noise = np.diag([0.04, 0.01, 1e-6])
-    slam.predict('a', Pose2(1.0, 0.0, 0.0), noise)
-    moved, more = slam.estimate('a')
-    slam.redraw([0])
-    pose, covariance = slam.estimate('a')
-    np.testing.assert_allclose(pose, moved, atol=0.01)
-    assert np.hypot(pose.x - before.x, pose.y - before.y) == pytest.approx(1.0, abs=0.02)
-    np.testing.assert_allclose(covariance, more, atol=0.02 * np.trace(more))
-    assert np.trace(covariance) > np.trace(spread) + 0.045
-
-
 # -- lineage ------------------------------------------------------------------------------------
 
 

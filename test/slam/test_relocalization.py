@@ -1,4 +1,4 @@
-"""Relocalization: the pose that most matches agree on and that stands out, or none; trust."""
+"""Relocalization: the pose that most matches agree on, within reach, or none."""
 
 import numpy as np
 import pytest
@@ -56,85 +56,32 @@ def test_fewer_than_half_of_the_matches_do_not_decide():
     assert search(relocalizer, positions) is None
 
 
-def test_a_pose_far_away_is_found():
-    relocalizer, positions = lost_vehicle(), landmarks()
-    observe(relocalizer, positions, TRUE)
-    found = search(relocalizer, positions, Pose2(-40.0, 25.0, -2.5))
-    assert found.pose == pytest.approx(TRUE, abs=1e-6)
-    assert sorted(found.ids) == sorted(positions)
+def test_a_pose_out_of_reach_is_not_considered():
+    """1.70 m away: within 1 m + 0.3 per metre driven after 3 m, beyond it after 2 m."""
+    positions = landmarks()
+    for drive, expected in ((3.0, True), (2.0, False)):
+        relocalizer = lost_vehicle(drive)
+        assert relocalizer.reach == pytest.approx(1.0 + 0.3 * drive)
+        observe(relocalizer, positions, TRUE)
+        assert (search(relocalizer, positions) is not None) is expected
 
 
-def test_of_two_rooms_alike_none_is_chosen():
-    """Every observation is similar to a landmark of either room, 20 m apart."""
-    positions = landmarks(6)
-    twins = {n + 100: xy + [20.0, 0.0, 0.0] for n, xy in positions.items()}
-    relocalizer = lost_vehicle()
-    local = [TRUE.inverse().compose(Pose2(x, y, 0.0)) for x, y, _ in positions.values()]
-    z = np.array([[p.x, p.y, 0.5] for p in local])
-    ids = np.array([[n, n + 100] for n in positions])
-    relocalizer.add(z, np.full(len(z), 0.02), ids, np.zeros(len(z), bool))
-    assert search(relocalizer, positions | twins) is None
-    only = search(relocalizer, positions | {100: twins[100], 101: twins[101]})
-    assert only.pose == pytest.approx(TRUE, abs=1e-6)
-
-
-@pytest.mark.parametrize(('elsewhere', 'found'), [(8, False), (6, True)])
-@pytest.mark.parametrize('current', [IDENTITY, Pose2(9.0, 9.0, 1.0)])
-def test_a_pose_must_gain_clearly_over_all_others(elsewhere, found, current):
-    """Of 18 matches, 8 agree on another pose, the current one or not: no reason to move."""
+def test_a_pose_must_gain_clearly_over_the_current_one():
+    """Eight matches agree with the current pose, ten with another: no reason to move."""
     positions = landmarks(18)
     relocalizer = lost_vehicle()
-    observe(relocalizer, {n: positions[n] for n in range(elsewhere)}, IDENTITY)
-    observe(relocalizer, {n: positions[n] for n in range(elsewhere, 18)}, TRUE)
-    assert (search(relocalizer, positions, current) is not None) is found
+    first = {n: positions[n] for n in range(8)}
+    observe(relocalizer, first, IDENTITY)
+    observe(relocalizer, {n: positions[n] for n in range(8, 18)}, TRUE)
+    assert search(relocalizer, positions) is None
+    assert search(relocalizer, positions, Pose2(0.5, 0.5, 0.0)) is not None
 
 
 def test_a_confirmed_pose_resets_the_reach():
     relocalizer, positions = lost_vehicle(), landmarks()
-    assert relocalizer.reach == pytest.approx(1.9)
     observe(relocalizer, positions, IDENTITY, agreed=True)
     assert relocalizer.reach == pytest.approx(1.0)
     assert not relocalizer.is_lost
-
-
-def see_alone(relocalizer, number, agreed):
-    """Add an update with one observation, of a landmark by number."""
-    relocalizer.add(np.ones((1, 3)), np.ones(1), np.array([[number]]), np.array([agreed]))
-
-
-def test_after_four_updates_in_which_nothing_agrees_the_whole_map_is_searched():
-    relocalizer = Relocalizer(RelocalizationConfig())
-    for number in range(3):
-        see_alone(relocalizer, number, agreed=False)
-    assert np.isfinite(relocalizer.reach)
-    see_alone(relocalizer, 3, agreed=False)
-    assert not relocalizer.is_trusted
-    assert relocalizer.reach == np.inf
-
-
-def test_one_agreement_by_chance_does_not_bring_trust_back():
-    relocalizer = Relocalizer(RelocalizationConfig())
-    relocalizer.reset()
-    assert relocalizer.reach == np.inf
-    for _ in range(3):  # of one landmark alone
-        see_alone(relocalizer, 7, agreed=True)
-    assert not relocalizer.is_trusted
-    see_alone(relocalizer, 8, agreed=False)  # another, but it disagrees
-    assert not relocalizer.is_trusted
-    see_alone(relocalizer, 8, agreed=True)
-    assert relocalizer.is_trusted
-
-
-def test_half_of_the_window_must_agree():
-    relocalizer = Relocalizer(RelocalizationConfig())
-    relocalizer.reset()
-    for number in range(5):
-        see_alone(relocalizer, number, agreed=False)
-    for number in range(4):
-        see_alone(relocalizer, number, agreed=True)
-        assert not relocalizer.is_trusted
-    see_alone(relocalizer, 4, agreed=True)
-    assert relocalizer.is_trusted
 
 
 @pytest.mark.parametrize(('agreeing', 'lost'), [(3, True), (5, False)])
@@ -160,7 +107,4 @@ def test_state_round_trip():
     observe(relocalizer, positions, TRUE)
     again = Relocalizer(RelocalizationConfig())
     again.restore({name: np.array(value) for name, value in relocalizer.state_dict().items()})
-    assert not again.is_trusted
-    found, expected = search(again, positions), search(relocalizer, positions)
-    assert found.pose == expected.pose
-    assert found.inliers == expected.inliers
+    assert search(again, positions) == search(relocalizer, positions)

@@ -240,7 +240,6 @@ def find_candidates(
     if len(entries) and entries[0] < 0:
         entries, places = entries[1:], places - 1
     return CandidateSet(
-        measured=Observed(z, R),
         observed=Observed(z, R),
         vectors=vectors,
         entries=entries,

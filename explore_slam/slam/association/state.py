@@ -88,12 +88,8 @@ class CandidateSet:
     candidates (K, J): places in entries, or -1; distances (K, J) of descriptors;
     similar_ids (K, A): ids of all landmarks within reach with a similar descriptor, or -1;
     is_distinctive (K,): the descriptor tells the landmark from all others (see ratio_test).
-
-    Covariances of `measured` are those of each observation by itself: with them it is associated.
-    Those of `observed` are larger where observations repeat earlier ones: so much they tell.
     """
 
-    measured: Observed
     observed: Observed
     vectors: Vectors
     entries: Places

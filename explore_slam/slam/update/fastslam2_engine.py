@@ -56,10 +56,7 @@ def _propose(
     proposal, parameters = PoseProposal.at(poses), _parameters(found, P, config)
 
     def run(begin: int, end: int) -> None:
-        propose(
-            rows, found.measured, found.observed, parameters, poses, begin, end, proposal.given,
-            chosen,
-        )  # fmt: skip
+        propose(rows, found.observed, parameters, poses, begin, end, proposal.given, chosen)
 
     over_particles(run, len(poses), config.filter_threads)
     return proposal

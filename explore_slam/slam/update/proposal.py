@@ -305,7 +305,6 @@ def sample_proposals(
 @kernel
 def propose(
     rows: CandidateRows,
-    measured: Observed,
     observed: Observed,
     parameters: ProposalParameters,
     poses: Array,
@@ -316,8 +315,7 @@ def propose(
 ) -> None:  # pragma: no cover - compiled
     """Associate and set the proposals of particles begin … end with predicted poses (M, 3).
 
-    Observations are associated with the covariances of `measured` and count with those of
-    `observed`. choice and robust_weight of `chosen` are set; log_likelihoods are added to.
+    choice and robust_weight of `chosen` are set; log_likelihoods are added to.
     """
     R = observed.R
     scales = np.empty(len(R))
@@ -335,7 +333,7 @@ def propose(
                 w[v, i] = 1.0
         for i in range(n):
             _linearize(w, poses, zero, m0, i)
-        _associate(w, rows, measured, parameters, m0, n, chosen.choice)
+        _associate(w, rows, observed, parameters, m0, n, chosen.choice)
         for reweighted in (False, True):
             w = _accumulate_all(w, rows, observed, parameters, scales, reweighted, m0, n, chosen)
             _solve_block(w, poses, parameters, m0, n)

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from explore_slam.errors import SlamError
-from explore_slam.geometry import Pose2, between, compose
+from explore_slam.geometry import between, compose
 from explore_slam.slam.graph import GraphConfig, JointGraph
-from explore_slam.slam.particles.motion import calibrated
 
 NOISE = np.diag([0.02, 0.01, 0.01]) ** 2
 STEP = np.array([0.4, 0.0, 0.25])  # 25 of them are a circle
@@ -224,111 +223,3 @@ def test_keyframes_that_came_after_the_samples_are_left_out(bounded_world):
     assert whole.keyframes.tolist() == list(range(20))
     assert np.isfinite(whole.poses).all()
     assert np.isfinite(whole.chains).all()
-
-
-DEVIATIONS = [0.1, 0.05, 0.05]
-
-
-def drive_wheels(graph, first, last):
-    """Add keyframes of wheel odometry, which depends on the calibration."""
-    for k in range(first, last):
-        wheel = Pose2(0.4, 0.0, 0.3 if k // 10 % 2 else -0.25)
-        graph.add_keyframe(0, k, wheel, NOISE, sensitivity=calibrated(wheel, np.zeros(3))[1])
-
-
-def calibration_deviations(graph):
-    return graph.draw(4000, np.random.default_rng(0)).calibrations[0].std(axis=1)
-
-
-def test_compounding_dropped_keyframes_keeps_the_calibration(bounded_world):
-    """What a known pose tells of the calibration is the same over kept and dropped keyframes."""
-    world, whole = bounded_world(), JointGraph(GraphConfig(graph_bounded=False))
-    for graph in (world.graph, whole):
-        graph.add_start(0, 0, [1.0, 2.0, 0.3])
-        graph.add_calibration(0, DEVIATIONS)
-        drive_wheels(graph, 1, 40)
-    right = np.array([0.01, -0.01, 0.005])
-    truth = np.array([1.0, 2.0, 0.3])
-    for k in range(1, 40):
-        wheel = Pose2(0.4, 0.0, 0.3 if k // 10 % 2 else -0.25)
-        truth = compose(truth, np.asarray(calibrated(wheel, right).increment))
-    for graph in (world.graph, whole):
-        graph.add_prior(39, truth, 1e-6 * np.eye(3))
-        graph.optimize()
-    assert len(world.graph.live_keyframes()) < 0.3 * len(whole.live_keyframes())
-    deviations = calibration_deviations(whole)
-    assert (deviations < 0.9 * np.array(DEVIATIONS)).any()
-    off = world.graph.calibration(0) - whole.calibration(0)
-    assert (np.abs(off) < 0.1 * deviations).all()
-    np.testing.assert_allclose(calibration_deviations(world.graph), deviations, rtol=0.02)
-    np.testing.assert_allclose(
-        world.graph.covariance(35), whole.covariance(35), rtol=0.05, atol=1e-6
-    )
-
-
-def test_keyframes_dropped_at_a_known_calibration_are_compounded_exactly(bounded_world):
-    """Linearized where the calibration is: the optimum does not move when keyframes go."""
-    world, whole = bounded_world(), JointGraph(GraphConfig(graph_bounded=False))
-    for graph in (world.graph, whole):
-        graph.add_start(0, 0, [1.0, 2.0, 0.3])
-        graph.add_calibration(0, DEVIATIONS)
-        drive_wheels(graph, 1, 9)
-        graph.pin(8)
-        graph.add_prior(8, graph.estimate(8) + [0.1, -0.1, 0.15], 1e-6 * np.eye(3))
-        for k in range(1, 8):
-            graph.pin(k)  # what contradicts the prior stays, what comes later is compounded
-        graph.optimize()
-        drive_wheels(graph, 9, 40)
-        graph.optimize()
-    assert np.abs(whole.calibration(0)).max() > 0.01
-    assert len(world.graph.live_keyframes()) < len(whole.live_keyframes())
-    np.testing.assert_allclose(world.graph.calibration(0), whole.calibration(0), atol=1e-7)
-    np.testing.assert_allclose(world.graph.path(), whole.path(), atol=1e-6)
-    for k in (35, 39):
-        expected = whole.covariance(k)
-        np.testing.assert_allclose(
-            world.graph.covariance(k), expected, atol=1e-4 * np.abs(expected).max()
-        )
-
-
-def test_calibrations_are_drawn_jointly_with_the_path(bounded_world):
-    graph = bounded_world().graph
-    graph.add_start(0, 0, [0.0, 0.0, 0.0])
-    graph.add_calibration(0, DEVIATIONS)
-    for k in range(1, 30):
-        wheel = Pose2(0.4, 0.0, 0.2)
-        graph.add_keyframe(
-            0, k, wheel, 1e-4 * NOISE, sensitivity=calibrated(wheel, np.zeros(3))[1]
-        )
-    graph.optimize()
-    draws = graph.draw(2000, np.random.default_rng(0))
-    some = draws.calibrations[0]
-    np.testing.assert_allclose(some.std(axis=1), DEVIATIONS, rtol=0.06)
-    # the heading at the end follows the scale of turning and the drift of each sample
-    expected = 29 * (0.2 * (1.0 + some[0]) + 0.4 * some[2])
-    off = np.remainder(draws.poses[-1, 2] - expected + np.pi, 2 * np.pi) - np.pi
-    assert np.abs(off).max() < 0.01
-
-
-def test_calibrations_are_checked():
-    graph = JointGraph()
-    with pytest.raises(SlamError, match='vehicle 0 has no start'):
-        graph.add_calibration(0, DEVIATIONS)
-    graph.add_start(0, 0, [0.0, 0.0, 0.0])
-    with pytest.raises(SlamError, match='vehicle 0 has no calibration'):
-        graph.add_keyframe(0, 1, STEP, NOISE, sensitivity=np.eye(3))
-    for bad, message in (
-        ([0.1, 0.0, 0.1], 'positive'),
-        ([0.1, 0.1], 'shape'),
-        ([0.1, np.nan, 1], 'finite'),
-    ):
-        with pytest.raises(SlamError, match=message):
-            graph.add_calibration(0, bad)
-    with pytest.raises(SlamError, match='vehicle 3 is not in the graph'):
-        graph.calibration(3)
-    assert graph.live_keyframes().tolist() == [0]
-    assert graph.calibration(0).tolist() == [0.0, 0.0, 0.0]
-    graph.add_calibration(0, DEVIATIONS)
-    with pytest.raises(SlamError, match='sensitivity has shape'):
-        graph.add_keyframe(0, 1, STEP, NOISE, sensitivity=np.eye(2))
-    assert graph.live_keyframes().tolist() == [0]
