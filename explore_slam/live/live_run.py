@@ -46,6 +46,7 @@ AGENT_METRICS = (
 # Hz; emulated devices send the newest record at rates of their own, so it must be renewed often
 HARDWARE_RATES = {'simulated_scan_rate': 25.0, 'simulated_odometry_rate': 50.0}
 SIM_TIME = {'use_sim_time': True}
+FOLLOWER = 'path_follower'  # module of the node that moves a vehicle
 START_LIMIT = 240.0  # wall s within which the agent must publish its first pose
 
 
@@ -145,7 +146,7 @@ class LiveRun:
     def _driver(self, name: str) -> list[NodeProcess]:
         """Return the processes of one vehicle."""
         follower = _parameters(None, SIM_TIME, name)
-        nodes = [NodeProcess(f'{name}_follower', 'path_follower', follower)]
+        nodes = [NodeProcess(f'{name}_follower', FOLLOWER, follower)]
         if self.options.vision == 'vehicle':
             vision_file = self.folder.path / 'vision.yaml'
             save_settings(self.config.agent.vision, vision_file)
@@ -169,12 +170,19 @@ class LiveRun:
         """Run to the end; yield the state ten times a second. Always end all processes."""
         environment = one_machine_environment()
         os.environ.update(environment)
-        processes = NodeProcesses(self.nodes(), self.folder.path / 'logs', environment)
+        nodes = self.nodes()
+        # a recording must begin before the vehicles move: they do once their followers run
+        last = [node for node in nodes if self.options.record and node.module == FOLLOWER]
+        first = [node for node in nodes if node not in last]
+        processes = NodeProcesses(first, self.folder.path / 'logs', environment)
         with processes, self._monitor() as monitor:
             executor = SingleThreadedExecutor()
             executor.add_node(monitor)
             began = time.monotonic()
             try:
+                if self.options.record:
+                    self._await_recorder(executor, monitor, processes, began)
+                processes.start(last)
                 yield from self._follow(executor, monitor, processes, began)
                 self._settle(executor, monitor)
             finally:
@@ -189,6 +197,24 @@ class LiveRun:
             self.monitor.destroy_node()
         finally:
             rclpy.try_shutdown()
+
+    def _await_recorder(
+        self,
+        executor: SingleThreadedExecutor,
+        monitor: RunMonitor,
+        processes: NodeProcesses,
+        began: float,
+    ) -> None:
+        """Spin until the recorder has subscribed to the topics of all vehicles."""
+        while not monitor.is_recorded():
+            with interrupts_held():
+                executor.spin_once(timeout_sec=0.1)
+            processes.check()
+            if time.monotonic() - began > START_LIMIT:
+                raise ExploreSlamError(
+                    f'the recorder has not subscribed to all topics after {START_LIMIT:.0f} s; '
+                    f'see {self.folder.path}/logs'
+                )
 
     def _follow(
         self,

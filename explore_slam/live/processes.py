@@ -100,9 +100,15 @@ class NodeProcesses:
         self._environment = dict(environment)
 
     def __enter__(self) -> 'NodeProcesses':
+        self.start(self.nodes)
+        return self
+
+    def start(self, nodes: Sequence[NodeProcess]) -> None:
+        """Start nodes, also later ones, which are ended with the others."""
         self._logs.mkdir(parents=True, exist_ok=True)
+        self.nodes += [node for node in nodes if node not in self.nodes]
         try:
-            for node in self.nodes:
+            for node in nodes:
                 with self.log_of(node).open('wb') as log:
                     node.process = subprocess.Popen(
                         node.command(),
@@ -116,7 +122,6 @@ class NodeProcesses:
         except OSError as error:
             self._end_all()
             raise ExploreSlamError(f'a node cannot be started: {error}') from error
-        return self
 
     def __exit__(
         self,

@@ -25,13 +25,21 @@ from explore_slam.messages import (
     planar_pose,
     seconds,
 )
-from explore_slam.messages.topics import GlobalTopic, Qos, TeamTopic, TopicKind, VehicleTopic
-from explore_slam.nodes.endpoints import subscribe
+from explore_slam.messages.topics import (
+    GlobalTopic,
+    Qos,
+    TeamTopic,
+    TopicKind,
+    VehicleTopic,
+    vehicle_topic,
+)
+from explore_slam.nodes.endpoints import relative_name, subscribe
 from explore_slam.results.reachable_area import ReachableArea
 from explore_slam.results.run_data import RunRecorder
 
 Values = dict[str, str]
 TRUTHS = 200  # newest true poses kept, for the error of the newest pose
+RECORDER_NODE = 'recorder'  # name of the node
 COMPLETE = Qos(200)  # the run folder needs every message, also those of a burst
 
 
@@ -78,6 +86,7 @@ class RunMonitor(Node):
         self.state = RunState()
         self.recorder = recorder
         self._area = area
+        self._vehicles = list(starts)
         subscribe(self, GlobalTopic.CLOCK, self._on_clock)
         subscribe(self, TeamTopic.MAP, self._on_map)
         subscribe(self, TeamTopic.MAP_LANDMARKS, self._on_landmarks)
@@ -152,6 +161,26 @@ class RunMonitor(Node):
             if full.endswith(name):
                 return found
         return '', {}
+
+    def is_recorded(self) -> bool:
+        """Tell whether the recorder has subscribed to all topics of the vehicles."""
+        names = [name for name, _ in self.get_topic_names_and_types()]
+        sensors = [
+            name
+            for name in names
+            if vehicle_topic(name) is not None and self.get_publishers_info_by_topic(name)
+        ]
+        odometry = {
+            self.resolve_topic_name(relative_name(TopicKind.ODOMETRY, vehicle))
+            for vehicle in self._vehicles
+        }
+        return odometry <= set(sensors) and all(
+            any(
+                subscription.node_name == RECORDER_NODE
+                for subscription in self.get_subscriptions_info_by_topic(name)
+            )
+            for name in sensors
+        )
 
     def ask_for_map(self) -> Any:
         """Call save_map of the agent; return the future of the answer."""

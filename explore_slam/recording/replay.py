@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 from explore_slam.data import OdometryReading
 from explore_slam.errors import ExploreSlamError, RecordingError
-from explore_slam.geometry import Array, Pose2
+from explore_slam.geometry import Array, Pose2, moved_enough
 from explore_slam.messages.base import planar_pose
 from explore_slam.messages.measurement import MeasurementSink, VehicleReader
 from explore_slam.messages.measurement_kinds import KIND_OF_TOPIC, MEASUREMENT_KINDS
@@ -25,6 +25,9 @@ from explore_slam.recording.topic_selection import frames_or_landmarks, vehicle_
 logger = logging.getLogger(__name__)
 
 TICK = 0.1  # s of recorded time between calls of `advance`
+# m, rad from the start pose of a live run to the truth where its recording begins: a vehicle that
+# has not moved yet stands there to a millimetre
+START_TOLERANCE = (0.05, 0.05)
 # topics of poses in the map frame; from the first of each the start poses are taken
 POSE_KINDS = (TopicKind.INITIAL_POSE, TopicKind.GROUND_TRUTH)
 
@@ -89,43 +92,67 @@ class Replay:
             raise RecordingError(
                 f'start poses for unknown vehicles {unknown}, expected some of {self.vehicles}'
             )
-        known = {**(recorded_starts or {}), **given}
-        self._given = {name: pose for name, pose in known.items() if name in self.vehicles}
+        self._given = given
+        self._recorded = {
+            name: pose for name, pose in (recorded_starts or {}).items() if name in self.vehicles
+        }
 
     def kinds(self, vehicle: str) -> set[TopicKind]:
         """Return the kinds of topics that the recording holds of a vehicle."""
         return {topic.kind for topic in self._topics if topic.vehicle == vehicle}
 
     def start_poses(self) -> dict[str, Pose2]:
-        """Return the start pose of each vehicle: as given, from initialpose, or the first truth.
+        """Return the start pose of each vehicle: as given, of the live run, or from the bag.
 
-        RecordingError if one of several vehicles has none; a single vehicle starts at the origin.
+        In the bag the first initialpose counts, else the first ground truth. The start pose of a
+        live run does not count where the ground truth differs: the recording began after the
+        vehicle had moved. RecordingError if one of several vehicles has none; a single vehicle
+        starts at the origin.
         """
+        first = self._first_poses(set(self.vehicles) - set(self._given))
         found = dict(self._given)
-        names = [topic.name for topic in self._topics if topic.kind in POSE_KINDS]
-        truths: dict[str, Pose2] = {}
-        waiting = set(self.vehicles) - set(found)
-        for message in self.bag.messages(names) if waiting and names else ():
-            topic = self._by_name[message.topic]
-            pose = self._pose_in(topic, message)
-            if pose is None:
-                continue
-            if topic.kind is TopicKind.INITIAL_POSE:
-                found.setdefault(topic.vehicle, pose)
-            else:
-                truths.setdefault(topic.vehicle, pose)
-            if all(
-                vehicle in found or self._truth_is_start(vehicle, truths) for vehicle in waiting
+        for vehicle in sorted(set(self.vehicles) - set(found)):
+            truth = first.get((vehicle, TopicKind.GROUND_TRUTH))
+            initial = first.get((vehicle, TopicKind.INITIAL_POSE))
+            recorded = self._recorded.get(vehicle)
+            if (
+                recorded is not None
+                and truth is not None
+                and moved_enough(recorded.between(truth), *START_TOLERANCE)
             ):
-                break
-        for vehicle in sorted(waiting - set(found)):
-            if vehicle in truths:
-                found[vehicle] = truths[vehicle]
+                self._note(
+                    f'the recording of {vehicle} begins after it had moved: its start pose is '
+                    'taken from its ground truth'
+                )
+                found[vehicle] = truth
+            elif recorded is not None:
+                found[vehicle] = recorded
+            elif initial is not None:
+                found[vehicle] = initial
+            elif truth is not None:
+                found[vehicle] = truth
                 self._note(f'start pose of {vehicle} is taken from its ground truth')
         return self._with_defaults(found)
 
-    def _truth_is_start(self, vehicle: str, truths: dict[str, Pose2]) -> bool:
-        return vehicle in truths and TopicKind.INITIAL_POSE not in self.kinds(vehicle)
+    def _first_poses(self, vehicles: set[str]) -> dict[tuple[str, TopicKind], Pose2]:
+        """Return the first usable pose of each topic of POSE_KINDS of some vehicles."""
+        topics = {
+            topic.name: topic
+            for topic in self._topics
+            if topic.kind in POSE_KINDS and topic.vehicle in vehicles
+        }
+        first: dict[tuple[str, TopicKind], Pose2] = {}
+        for message in self.bag.messages(list(topics)) if topics else ():
+            topic = topics[message.topic]
+            key = (topic.vehicle, topic.kind)
+            if key in first:
+                continue
+            pose = self._pose_in(topic, message)
+            if pose is not None:
+                first[key] = pose
+            if len(first) == len(topics):
+                break
+        return first
 
     def _with_defaults(self, found: dict[str, Pose2]) -> dict[str, Pose2]:
         missing = [vehicle for vehicle in self.vehicles if vehicle not in found]

@@ -271,7 +271,6 @@ class FastSlam(Checkpointed):
             error = self.config.frame_error.covariance()
             total = P if error is None else P + error
             proposal = self._propose(state, poses, total, normals, group.log_weights)
-            return normals, state, proposal, P
         except FloatingPointError:
             for draw, entries in fused.items():
                 self.map.defer(entries, draw, self.map.reference[entries])
@@ -710,7 +709,9 @@ class FastSlam(Checkpointed):
 
     def _joint(self) -> JointPosterior:
         if self.joint is None:
-            raise SlamError('closures need the setting joint_graph and engine fastslam2')
+            raise SlamError(
+                'redraws and closures need the setting joint_graph and engine fastslam2'
+            )
         return self.joint
 
     def _node(self, keyframe: int) -> int:

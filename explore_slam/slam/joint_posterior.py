@@ -142,7 +142,7 @@ class JointPosterior:
         return self._tails[vehicle].keyframe
 
     def _white(self, motion: Array) -> Array | None:
-        """Return the white error (3, 3) of a keyframe: that of its motion and that of its frame."""
+        """Return the white error (3, 3) of a keyframe: those of its motion and its frame."""
         frame = self.config.frame_error.covariance()
         if frame is not None:
             return motion + frame

@@ -296,6 +296,27 @@ def test_a_bag_in_a_run_folder_takes_settings_and_starts_from_there(tmp_path):
     assert data.notes == ("unknown vehicles ['robot2'] in the recording: unused",)
 
 
+def test_a_recording_that_begins_after_the_vehicle_had_moved_starts_at_its_truth(tmp_path):
+    events = [event for event in team_events(4.0) if event.kind is not TopicKind.INITIAL_POSE]
+    late = [event for event in events if event.stamp > 7.0]
+    poses = [float(value) for pose in STARTS.values() for value in pose]
+    for name, kept in (('whole', events), ('late', late)):
+        bag = write(tmp_path / name / 'bag', kept)
+        write_settings(bag.parent, {'vehicles': list(STARTS), 'start_poses': poses})
+    truth = next(e for e in late if (e.vehicle, e.kind) == ('robot1', TopicKind.GROUND_TRUTH))
+    assert truth.record.pose.x - STARTS['robot1'].x > 0.5
+    whole, replay = (
+        Replay(BagReader(bag), recorded_starts=recorded_starts(bag))
+        for bag in (tmp_path / 'whole' / 'bag', tmp_path / 'late' / 'bag')
+    )
+    assert whole.start_poses()['robot1'] == pytest.approx(STARTS['robot1'])
+    assert not any('had moved' in text for text in whole.warnings)
+    assert replay.start_poses()['robot1'] == pytest.approx(truth.record.pose)
+    assert any('robot1 begins after it had moved' in text for text in replay.warnings)
+    given = Replay(BagReader(bag), starts={'robot1': STARTS['robot1']})
+    assert given.start_poses()['robot1'] == pytest.approx(STARTS['robot1'])
+
+
 @pytest.mark.parametrize(
     ('vision', 'used'),
     [('agent', 'camera/rgb/image_raw'), ('vehicle', 'landmarks'), (None, 'landmarks')],

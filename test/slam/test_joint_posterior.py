@@ -627,7 +627,7 @@ def test_without_a_graph_there_is_nothing_to_redraw(make_slam):
     for values in ({'engine': 'paper'}, {'joint_graph': False}):
         slam = make_slam(STARTS, **values)
         before = slam.state_dict()
-        with pytest.raises(SlamError, match='redraw needs the setting joint_graph'):
+        with pytest.raises(SlamError, match='redraws and closures need the setting joint_graph'):
             slam.redraw([0])
         after = slam.state_dict()
         assert all(np.array_equal(before[name], after[name]) for name in before)
