@@ -33,8 +33,9 @@ class AssociationConfig(Section):
         high=1.0,
     )
     association_gate: float = setting(
-        8.0,
-        'Engine fastslam2: largest Mahalanobis distance of a match',
+        4.5,
+        'Engine fastslam2: largest Mahalanobis distance of a match; features recur on similar '
+        'objects, and a wide gate takes a copy for the original',
         unit='sigma',
         low=1.0,
         high=20.0,
@@ -76,6 +77,20 @@ class ExistenceConfig(Section):
     )
     existence_limit: float = setting(
         5.0, 'Largest evidence of a landmark; it is removed below zero', low=1.0, high=100.0
+    )
+    landmark_cell: float = setting(
+        0.5,
+        'Edge of the cubes in which landmarks are kept few',
+        unit='m',
+        low=0.05,
+        high=100.0,
+    )
+    landmarks_per_cell: int = setting(
+        24,
+        'Engine fastslam2: a cube gets no new landmarks beyond this number; those that were never '
+        'matched make room first',
+        low=1,
+        high=100_000,
     )
 
 

@@ -30,7 +30,7 @@ from explore_slam.slam.graph.factors import (
     Integers,
     squared_norms,
 )
-from explore_slam.slam.graph.problem import Problem, collect, take_over
+from explore_slam.slam.graph.problem import Problem, collect, landmarks_of, take_over
 from explore_slam.slam.graph.rows import StoredObservations
 from explore_slam.slam.graph.solver import (
     Draws,
@@ -542,12 +542,8 @@ class JointGraph:
 
     def observations_from(self, vehicles: Iterable[int]) -> tuple[Integers, StoredObservations]:
         """Return ids (L,), ascending, of all landmarks that vehicles observed, as above."""
-        store = self._storage
-        observations = store.observations
-        observer = store.keyframes['vehicle'][observations['keyframe']]
-        own = (observations['landmark'] >= 0) & np.isin(observer, list(vehicles))
-        rows = np.unique(observations['landmark'][own])
-        ids = np.sort(store.landmarks['number'][rows])
+        rows = landmarks_of(self._storage, list(vehicles))
+        ids = np.sort(self._storage.landmarks['number'][rows])
         return ids, self.observations_of(ids)
 
     def tied(self, vehicle: int) -> set[int]:

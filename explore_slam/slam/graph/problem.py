@@ -1,5 +1,6 @@
 """One least-squares problem, independent of the graph's growth: collected from it, taken over."""
 
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -230,7 +231,7 @@ def take_over(storage: Storage, problem: Problem, nodes: Array) -> None:
     landmarks = storage.landmarks
     found = [storage.landmark_rows.get(number, -1) for number in problem.landmarks.tolist()]
     rows = np.array(found, np.int64)
-    landmarks['placed'][_landmarks_of(storage, problem.vehicles)] = False
+    landmarks['placed'][landmarks_of(storage, problem.vehicles)] = False
     landmarks['position'][rows[rows >= 0]] = nodes[problem.poses : problem.first_calibration][
         rows >= 0
     ]
@@ -258,9 +259,10 @@ def _move_keyframes(storage: Storage, problem: Problem, nodes: Array) -> None:
             keyframes[name][later] = compose(nodes[last], steps)
 
 
-def _landmarks_of(storage: Storage, vehicles: tuple[int, ...]) -> Integers:
-    """Return the rows of the landmarks that some vehicles observed."""
-    observations = storage.observations
-    observer = storage.keyframes['vehicle'][observations['keyframe']]
-    own = (observations['landmark'] >= 0) & np.isin(observer, vehicles)
-    return np.unique(observations['landmark'][own])
+def landmarks_of(storage: Storage, vehicles: Collection[int]) -> Integers:
+    """Return the rows of the landmarks that some vehicles observed, ascending."""
+    landmark, keyframe = storage.observations['landmark'], storage.observations['keyframe']
+    theirs = np.isin(storage.keyframes['vehicle'], list(vehicles))[keyframe]
+    observed = np.zeros(len(storage.landmarks) + 1, np.bool_)  # the last entry is that of row −1
+    observed[landmark[theirs]] = True
+    return np.flatnonzero(observed[:-1])

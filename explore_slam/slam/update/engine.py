@@ -69,7 +69,7 @@ class Engine(Protocol):
     #: A lost vehicle is searched for.
     relocalizes: bool
     #: Landmarks that should be observed and are not lose evidence of existence.
-    counts_misses: bool
+    removes_landmarks: bool
 
     def propose(
         self, state: AssociationState, poses: Array, P: Array, normals: Array, log_weights: Array

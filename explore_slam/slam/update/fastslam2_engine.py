@@ -105,7 +105,7 @@ class FastSlam2Engine:
 
     joint = False
     relocalizes = True
-    counts_misses = True
+    removes_landmarks = True
 
     def __init__(self, config: FastSlamConfig) -> None:
         self.config = config

@@ -1,9 +1,8 @@
 """Inter-robot observations: one relative position corrects the poses of both vehicles.
 
 Only the pose of the observer is sampled. The measured position is linear in the pose of the
-observed
-vehicle, which therefore stays Gaussian given the sample: its heading, mostly unknown then, is not
-depleted by resamplings until its own observations need it.
+observed vehicle, which therefore stays Gaussian given the sample: its heading, mostly unknown
+then, is not depleted by resamplings until its own observations need it.
 """
 
 import math
@@ -17,6 +16,10 @@ from explore_slam.geometry import Array
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.update.gaussian import sample_gaussian
 from explore_slam.slam.update.robust_weights import robust_cost
+
+# Largest Mahalanobis distance (sigma) that counts: the observed vehicle is known by its name, so
+# that only gross errors are left out, unlike landmarks, which have copies.
+_GATE = 8.0
 
 
 @kernel
@@ -159,7 +162,7 @@ def condition_on_observation(
     measurement = _Measurement(
         observation.position,
         observation.covariance,
-        config.association.association_gate**2,
+        _GATE**2,
         config.outlier_threshold * config.outlier_threshold,
     )
     _condition_poses(

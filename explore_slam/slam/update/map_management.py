@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.compiled import kernel
-from explore_slam.geometry import Array, Pose2
+from explore_slam.geometry import Array, Pose2, to_world
 from explore_slam.slam.association.state import MAJORITY, AssociationState, Observed
 from explore_slam.slam.checkpoint import State
 from explore_slam.slam.config import FastSlamConfig
@@ -71,6 +71,38 @@ def _expected(
     return np.array(found, np.int64)
 
 
+@kernel
+def _in_cells(
+    reference: Array, ids: Places, counts: Places, size: float, cells: Places
+) -> tuple[Places, Places]:  # pragma: no cover - compiled
+    """Return (C,) how many landmarks that were matched lie in cells, and the cells (n,) of others.
+
+    reference (n, 3), ids (n,) and counts (n,) of all entries; cells (C, 3): sorted, without
+    repetition. The second result is the cell of each entry that was never matched, or -1.
+    """
+    matched, others = np.zeros(len(cells), np.int64), np.full(len(ids), -1)
+    for n in range(len(ids)):
+        if ids[n] < 0:
+            continue
+        x = math.floor(reference[n, 0] / size)
+        y = math.floor(reference[n, 1] / size)
+        z = math.floor(reference[n, 2] / size)
+        low, high = 0, len(cells)
+        while low < high:
+            middle = (low + high) // 2
+            cell = cells[middle]
+            if cell[0] < x or (cell[0] == x and (cell[1] < y or (cell[1] == y and cell[2] < z))):
+                low = middle + 1
+            else:
+                high = middle
+        if low < len(cells) and cells[low, 0] == x and cells[low, 1] == y and cells[low, 2] == z:
+            if counts[n] > 1:
+                matched[low] += 1
+            else:
+                others[n] = low
+    return matched, others
+
+
 class Committed(NamedTuple):
     """What an update left in the map.
 
@@ -81,6 +113,15 @@ class Committed(NamedTuple):
     ids: Places
     inserted: int
     removed: Places
+
+
+def _ranks(groups: Places) -> Places:
+    """Return (n,) how many before each element are in the same group; groups (n,)."""
+    order = np.argsort(groups, kind='stable')
+    ordered = groups[order]
+    ranks = np.empty(len(groups), np.int64)
+    ranks[order] = np.arange(len(groups)) - np.searchsorted(ordered, ordered)
+    return ranks
 
 
 class MapManager:
@@ -117,6 +158,9 @@ class MapManager:
         observed = found.entries[total > MAJORITY]
         removed = self._update_evidence(state, agreed, observed, Pose2.from_array(poses[best]))
         ids = self._majority(state, support)
+        if self.engine.removes_landmarks:
+            wanted, replaced = self._with_room(found.observed.z, wanted, poses[best])
+            removed = np.concatenate([removed, replaced])
         new = self._insert(vehicle, state, poses, wanted)
         ids[new] = self.landmarks.next_id - len(new) + np.arange(len(new))
         return Committed(ids, len(new), removed)
@@ -152,6 +196,39 @@ class MapManager:
             self.regions.setdefault(self._region(point), vehicle)
         return new
 
+    def _with_room(
+        self, z: Array, wanted: NDArray[np.bool_], pose: Array
+    ) -> tuple[NDArray[np.bool_], Places]:
+        """Keep the landmarks of one place few: limit insertion, and remove what is replaced.
+
+        z (K, 3) observed from a pose (3,); wanted (K, M). Landmarks that were matched stay; the
+        rest of a cell's places belongs to the newest of the others. Returns what is left of
+        `wanted`, and the ids (n,) of the landmarks removed.
+        """
+        new = np.flatnonzero(wanted.any(axis=1))
+        if not len(new):
+            return wanted, np.empty(0, np.int64)
+        landmarks, limit = self.landmarks, self.config.existence.landmarks_per_cell
+        edge = self.config.existence.landmark_cell
+        points = np.concatenate([to_world(pose, z[new, :2]), z[new, 2:]], axis=1)
+        cells, cell = np.unique(
+            np.floor(points / edge).astype(np.int64), axis=0, return_inverse=True
+        )
+        size = landmarks.size
+        matched, others = _in_cells(
+            landmarks.reference[:size], landmarks.ids[:size], landmarks.counts[:size], edge, cells
+        )
+        room = np.maximum(limit - matched, 0)
+        inserted = _ranks(cell) < room[cell]
+        wanted[new[~inserted]] = False
+        room -= np.bincount(cell[inserted], minlength=len(cells))
+        never = np.flatnonzero(others >= 0)
+        never = never[np.argsort(-landmarks.ids[never])]
+        gone = never[_ranks(others[never]) >= room[others[never]]]
+        ids = landmarks.ids[gone]
+        landmarks.remove(gone)
+        return wanted, ids
+
     def _region(self, point: Array) -> tuple[int, int]:
         size = self.config.region_size
         return math.floor(point[0] / size), math.floor(point[1] / size)
@@ -182,7 +259,7 @@ class MapManager:
         landmarks.evidence[observed] = np.minimum(gained, existence.existence_limit)
         similar = np.count_nonzero(found.has_similar())
         confirmed = np.count_nonzero(agreed) >= max(_CONFIRMING, _CONFIRMING_PART * similar)
-        if not self.engine.counts_misses or len(found) < _LEAST_OBSERVATIONS or not confirmed:
+        if not self.engine.removes_landmarks or len(found) < _LEAST_OBSERVATIONS or not confirmed:
             return np.empty(0, np.int64)
         size = landmarks.size
         expected = _expected(

@@ -47,7 +47,7 @@ class PaperEngine:
     joint = True
     redraws = False
     relocalizes = False
-    counts_misses = False
+    removes_landmarks = False
 
     def __init__(self, config: FastSlamConfig) -> None:
         self.config = config

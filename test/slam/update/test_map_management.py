@@ -84,3 +84,52 @@ def test_matches_raise_the_evidence_up_to_its_limit(make_slam):
 def test_the_paper_engine_removes_nothing(make_slam):
     slam = make_slam({'a': STILL}, particles=20, existence_miss=1.0, engine='paper')
     assert removals(slam, WALL, 5) == [0] * 5
+
+
+CUBE = np.column_stack(  # 30 places in one cube of half a metre
+    [np.full(30, 5.2), np.linspace(0.05, 0.45, 30), np.tile([0.1, 0.25, 0.4], 10)]
+)
+
+
+def cubed(make_slam, **values):
+    """A filter that knows its pose, with room for ten landmarks in a cube."""
+    slam = make_slam({'a': STILL}, particles=20, landmarks_per_cell=10, **values)
+    slam.predict('a', STILL, np.zeros((3, 3)))
+    return slam
+
+
+def test_a_cube_holds_so_many_landmarks_and_its_neighbours_as_many(make_slam):
+    slam = cubed(make_slam)
+    assert look(slam, 0, CUBE).inserted == 10
+    beside = CUBE + [0.0, 0.5, 0.0]
+    assert look(slam, 1, np.vstack([CUBE[:5], beside]), 40).inserted == 15
+    assert len(slam.map) == 20
+
+
+def test_landmarks_that_were_matched_stay_and_others_make_room(make_slam):
+    slam = cubed(make_slam)
+    look(slam, 0, CUBE[:6])
+    look(slam, 1, CUBE[:6])
+    look(slam, 2, CUBE[6:9], 6)
+    assert sorted(slam.map.ids[slam.map.entries()]) == list(range(9))
+    summary = look(slam, 3, CUBE[10:13], 20)
+    assert (summary.inserted, summary.removed) == (3, 2)
+    assert sorted(slam.map.ids[slam.map.entries()]) == [0, 1, 2, 3, 4, 5, 8, 9, 10, 11]
+    summary = look(slam, 4, CUBE[13:25], 30)
+    assert (summary.inserted, summary.removed) == (4, 4)
+    assert sorted(slam.map.ids[slam.map.entries()]) == [0, 1, 2, 3, 4, 5, 12, 13, 14, 15]
+    assert look(slam, 5, CUBE[:6]).associated == 6
+
+
+def test_a_cube_full_of_matched_landmarks_takes_no_more(make_slam):
+    slam = cubed(make_slam)
+    for stamp in (0, 1):
+        look(slam, stamp, CUBE[:10])
+    summary = look(slam, 2, CUBE[10:], 50)
+    assert (summary.inserted, summary.removed) == (0, 0)
+    assert len(slam.map) == 10
+
+
+def test_the_paper_engine_keeps_everything(make_slam):
+    slam = cubed(make_slam, engine='paper')
+    assert look(slam, 0, CUBE).inserted == 30
