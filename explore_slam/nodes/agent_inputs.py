@@ -88,7 +88,7 @@ class VehicleInputs:
         """Raise ValueError for a message in the frame of another vehicle: topics are mixed up."""
         frame = message.header.frame_id if hasattr(message, 'header') else ''
         owner = frame.split('/')[0]
-        if owner in self._others and topic is not TopicKind.SIGHTINGS:
+        if owner in self._others and topic is not TopicKind.INTER_ROBOT:
             raise ValueError(f'frame {frame!r} belongs to vehicle {owner!r}')
 
     def _measurement_callback(self, topic: TopicKind) -> Callable[[Any], None]:
