@@ -145,7 +145,7 @@ def run_isam2(starts: list[Pose2], steps: list[Step]) -> Errors:
 def study(laps: int, seeds: int, *, isam2: bool) -> None:
     """Compare the graph with the exact answer on the same runs."""
     exact = GraphConfig(
-        graph_minimum_sightings=2, graph_bounded=False, graph_landmark_heights=True
+        graph_minimum_observations=2, graph_bounded=False, graph_landmark_heights=True
     )
     configs = {
         'default': GraphConfig(),

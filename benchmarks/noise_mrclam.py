@@ -28,8 +28,8 @@ from explore_slam.recording.importers.mrclam import integrate_velocities, odomet
 
 WINDOW = 2.0  # s, in which motion is compared
 LARGEST_ERROR = (1.0, 0.2)  # m, rad: beyond it a measurement is an outlier
-EDGES = (0.0, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 1000.0)  # s between two sightings
-GAPS = (1, 2, 4, 8, 16, 32)  # sightings between two that are compared
+EDGES = (0.0, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 1000.0)  # s between two observations
+GAPS = (1, 2, 4, 8, 16, 32)  # observations between two that are compared
 TO_DEVIATION = 1.4826  # of the median absolute deviation of a normal distribution
 
 
@@ -192,7 +192,7 @@ def fit_range(found: Errors) -> tuple[float, float]:
 
 
 def pairs(found: Errors, sigma: tuple[float, float]) -> Array:
-    """Return (P, 5): pairs of sightings of one landmark.
+    """Return (P, 5): pairs of observations of one landmark.
 
     Metres, radians and seconds between them; products of their errors of range, in units of its
     deviation, and of bearing (rad²).

@@ -17,6 +17,10 @@ class VisionError(ExploreSlamError):
     """A frame cannot be turned into landmark observations."""
 
 
+class RegistrationError(ExploreSlamError):
+    """A point cloud, a pose or a covariance is not one that scans can be registered with."""
+
+
 class SlamError(ExploreSlamError):
     """The filter rejects an input, or a saved state is unusable; the filter is unchanged."""
 

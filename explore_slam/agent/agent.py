@@ -124,8 +124,8 @@ class Agent:
             if track.keyframe is None or scan.stamp >= track.keyframe.stamp:
                 laser, bodies = self.config.laser_mount.pose, self._team.discs(track, scan.stamp)
                 refine_by_scan(track, scan, laser, self.config.slam, bodies)
-        patience = self.config.scan_matching.matching_patience
-        while (measurement := track.next_ready(patience)) is not None:
+        timeout = self.config.scan_matching.scan_wait_timeout
+        while (measurement := track.next_ready(timeout)) is not None:
             kind_of(measurement).process(self._team, track, measurement)
 
     # -- estimates out -------------------------------------------------------------------------

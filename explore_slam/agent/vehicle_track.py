@@ -89,17 +89,17 @@ class VehicleTrack:
         self.last_match_attempt = max(self.last_match_attempt, scan.stamp)
         return scan
 
-    def next_ready(self, patience: float) -> Stamped | None:
+    def next_ready(self, timeout: float) -> Stamped | None:
         """Return the oldest waiting measurement that odometry has reached, or None.
 
         While scans are matched, a measurement waits for the next scan as well, at most for the
-        patience (s): only then is the motion up to its stamp refined.
+        timeout (s): only then is the motion up to its stamp refined.
         """
         if self.waiting.first > self.odometry.last:
             return None
         stamp = self.waiting.first
-        matching = stamp - patience < self.last_match_attempt < stamp
-        if matching and self.odometry.last < stamp + patience:
+        matching = stamp - timeout < self.last_match_attempt < stamp
+        if matching and self.odometry.last < stamp + timeout:
             return None
         return self.waiting.pop()
 

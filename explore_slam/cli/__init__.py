@@ -1,1 +1,1 @@
-"""Room 'cli'; see doc/architecture."""
+"""The command line, `explore_slam`; each command is a module."""

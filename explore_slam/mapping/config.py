@@ -1,4 +1,4 @@
-"""Settings of the occupancy grid and of scan matching."""
+"""Settings of the occupancy grid."""
 
 from dataclasses import dataclass
 

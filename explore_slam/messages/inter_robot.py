@@ -39,10 +39,10 @@ def inter_robot_message(factory: MessageFactory, observation: InterRobotObservat
 
 INTER_ROBOT = MeasurementKind(
     name='inter_robot',
-    topics=(TopicKind.SIGHTINGS,),
+    topics=(TopicKind.INTER_ROBOT,),
     reader=lambda: MessageReader(inter_robot_record),
     write=lambda factory, _frames, observation: [
-        (TopicKind.SIGHTINGS, inter_robot_message(factory, observation))
+        (TopicKind.INTER_ROBOT, inter_robot_message(factory, observation))
     ],
     queue_limit=100,
 )

@@ -1,5 +1,7 @@
 """Subscriptions of the agent: messages of one vehicle become records in the inbox."""
 
+import math
+import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -55,6 +57,7 @@ class VehicleInputs:
         self._report_follower = report_follower
         self._reader = VehicleReader(MEASUREMENT_KINDS)
         self.malformed = 0
+        self._warned: dict[Topic, float] = {}
         self.received: dict[Topic, int] = {}
         self._expected: list[Topic] = []
         for kind in MEASUREMENT_KINDS:
@@ -77,18 +80,22 @@ class VehicleInputs:
                 take(message)
             except (ExploreSlamError, ValueError, TypeError) as error:
                 self.malformed += 1
-                self._node.get_logger().warning(
-                    f'{self.vehicle}/{topic.value}: {error}; message omitted',
-                    throttle_duration_sec=WARNING_PERIOD,
-                )
+                self._warn(topic, f'{error}; message omitted')
 
         subscribe(self._node, topic, on_message, self.vehicle)
+
+    def _warn(self, topic: Topic, text: str) -> None:
+        """Log a warning about a topic, at most one per WARNING_PERIOD and topic."""
+        now = time.monotonic()
+        if now - self._warned.get(topic, -math.inf) >= WARNING_PERIOD:
+            self._warned[topic] = now
+            self._node.get_logger().warning(f'{self.vehicle}/{topic.value}: {text}')
 
     def _check_frame(self, topic: Topic, message: Any) -> None:
         """Raise ValueError for a message in the frame of another vehicle: topics are mixed up."""
         frame = message.header.frame_id if hasattr(message, 'header') else ''
         owner = frame.split('/')[0]
-        if owner in self._others and topic is not TopicKind.SIGHTINGS:
+        if owner in self._others and topic is not TopicKind.INTER_ROBOT:
             raise ValueError(f'frame {frame!r} belongs to vehicle {owner!r}')
 
     def _measurement_callback(self, topic: TopicKind) -> Callable[[Any], None]:

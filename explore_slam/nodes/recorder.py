@@ -12,6 +12,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy
+from rclpy.subscription import Subscription
 from rclpy.utilities import remove_ros_args
 
 from explore_slam.errors import ExploreSlamError
@@ -91,6 +92,7 @@ class Recorder(Node):
         self._writer = BagWriter(path)
         self._thread = WriterThread(self._writer)
         self._subscribed: set[str] = set()
+        self._recorded: list[Subscription] = []
         self._reported = 0
         self.counts: dict[str, int] = {}
         self._discover()
@@ -105,7 +107,12 @@ class Recorder(Node):
         return self._thread.dropped
 
     def stop(self) -> None:
-        """Write the queued messages and close the bag."""
+        """Take what has been received, write the queued messages and close the bag."""
+        for subscription in self._recorded:
+            # nothing spins the node any more: its callbacks are called here
+            with subscription.handle:
+                while taken := subscription.handle.take_message(subscription.msg_type, True):
+                    subscription.callback(taken[0])
         self._thread.close()
 
     def _wanted(self, topic: str) -> bool:
@@ -150,7 +157,9 @@ class Recorder(Node):
             item.qos_profile.reliability == QoSReliabilityPolicy.RELIABLE for item in publishers
         )
         qos = qos_profile(Qos(QUEUE_DEPTH, reliable, latched))
-        self.create_subscription(kind, topic, self._writer_of(topic), qos, raw=True)
+        self._recorded.append(
+            self.create_subscription(kind, topic, self._writer_of(topic), qos, raw=True)
+        )
         self.get_logger().info(f'recording {topic} ({types[0]})')
 
     def _writer_of(self, topic: str) -> Callable[[bytes], None]:

@@ -8,7 +8,6 @@ from explore_slam.registration.alignment import Alignment, Prior, align
 from explore_slam.registration.cloud import PointCloud, merged, scan_cloud, thinned
 from explore_slam.registration.config import ScanMatchingConfig
 from explore_slam.registration.correlation import Peak, SearchWindow
-from explore_slam.registration.errors import RegistrationError
 from explore_slam.registration.local_map import LocalMap
 from explore_slam.registration.scan_matcher import Refusal, RefusedScan, ScanMatch, ScanMatcher
 
@@ -20,7 +19,6 @@ __all__ = [
     'Prior',
     'Refusal',
     'RefusedScan',
-    'RegistrationError',
     'ScanMatch',
     'ScanMatcher',
     'ScanMatchingConfig',

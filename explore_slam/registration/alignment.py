@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from explore_slam.compiled import kernel
+from explore_slam.errors import RegistrationError
 from explore_slam.geometry import Array, Pose2
-from explore_slam.registration.errors import RegistrationError
 from explore_slam.registration.surface_map import SurfaceMap, nearest_element
 
 _ITERATIONS = 25

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from explore_slam.compiled import kernel
 from explore_slam.data import LaserScan
+from explore_slam.errors import RegistrationError
 from explore_slam.geometry import IDENTITY, Array, Pose2
-from explore_slam.registration.errors import RegistrationError
 
 _LEAST_RANGE = 0.05  # m; nearer returns are the vehicle itself or dust on the window
 _BEAMS_EITHER_SIDE = (

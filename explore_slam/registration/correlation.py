@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.compiled import kernel
+from explore_slam.errors import RegistrationError
 from explore_slam.geometry import Array, Pose2, wrap_angle
-from explore_slam.registration.errors import RegistrationError
 from explore_slam.registration.likelihood_grid import FULL, RESOLUTION, Levels, LikelihoodGrid
 
 ANGLE_STEP = math.radians(1.0)

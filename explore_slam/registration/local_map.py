@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
+from explore_slam.errors import RegistrationError
 from explore_slam.geometry import Array, Pose2
 from explore_slam.registration.alignment import Alignment, Prior, align
 from explore_slam.registration.cloud import PointCloud
@@ -15,7 +16,6 @@ from explore_slam.registration.correlation import (
     find_peak,
     score_profile,
 )
-from explore_slam.registration.errors import RegistrationError
 from explore_slam.registration.likelihood_grid import LikelihoodGrid
 from explore_slam.registration.surface_map import SurfaceMap
 

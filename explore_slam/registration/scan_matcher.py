@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from explore_slam.data import LaserScan
+from explore_slam.errors import RegistrationError
 from explore_slam.geometry import IDENTITY, Array, Pose2, moved_enough
 from explore_slam.registration.alignment import RANGE_DEVIATION, Alignment, Prior
 from explore_slam.registration.cloud import PointCloud, scan_cloud
 from explore_slam.registration.config import ScanMatchingConfig
 from explore_slam.registration.correlation import SearchWindow
-from explore_slam.registration.errors import RegistrationError
 from explore_slam.registration.local_map import LocalMap
 
 _LEAST_DEVIATIONS = np.array([1e-4, 1e-4, 1e-4])  # m, m, rad, of any motion
@@ -181,7 +181,8 @@ class ScanMatcher:
 
     def _moved_on(self, pose: Pose2) -> bool:
         moved = self._last_kept.between(pose)
-        return moved_enough(moved, self.config.window_distance, self.config.window_heading)
+        config = self.config
+        return moved_enough(moved, config.matching_window_distance, config.matching_window_heading)
 
     def _local_map(self) -> LocalMap:
         if self._map is None:

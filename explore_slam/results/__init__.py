@@ -1,4 +1,4 @@
-"""Metrics of trajectories and runs, run folders and their reports, the experiments."""
+"""Results of runs: metrics, run folder, report, figures."""
 
 from explore_slam.results.run_data import Panel, RunData, RunRecorder, Series, VehicleRun
 from explore_slam.results.run_folder import RunFolder

@@ -118,7 +118,7 @@ class CorrelationConfig(Section):
     They depend on the sensor: `benchmarks/noise_mrclam.py` finds those of the robots of MR.CLAM.
     """
 
-    correlated_sightings: bool = setting(
+    correlated_observations: bool = setting(
         True,
         'Count repeated observations of a landmark from about the same place as correlated',
         tier='basic',

@@ -40,7 +40,7 @@ from explore_slam.slam.update.fastslam2_engine import pair_likelihoods
 from explore_slam.slam.update.inter_robot import condition_on_observation
 from explore_slam.slam.update.landmark_update import update_associated
 from explore_slam.slam.update.map_management import Committed, MapManager
-from explore_slam.slam.update.sighting_correlation import SightingCorrelation
+from explore_slam.slam.update.observation_correlation import ObservationCorrelation
 
 # Inter-robot observations whose covariance grows by more than this factor repeat the one before:
 # they are left out, since each becomes two keyframes of the joint graph that are never dropped.
@@ -95,7 +95,7 @@ class FastSlam(Checkpointed):
                 for calibrations in self._calibrations:
                     normals = stratified_normals(self._random, particles, 3)
                     calibrations[:] = normals * self.config.calibration.deviations()
-        self._correlation = SightingCorrelation(len(starts), self.config.correlation)
+        self._correlation = ObservationCorrelation(len(starts), self.config.correlation)
         self._manager = MapManager(self.map, self._engine, self.config)
         self._relocalizers = [Relocalizer(self.config.relocalization) for _ in starts]
 

@@ -132,10 +132,10 @@ def test_late_records_are_counted_and_left_out():
 
 def test_unknown_vehicles_are_named():
     agent, _ = make_team()
-    sighting = InterRobotObservation(1.0, 'robot9', np.zeros(2), np.eye(2))
+    observation = InterRobotObservation(1.0, 'robot9', np.zeros(2), np.eye(2))
     for call in (
         lambda: agent.add('robot9', OdometryReading(1.0, IDENTITY)),
-        lambda: agent.add('robot1', sighting),
+        lambda: agent.add('robot1', observation),
         lambda: agent.estimate('robot9'),
         lambda: agent.set_pose('robot9', IDENTITY, np.eye(3)),
     ):
@@ -276,11 +276,11 @@ def test_the_team_plans_and_a_closed_room_is_complete(driven):
     assert planner.plan(62.0).status is ExplorationStatus.PAUSED
 
 
-def test_dedicated_maps_leave_sightings_out():
+def test_dedicated_maps_leave_inter_robot_observations_out():
     agent, team = make_team(with_values(CONFIG, {'maps': 'dedicated'}))
     drive(agent, team, 30)
-    sighting = InterRobotObservation(2.9, 'robot2', np.array([2.0, 0.0]), 0.01 * np.eye(2))
-    agent.add('robot1', sighting)
+    observation = InterRobotObservation(2.9, 'robot2', np.array([2.0, 0.0]), 0.01 * np.eye(2))
+    agent.add('robot1', observation)
     drive(agent, team, 4)  # it waits for the scan after it
     assert agent.summary()['robot1']['unused_inter_robot_observations'] == 1
     for name, vehicle in team.items():

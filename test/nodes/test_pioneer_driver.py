@@ -128,10 +128,12 @@ def test_gives_what_the_agent_needs_and_only_drives_when_motors_are_enabled(rig)
     assert not rig.emulator.robot.motors_on
     assert rig.enable().success
     assert rig.spin(5.0, lambda: rig.body.velocity()[0] > 0.38)
-    rig.spin(0.6)
+    assert rig.spin(5.0, lambda: rig.body.odometry().theta > 0.2)
     rig.command = (0.0, 0.0)
     assert rig.spin(3.0, lambda: rig.body.velocity() == (0.0, 0.0))
-    rig.spin(0.4)
+    counts = {name: len(rig.got[name]) for name in ('odom', 'scan')}
+    # the next but one was measured at rest
+    assert rig.spin(3.0, lambda: all(len(rig.got[n]) > 1 + c for n, c in counts.items()))
     odometry = rig.got['odom'][-1]
     assert (odometry.header.frame_id, odometry.child_frame_id) == (
         'robot7/odom',
@@ -202,12 +204,14 @@ def test_a_pulled_cable_is_found_again_within_three_seconds(rig, again):
     rig.start(motors_after_reconnect=again).drive(0.3)
     rig.emulator.base_line.unplug()
     rig.emulator.laser_line.unplug()
-    rig.spin(2.0)
+    lost = [rig.message(part) for part in ('base', 'laser')]
+    assert rig.spin(5.0, lambda: not {rig.message('base'), rig.message('laser')} & set(lost))
     count, scans = len(rig.got['odom']), len(rig.got['scan'])
     rig.emulator.base_line.plug()
     rig.emulator.laser_line.plug()
     assert rig.spin(3.0, lambda: len(rig.got['odom']) > count and len(rig.got['scan']) > scans)
-    rig.spin(2.0)
+    count = len(rig.got['odom'])  # the driver asks for the motors with the first state
+    assert rig.spin(3.0, lambda: len(rig.got['odom']) > count + 5)
     assert rig.emulator.robot.motors_on == again
     if not again:
         assert rig.enable().success

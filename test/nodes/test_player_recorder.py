@@ -199,7 +199,6 @@ def test_a_recorder_asked_to_end_leaves_a_whole_bag(tmp_path, number):
             wait(lambda: not player.unmatched, 20.0)
             play_all(player)
             player.flush(10.0)
-            time.sleep(0.3)  # received is not yet written, and nothing shows when it is
             process.send_signal(number)
             _, errors = process.communicate(timeout=20.0)
         finally:

@@ -91,6 +91,6 @@ def test_time_waits_for_the_next_command_of_a_vehicle_that_drives():
     assert it.delay(10.1, 100.0) == 0.0
     assert it.delay(10.15, 100.0) == pytest.approx(0.25)
     assert it.holder == 'a/cmd_vel'
-    assert it.delay(10.15, 100.3) == 0.0  # patience is over
+    assert it.delay(10.15, 100.3) == 0.0  # the timeout is over
     it.report_command('a', False, sim=10.15, wall=100.4)  # it stands: nothing to wait for
     assert it.delay(11.0, 100.4) == 0.0

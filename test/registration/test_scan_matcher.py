@@ -7,11 +7,11 @@ import pytest
 from registration.ray_caster import box, polyline, scan_of
 
 from explore_slam.data import LaserScan
+from explore_slam.errors import RegistrationError
 from explore_slam.geometry import IDENTITY, Pose2
 from explore_slam.registration import (
     Refusal,
     RefusedScan,
-    RegistrationError,
     ScanMatch,
     ScanMatcher,
     ScanMatchingConfig,

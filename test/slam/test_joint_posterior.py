@@ -15,7 +15,7 @@ from explore_slam.slam.storage.row_format import packed, unpacked
 
 STARTS = {'a': Pose2(1.0, 1.0, 0.0), 'b': Pose2(5.0, 4.0, 1.0)}
 STILL = Pose2(0.0, 0.0, 0.0)
-UNBOUNDED = {'graph_bounded': False, 'correlated_sightings': False}
+UNBOUNDED = {'graph_bounded': False, 'correlated_observations': False}
 
 
 def drawn(slam):
@@ -286,7 +286,7 @@ def test_rows_wait_until_they_are_needed(make_world, make_slam, drive_circles):
 
 def test_landmarks_of_which_nothing_is_stored_are_removed(make_world, make_slam, drive_circles):
     world = make_world()
-    slam = make_slam(world.start(a=STARTS['a']), correlated_sightings=False)
+    slam = make_slam(world.start(a=STARTS['a']), correlated_observations=False)
     drive_circles(slam, world, 10)
     landmarks = slam.landmarks()
     gone = landmarks.ids[:3]
@@ -482,7 +482,7 @@ def test_contradicted_particles_are_redrawn_before_the_update(make_world, make_s
 def test_no_motion_leads_to_a_pose_that_was_given(make_world, make_slam, drive_circles):
     """Carried elsewhere, the vehicle goes on from there, and its past stays as it was."""
     world = make_world()
-    slam = make_slam(world.start(a=STARTS['a']), correlated_sightings=False)
+    slam = make_slam(world.start(a=STARTS['a']), correlated_observations=False)
     drive_circles(slam, world, 12)
     drawn(slam)
     past = slam.best_path()
@@ -526,7 +526,7 @@ def test_path_and_map_are_bounded_by_the_area(make_world, make_slam):
     """Ten laps of a ring: nothing but the list of keyframes grows after the third."""
     world = make_world(1, deviation=0.05)
     path = ring(world, 4.0)
-    slam = make_slam(world.start(a=path[0]), particles=100, correlated_sightings=False)
+    slam = make_slam(world.start(a=path[0]), particles=100, correlated_observations=False)
     sizes = []
     for _ in range(10):
         drive_ring(slam, world, path, len(path))
@@ -553,7 +553,7 @@ def test_what_is_seen_only_once_is_forgotten_everywhere(make_world, make_slam):
     """Five features of every frame are never seen again, as real images have them."""
     world = make_world(1, deviation=0.05)
     path = ring(world, 4.0)
-    slam = make_slam(world.start(a=path[0]), particles=100, correlated_sightings=False)
+    slam = make_slam(world.start(a=path[0]), particles=100, correlated_observations=False)
     see, random = world.see, np.random.default_rng(0)
 
     def see_more(vehicle, stamp, reach):

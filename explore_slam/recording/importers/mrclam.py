@@ -233,7 +233,7 @@ def _measurements(robot: _Robot, begin: float, end: float) -> Iterator[Event]:
                 observation = InterRobotObservation(
                     float(stamp), f'robot{int(subject)}', position, covariance
                 )
-                yield Event(float(stamp), robot.name, TopicKind.SIGHTINGS, observation)
+                yield Event(float(stamp), robot.name, TopicKind.INTER_ROBOT, observation)
 
 
 def planar_measurement(distance: float, bearing: float) -> tuple[Array, Array]:

@@ -24,7 +24,7 @@ def warm_up() -> None:
     import numpy as np
 
     noise = 1e-4 * np.eye(3)
-    config = GraphConfig(graph_minimum_sightings=2, graph_recent_keyframes=2)
+    config = GraphConfig(graph_minimum_observations=2, graph_recent_keyframes=2)
     graph = JointGraph(config)
     graph.add_start(0, 0, np.zeros(3))
     for keyframe in range(1, 6):

@@ -54,11 +54,11 @@ def _is_needed(storage: Storage, row: int, config: GraphConfig) -> bool:
     before it have any that are. Only the landmarks count that this keyframe makes variables.
     """
     table, vehicle = storage.observations, storage.keyframes['vehicle']
-    sightings = storage.landmarks['sightings']
+    counts = storage.landmarks['observation_count']
     owners, frames = table['landmark'], table['keyframe']
     own = np.flatnonzero((owners >= 0) & (frames == row))
-    own = own[sightings[owners[own]] >= config.graph_minimum_sightings]
-    most = np.argsort(-sightings[owners[own]], kind='stable')
+    own = own[counts[owners[own]] >= config.graph_minimum_observations]
+    most = np.argsort(-counts[owners[own]], kind='stable')
     own = own[most[: config.graph_observations_per_keyframe]]
     visit_of = np.full(len(storage.landmarks) + 1, -1)  # the last entry is that of row −1
     visit_of[owners[own]] = table['visit'][own]
@@ -68,7 +68,7 @@ def _is_needed(storage: Storage, row: int, config: GraphConfig) -> bool:
     this_visit = np.bincount(landmarks[now], minlength=len(visit_of))
     earlier = np.unique(np.stack([landmarks, visits], axis=1)[~now], axis=0)
     earlier_visits = np.bincount(earlier[:, 0], minlength=len(visit_of))
-    few = (this_visit < config.graph_visit_sightings) & (earlier_visits < config.graph_visits)
+    few = (this_visit < config.graph_visit_observations) & (earlier_visits < config.graph_visits)
     return int(few[owners[own]].sum()) > config.graph_needed_share * len(own)
 
 

@@ -22,7 +22,7 @@ class GraphConfig(Section):
     )
     graph_outlier_threshold: float = setting(
         4.0,
-        'Landmark and inter-robot residuals beyond this lose influence (Huber)',
+        'Landmark and inter-robot residuals beyond this are downweighted (Huber)',
         unit='sigma',
         low=1.0,
         high=20.0,
@@ -34,7 +34,7 @@ class GraphConfig(Section):
         low=0.1,
         high=100.0,
     )
-    graph_minimum_sightings: int = setting(
+    graph_minimum_observations: int = setting(
         2,
         'Landmarks with fewer stored observations than this are no variables of the graph',
         low=2,
@@ -76,7 +76,7 @@ class GraphConfig(Section):
     graph_visits: int = setting(
         2, 'Visits of a landmark by each vehicle of which observations are kept', low=1, high=100
     )
-    graph_visit_sightings: int = setting(
+    graph_visit_observations: int = setting(
         3, 'Observations of a landmark that are kept of each visit', low=1, high=100
     )
     graph_needed_share: float = setting(

@@ -200,7 +200,7 @@ def total_cost(factors: Factors, x: Array) -> float:
 
 
 @kernel
-def influence(factors: Factors, x: Array) -> Array:
+def robust_weights(factors: Factors, x: Array) -> Array:
     """Return the robust weights (F,) of all factors with the nodes at x (N, 3)."""
     weights = squared_norms(factors, x)
     for f in range(len(weights)):

@@ -237,7 +237,7 @@ class JointGraph:
                 'expected above 0 and at most 1'
             )
         owners = np.array([store.landmark_row_of(number) for number in ids.tolist()])
-        np.add.at(store.landmarks['sightings'], owners, 1)
+        np.add.at(store.landmarks['observation_count'], owners, 1)
         store.observations.append(
             count,
             number=store.next_observation + np.arange(count),
@@ -247,7 +247,7 @@ class JointGraph:
             z=places,
             W=W * weight[:, None],
             weight=weight,
-            influence=1.0,
+            robust_weight=1.0,
         )
         store.next_observation += count
         store.touch([row])
@@ -537,7 +537,7 @@ class JointGraph:
             np.searchsorted(places[rows], np.arange(len(ids) + 1)),
             store.keyframes['number'][table['keyframe'][rows]],
             table['z'][rows],
-            table['W'][rows] * table['influence'][rows, None],
+            table['W'][rows] * table['robust_weight'][rows, None],
         )
 
     def observations_from(self, vehicles: Iterable[int]) -> tuple[Integers, StoredObservations]:

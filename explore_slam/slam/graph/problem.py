@@ -15,7 +15,7 @@ from explore_slam.slam.graph.factors import (
     RELATIVE_POSE,
     Factors,
     Integers,
-    influence,
+    robust_weights,
 )
 from explore_slam.slam.graph.rows import fuse_rows
 from explore_slam.slam.graph.storage import Storage
@@ -175,7 +175,7 @@ def _observations(
     own = np.flatnonzero((table['landmark'] >= 0) & (node[table['keyframe']] >= 0))
     frame, landmark = table['keyframe'][own], table['landmark'][own]
     chosen = chosen_landmarks(
-        frame, landmark, config.graph_minimum_sightings, config.graph_observations_per_keyframe
+        frame, landmark, config.graph_minimum_observations, config.graph_observations_per_keyframe
     )
     used = chosen[landmark]
     own, frame, landmark = own[used], node[frame[used]], landmark[used]
@@ -236,11 +236,11 @@ def take_over(storage: Storage, problem: Problem, nodes: Array) -> None:
         rows >= 0
     ]
     landmarks['placed'][rows[rows >= 0]] = True
-    weights = influence(problem.factors.last(len(problem.observations)), nodes)
+    weights = robust_weights(problem.factors.last(len(problem.observations)), nodes)
     known, seen = storage.observations['number'], problem.observations
     at = np.searchsorted(known, seen)
     same = known[np.minimum(at, len(known) - 1)] == seen if len(known) else seen < 0
-    storage.observations['influence'][at[same]] = weights[same]
+    storage.observations['robust_weight'][at[same]] = weights[same]
 
 
 def _move_keyframes(storage: Storage, problem: Problem, nodes: Array) -> None:

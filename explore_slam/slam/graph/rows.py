@@ -17,7 +17,7 @@ class StoredObservations(NamedTuple):
     first: Integers  # (L + 1,) first observation of each landmark
     keyframes: Integers  # (n,) numbers
     z: Array  # (n, 3) positions in the vehicle frame (m)
-    W: Array  # (n, 6) information xx xy xz yy yz zz, scaled by weight and robust influence
+    W: Array  # (n, 6) information xx xy xz yy yz zz, scaled by weight and robust weight
 
     def located(self, keyframes: NDArray[np.int64]) -> Integers:
         """Return (n,) the row of each observation's keyframe in an ascending list of numbers."""

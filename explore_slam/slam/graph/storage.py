@@ -66,11 +66,11 @@ class Storage:
             z=(np.float64, (3,)),
             W=(np.float64, (6,)),  # information, scaled by the weight
             weight=(np.float64, ()),
-            influence=(np.float64, ()),  # robust weight at the last optimum
+            robust_weight=(np.float64, ()),  # at the last optimum
         )
         self.landmarks = Table(
             number=(np.int64, ()),  # id; −1: removed
-            sightings=(np.int64, ()),  # observations ever added
+            observation_count=(np.int64, ()),  # observations ever added
             placed=(np.bool_, ()),  # the position is that of the last optimum
             position=(np.float64, (3,)),
         )
@@ -150,7 +150,7 @@ class Storage:
         owners = self.observations['landmark']
         into = self.landmark_row_of(target)
         owners[owners == row] = into
-        self.landmarks['sightings'][into] += self.landmarks['sightings'][row]
+        self.landmarks['observation_count'][into] += self.landmarks['observation_count'][row]
         for vehicle in self.newest:
             last, count = self.visits.get((source, vehicle), (-1, 0))
             if count:

@@ -1,4 +1,4 @@
-"""Robust weights: observations beyond the outlier threshold lose influence.
+"""Robust weights: observations beyond the outlier threshold are downweighted.
 
 The likelihood of one observation with Mahalanobis distance d is that of a Gaussian up to the
 threshold t, and falls like d^-t² beyond: its cost is d² for d <= t, t² (1 + ln(d² / t²)) beyond,

@@ -102,7 +102,7 @@ def _filter(scenario: Scenario, options: Options, seed: int) -> FilterEstimator:
     values = {
         'particles': options.particles,
         'maximum_descriptor_distance': UNIQUE_DESCRIPTORS,
-        'correlated_sightings': False,  # the errors of these observations are independent
+        'correlated_observations': False,  # the errors of these observations are independent
     }
     return FilterEstimator(scenario.start_poses, with_values(FastSlamConfig(), values), seed)
 

@@ -51,7 +51,9 @@ def small_mrclam(tmp_path) -> Path:
     return folder
 
 
-def test_mrclam_becomes_odometry_landmarks_sightings_and_truth(small_mrclam, tmp_path, caplog):
+def test_mrclam_becomes_odometry_landmarks_inter_robot_observations_and_truth(
+    small_mrclam, tmp_path, caplog
+):
     counts = mrclam.import_mrclam(small_mrclam, tmp_path / 'bag')
     assert 'unknown bar codes [99]' in caplog.text
     found = events(tmp_path / 'bag')
@@ -80,9 +82,9 @@ def test_mrclam_becomes_odometry_landmarks_sightings_and_truth(small_mrclam, tmp
     assert np.linalg.norm(record.descriptors, axis=1) == pytest.approx([1.0, 1.0], abs=1e-6)
     assert record.descriptors[0] == pytest.approx(mrclam.landmark_descriptor(6), abs=1e-7)
 
-    sighted = of_kind(found, TopicKind.SIGHTINGS)
-    assert [event.record.vehicle for event in sighted] == ['robot2']
-    assert of_kind(found, TopicKind.SIGHTINGS, 'robot2') == []  # nobody sights itself
+    measured = of_kind(found, TopicKind.INTER_ROBOT)
+    assert [event.record.vehicle for event in measured] == ['robot2']
+    assert of_kind(found, TopicKind.INTER_ROBOT, 'robot2') == []  # nobody observes itself
     truth = of_kind(found, TopicKind.GROUND_TRUTH)
     assert truth[0].record.pose == pytest.approx(starts['robot1'], abs=1e-6)
 

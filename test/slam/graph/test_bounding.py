@@ -146,7 +146,7 @@ def test_what_is_measured_or_pinned_stays(bounded_world):
 
 
 def test_observations_kept_per_visit(bounded_world):
-    """One landmark in view all the time: three sightings of each of two visits are kept."""
+    """One landmark in view all the time: three observations of each of two visits are kept."""
     graph = bounded_world().graph
     R = [[0.01, 0.0, 0.0, 0.01, 0.0, 0.01]]
     graph.add_start(0, 0, [0.0, 0.0, 0.0])

@@ -107,7 +107,7 @@ def test_wrong_closure_stands_out_and_is_taken_back(make_world):
     assert world.graph.closure_residuals()[0].tolist() == [right]
 
 
-def test_outliers_lose_influence(make_world):
+def test_outliers_are_downweighted(make_world):
     world = make_world(5, landmarks=20)
     world.circle(15, vehicles=1)
     world.graph.optimize()

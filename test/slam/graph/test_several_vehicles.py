@@ -17,12 +17,12 @@ def test_vehicles_are_tied_by_what_both_observe(make_world):
     assert [graph.tied(v) for v in range(4)] == [{0}, {1}, {2}, {3}]
     graph.add_observations(2, [5], [[-1.0, 0.0, 1.0]], R)
     assert [graph.tied(v) for v in range(4)] == [{0, 2}, {1}, {0, 2}, {3}]
-    sighting = graph.add_relative_position(1, 3, [2.0, 0.0], 0.01 * np.eye(2))
+    measured = graph.add_relative_position(1, 3, [2.0, 0.0], 0.01 * np.eye(2))
     graph.add_observations(3, [8], [[1.0, 0.0, 1.0]], R)
     assert [graph.tied(v) for v in range(4)] == [{0, 2}, {1, 3}, {0, 2}, {1, 3}]
     graph.merge_landmarks([8], [5])
     assert graph.tied(1) == {0, 1, 2, 3}
-    graph.remove_factor(sighting)
+    graph.remove_factor(measured)
     graph.remove_landmarks([5])
     assert [graph.tied(v) for v in range(4)] == [{0}, {1}, {2}, {3}]
 

@@ -43,7 +43,7 @@ THERE = [(43.0, -1.0), (43.0, 1.0), (44.0, 0.0)]
 
 
 def test_what_one_vehicle_sees_leaves_the_particles_of_another(make_slam):
-    slam = make_slam(APART, correlated_sightings=False)
+    slam = make_slam(APART, correlated_observations=False)
     for step in range(4):
         look_around(slam, 'a', APART['a'], HERE, float(step), 0)
         slam.add_keyframe('a', float(step))

@@ -1,4 +1,4 @@
-"""Repeated sightings of a landmark count as its autoregressive error lets them."""
+"""Repeated observations of a landmark count as its autoregressive error lets them."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 from explore_slam.geometry import Pose2
 from explore_slam.settings import with_values
 from explore_slam.slam.config import CorrelationConfig
-from explore_slam.slam.update.sighting_correlation import SightingCorrelation
+from explore_slam.slam.update.observation_correlation import ObservationCorrelation
 
 LENGTHS = {'correlation_distance': 0.5, 'correlation_turn': 0.25, 'correlation_time': 10.0}
 ENTRIES, IDS = np.array([0, 5, -1]), np.array([40, 45, -1])
@@ -14,7 +14,7 @@ ENTRIES, IDS = np.array([0, 5, -1]), np.array([40, 45, -1])
 
 @pytest.fixture
 def correlation():
-    return SightingCorrelation(2, with_values(CorrelationConfig(), LENGTHS))
+    return ObservationCorrelation(2, with_values(CorrelationConfig(), LENGTHS))
 
 
 def inflation(exponent):
@@ -22,7 +22,7 @@ def inflation(exponent):
     return (1.0 + rho) / (1.0 - rho)
 
 
-def test_first_sightings_and_unknown_landmarks_count_fully(correlation):
+def test_first_observations_and_unknown_landmarks_count_fully(correlation):
     assert correlation.factors(0, 3.0, ENTRIES, IDS).tolist() == [1.0, 1.0, 1.0]
     correlation.add(0, 3.0, ENTRIES, IDS)
     # another vehicle, and another landmark that took the place of one that was removed
@@ -31,7 +31,7 @@ def test_first_sightings_and_unknown_landmarks_count_fully(correlation):
     assert correlation.factors(0, 3.0, ENTRIES, IDS)[2] == 1.0
 
 
-def test_distance_turn_and_time_since_the_last_sighting_add_up(correlation):
+def test_distance_turn_and_time_since_the_last_observation_add_up(correlation):
     correlation.add(0, 3.0, ENTRIES, IDS)
     for _ in range(3):
         correlation.predict(0, Pose2(0.03, 0.04, -0.05))
@@ -49,16 +49,16 @@ def test_a_vehicle_that_stands_still_learns_little_but_not_nothing(correlation):
     assert correlation.factors(0, 3.0, ENTRIES, IDS)[0] == pytest.approx(1.998 / 0.002)
 
 
-def test_far_away_sightings_are_independent(correlation):
+def test_far_away_observations_are_independent(correlation):
     correlation.add(0, 3.0, ENTRIES, IDS)
     correlation.predict(0, Pose2(20.0, 0.0, 0.0))
     assert correlation.factors(0, 3.0, ENTRIES, IDS)[0] == pytest.approx(1.0, abs=1e-12)
 
 
-def test_n_sightings_have_the_information_of_the_autoregressive_process():
+def test_n_observations_have_the_information_of_the_autoregressive_process():
     """Σ 1/(R f) against 1ᵀ C⁻¹ 1 of n samples with C_ij = ρ^|i−j|."""
     config = with_values(CorrelationConfig(), LENGTHS)
-    correlation, n, step = SightingCorrelation(1, config), 200, 4.0
+    correlation, n, step = ObservationCorrelation(1, config), 200, 4.0
     information = 0.0
     for k in range(n):
         factor = correlation.factors(0, k * step, ENTRIES[:1], IDS[:1])[0]
@@ -81,8 +81,8 @@ def test_vehicles_that_observe_each_other(correlation):
 
 
 def test_switched_off_everything_counts_fully():
-    values = LENGTHS | {'correlated_sightings': False}
-    correlation = SightingCorrelation(2, with_values(CorrelationConfig(), values))
+    values = LENGTHS | {'correlated_observations': False}
+    correlation = ObservationCorrelation(2, with_values(CorrelationConfig(), values))
     correlation.add(0, 3.0, ENTRIES, IDS)
     correlation.add_between(0, 1, 3.0)
     assert correlation.factors(0, 3.0, ENTRIES, IDS).tolist() == [1.0, 1.0, 1.0]
@@ -94,7 +94,7 @@ def test_state_round_trip(correlation):
     correlation.add(1, 2.0, many, many + 5)
     correlation.add_between(0, 1, 1.0)
     correlation.predict(1, Pose2(0.3, 0.0, 0.2))
-    again = SightingCorrelation(2, correlation.config)
+    again = ObservationCorrelation(2, correlation.config)
     again.restore({name: np.array(value) for name, value in correlation.state_dict().items()})
     np.testing.assert_array_equal(
         again.factors(1, 3.0, many, many + 5), correlation.factors(1, 3.0, many, many + 5)

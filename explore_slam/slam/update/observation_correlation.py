@@ -19,7 +19,7 @@ from explore_slam.slam.storage.row_format import Places
 _LARGEST = 0.998
 
 
-class SightingCorrelation:
+class ObservationCorrelation:
     """Where and when each vehicle observed each landmark last.
 
     Motion is measured as (distance m, turn rad, time s) in units of the correlation lengths.
@@ -45,7 +45,7 @@ class SightingCorrelation:
 
         Its error changes as either of the two moves.
         """
-        if not self.config.correlated_sightings or not self._met[vehicle, target]:
+        if not self.config.correlated_observations or not self._met[vehicle, target]:
             return 1.0
         now = np.append(self._travelled[vehicle] + self._travelled[target], stamp)
         return float(self._inflation(now - self._vehicles[vehicle, target]))
@@ -62,7 +62,7 @@ class SightingCorrelation:
         entries (K,) of the landmarks observed, -1 for none, and their ids (K,).
         """
         factors = np.ones(len(entries))
-        if not self.config.correlated_sightings:
+        if not self.config.correlated_observations:
             return factors
         self._reserve(int(entries.max(initial=-1)) + 1)
         known = np.flatnonzero(entries >= 0)
