@@ -94,6 +94,8 @@ class TeamTopic(Topic):
     """What the agent publishes for the whole team, and commands of the operator to it."""
 
     MAP = 'map', 'nav_msgs/msg/OccupancyGrid', LATCHED, LATCHED
+    MAP_PROBABILITY = 'map_probability', 'nav_msgs/msg/OccupancyGrid', LATCHED, LATCHED
+    MAP_UPDATES = 'map_updates', 'map_msgs/msg/OccupancyGridUpdate', RELIABLE, RELIABLE
     MAP_LANDMARKS = 'map_landmarks', 'sensor_msgs/msg/PointCloud2', LATCHED, LATCHED
     FRONTIERS = 'explore/frontiers', 'visualization_msgs/msg/MarkerArray', RELIABLE, RELIABLE
     STATUS = 'explore/status', 'std_msgs/msg/String', LATCHED, LATCHED

@@ -31,6 +31,7 @@ from explore_slam.nodes.agent_statistics import AgentStatistics
 from explore_slam.nodes.endpoints import publisher, subscribe
 from explore_slam.nodes.heartbeat import Heartbeat
 from explore_slam.nodes.inbox import Inbox, Item
+from explore_slam.nodes.map_outputs import map_message
 from explore_slam.nodes.node_support import (
     REPORT_PERIOD,
     SILENCE,
@@ -71,7 +72,7 @@ class AgentNode(Node):
         self._offer_services()
         self._diagnostics = publisher(self, GlobalTopic.DIAGNOSTICS)
         self._heartbeat = Heartbeat(self, self.config.vehicles)
-        self._due = dict.fromkeys(('plan', 'map', 'landmarks'), -np.inf)
+        self._due = dict.fromkeys(('plan', 'map', 'map update', 'landmarks'), -np.inf)
         self._posed = dict.fromkeys(self.config.vehicles, -np.inf)
         self._reported = time.monotonic()
         self._silence_timer = self.create_timer(
@@ -145,7 +146,8 @@ class AgentNode(Node):
 
     async def _on_get_map(self, _request: Any, response: Any) -> Any:
         def read() -> str:
-            response.map = self.outputs.grid_message(now_seconds(self), self.agent.grid)
+            now, frame = now_seconds(self), self.config.map_frame
+            response.map = map_message(now, frame, self.agent.grid)
             return ''
 
         await self._ask(read)
@@ -254,6 +256,11 @@ class AgentNode(Node):
             self._plan(now)
         if self._is_due('map', self.config.map_period, now):
             self.outputs.grid(now, self.agent.grid)
+            self._due['map update'] = now + self.config.map_update_period
+        elif self.outputs.maps.wants_updates and self._is_due(
+            'map update', self.config.map_update_period, now
+        ):
+            self.outputs.grid_update(now, self.agent.grid)
         if self._is_due('landmarks', self.config.landmarks_period, now):
             self.publish_results(now)
 

@@ -16,7 +16,6 @@ from explore_slam.mapping import OccupancyGrid
 from explore_slam.messages import (
     cloud_message,
     estimate_message,
-    grid_message,
     path_message,
     planar_transform_message,
     pose_array_message,
@@ -25,6 +24,7 @@ from explore_slam.messages import (
 from explore_slam.messages.topics import TeamTopic, VehicleTopic
 from explore_slam.nodes.agent_parameters import AgentNodeConfig
 from explore_slam.nodes.endpoints import TransformBroadcaster, publisher
+from explore_slam.nodes.map_outputs import MapOutputs
 from explore_slam.nodes.ros_types import MESSAGES
 from explore_slam.slam import Landmarks
 
@@ -49,7 +49,7 @@ class AgentOutputs:
             for vehicle in config.vehicles
             for topic in _RESULTS
         }
-        self._map = publisher(node, TeamTopic.MAP)
+        self.maps = MapOutputs(node)
         self._landmarks = publisher(node, TeamTopic.MAP_LANDMARKS)
         self._frontiers = publisher(node, TeamTopic.FRONTIERS)
         self._status = publisher(node, TeamTopic.STATUS)
@@ -102,18 +102,11 @@ class AgentOutputs:
 
     def grid(self, stamp: float, grid: OccupancyGrid) -> None:
         """Publish the occupancy grid."""
-        self._map.publish(self.grid_message(stamp, grid))
+        self.maps.publish(stamp, self._config.map_frame, grid)
 
-    def grid_message(self, stamp: float, grid: OccupancyGrid) -> Any:
-        """Return a nav_msgs/OccupancyGrid in the map frame."""
-        return grid_message(
-            MESSAGES,
-            stamp,
-            self._config.map_frame,
-            grid.to_occupancy(),
-            grid.resolution,
-            grid.origin,
-        )
+    def grid_update(self, stamp: float, grid: OccupancyGrid) -> None:
+        """Publish what has changed in the occupancy grid since it was published last."""
+        self.maps.publish_update(stamp, self._config.map_frame, grid)
 
     def landmarks(self, stamp: float, landmarks: Landmarks) -> None:
         """Publish the landmarks: x, y, z, standard deviation (m), number of observations."""

@@ -32,6 +32,13 @@ class AgentNodeConfig(Section):
         0.5, 'Planning cycles per second', unit='Hz', low=0.01, high=20.0
     )
     map_period: float = setting(2.0, 'Time between published maps', unit='s', low=0.1, high=3600.0)
+    map_update_period: float = setting(
+        0.5,
+        'Time between messages on map_updates, where map_msgs is installed and somebody listens',
+        unit='s',
+        low=0.05,
+        high=3600.0,
+    )
     landmarks_period: float = setting(
         5.0, 'Time between published landmarks and trajectories', unit='s', low=0.1, high=3600.0
     )
