@@ -62,12 +62,19 @@ class AgentOutputs:
         message = estimate_message(MESSAGES, stamp, self._config.map_frame, pose, covariance)
         self._vehicle[vehicle, VehicleTopic.POSE].publish(message)
 
-    def transform(self, vehicle: str, stamp: float, pose: Pose2, odometry: Pose2) -> None:
-        """Publish the transform map -> odom (REP-105)."""
-        frames = self._config.frames(vehicle)
+    def transform(
+        self, vehicle: str, stamp: float, pose: Pose2, odometry: Pose2, odom_frame: str
+    ) -> None:
+        """Publish the transform map -> odom (REP-105), which completes the vehicle's tree.
+
+        odometry: pose that the base has reported at the stamp (s), which is that of odom -> base.
+        It is dated transform_tolerance into the future, so that others need not wait for the next.
+        """
         offset = pose.compose(odometry.inverse())
+        valid = stamp + self._config.transform_tolerance
         self._transforms.send(
-            planar_transform_message(MESSAGES, stamp, frames.map, frames.odom, offset)
+            planar_transform_message(MESSAGES, valid, self._config.map_frame, odom_frame, offset),
+            vehicle,
         )
 
     def particles(self, vehicle: str, stamp: float, poses: Array) -> None:
