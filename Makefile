@@ -42,6 +42,7 @@ $(VENV)/.ready: requirements.txt requirements-ros.txt setup.py package.xml $(CON
 	@echo "Installing ROS 2 Jazzy and what else is needed from PyPI (a minute or two) ..."
 	@$(PIP) install -q -r requirements.txt -r requirements-ros.txt $(if $(CONSTRAINTS),-c $(CONSTRAINTS)) 'setuptools<80' 2> >(grep -v 'is ignored: it is neither' >&2)
 	@$(PIP) install -q --no-deps --no-build-isolation -e .
+	@$(PY) tools/build_messages.py tf2_msgs map_msgs
 	@tools/check_libraries $(PY)
 	@echo "Compiling kernels (once) ..."
 	@$(PY) -c 'from explore_slam import agent, simulation; agent.warm_up(); simulation.warm_up()'

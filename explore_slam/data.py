@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.errors import DataError
-from explore_slam.geometry import Array, Pose2
+from explore_slam.geometry import Array, Pose2, Pose3
 
 DESCRIPTOR_LENGTH = 128  # numbers of a SIFT descriptor
 
@@ -62,6 +62,8 @@ class LaserScan:
 
     Angles are in the laser frame. REP-117: -inf is too close, NaN invalid, +inf no return; values
     outside [range_min, range_max] are no measurements.
+
+    mount: pose of the laser in the vehicle frame; None: that of the settings.
     """
 
     stamp: float
@@ -70,6 +72,7 @@ class LaserScan:
     ranges: NDArray[np.float32]
     range_min: float
     range_max: float
+    mount: Pose2 | None = None
 
     def __post_init__(self) -> None:
         _check_stamp(self, self.stamp)
@@ -89,6 +92,8 @@ class LaserScan:
                 f'LaserScan: range_min {self.range_min} and range_max {self.range_max}, '
                 'expected 0 <= range_min < range_max'
             )
+        if self.mount is not None and not self.mount.is_finite():
+            raise DataError(f'LaserScan: mount is {tuple(self.mount)}, expected finite values')
 
     @property
     def angles(self) -> Array:
@@ -133,12 +138,16 @@ class RgbdFrame:
     """Colour image (H, W, 3) RGB uint8, or (H, W) grey, with registered depth (H, W).
 
     Depth is uint16 in mm (0 is no data) or float32 in m (NaN or 0 is no data), REP-118.
+
+    mount: pose of the optical frame (x right, y down, z forward) in the vehicle frame; None: that
+    of the settings.
     """
 
     stamp: float
     rgb: NDArray[np.uint8]
     depth: NDArray[np.uint16] | NDArray[np.float32]
     intrinsics: Intrinsics
+    mount: Pose3 | None = None
 
     def __post_init__(self) -> None:
         _check_stamp(self, self.stamp)

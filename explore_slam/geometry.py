@@ -175,3 +175,36 @@ def multiply_quaternions(a: Quaternion, b: Quaternion) -> Quaternion:
         aw * bz + ax * by - ay * bx + az * bw,
         aw * bw - ax * bx - ay * by - az * bz,
     )
+
+
+class Pose3(NamedTuple):
+    """A pose in space: position (m) and unit quaternion."""
+
+    position: tuple[float, float, float]
+    quaternion: Quaternion
+
+    @property
+    def rotation(self) -> Array:
+        """Rotation (3, 3) from the frame of the pose to the frame in which it is given."""
+        return rotation_from_quaternion(*self.quaternion)
+
+    def compose(self, other: 'Pose3') -> 'Pose3':
+        """Return the pose of other, which is given in the frame of this pose."""
+        position = np.array(self.position) + self.rotation @ np.array(other.position)
+        x, y, z = position.tolist()
+        return Pose3((x, y, z), multiply_quaternions(self.quaternion, other.quaternion))
+
+    def inverse(self) -> 'Pose3':
+        """Return the pose p with self ⊕ p = identity."""
+        x, y, z = (-self.rotation.T @ np.array(self.position)).tolist()
+        qx, qy, qz, qw = self.quaternion
+        return Pose3((x, y, z), (-qx, -qy, -qz, qw))
+
+
+def roll_pitch_yaw(rotation: ArrayLike) -> tuple[float, float, float]:
+    """Return fixed-axis roll, pitch and yaw (rad) of a rotation (3, 3); see rotation_matrix."""
+    m = np.asarray(rotation, dtype=np.float64)
+    pitch = math.asin(min(max(-m[2, 0], -1.0), 1.0))
+    if abs(m[2, 0]) > 1.0 - 1e-9:  # gimbal lock: roll and yaw turn about the same axis
+        return 0.0, pitch, math.atan2(-m[0, 1], m[1, 1])
+    return math.atan2(m[2, 1], m[2, 2]), pitch, math.atan2(m[1, 0], m[0, 0])

@@ -7,7 +7,7 @@ names of their leaves are unique in the whole tree, so that a setting is known b
 import dataclasses
 import difflib
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -38,7 +38,9 @@ class Setting:
         """Return the value in the type of the default, or raise ConfigError."""
         checked = _as_type_of(self.default, value)
         if checked is None:
-            raise ConfigError(f'{self.name} is {value!r}, expected {type(self.default).__name__}')
+            raise ConfigError(
+                f'{self.name} is {value!r}, expected {self._expected()}{self._hint(value)}'
+            )
         if self.choices and checked not in self.choices:
             raise ConfigError(f'{self.name} is {value!r}, expected one of {list(self.choices)}')
         if isinstance(checked, int | float) and not isinstance(checked, bool):
@@ -53,6 +55,19 @@ class Setting:
                     f'expected {_range_text(low, high)} {self.unit}'.strip()
                 )
         return checked
+
+    def _expected(self) -> str:
+        if self.choices:
+            return f'one of {list(self.choices)}'
+        return type(self.default).__name__
+
+    def _hint(self, value: Any) -> str:
+        """Return what is wrong with words that YAML reads as booleans: off, no, on, yes."""
+        if not isinstance(value, bool) or not isinstance(self.default, str):
+            return ''
+        if 'none' in self.choices and not value:
+            return f': YAML reads off and no as false; write {self.name}: none'
+        return ': YAML reads on, off, yes and no as true or false; quote the text'
 
 
 def _range_text(low: float | None, high: float | None) -> str:
@@ -146,10 +161,15 @@ def with_values[S: Section](tree: S, values: Mapping[str, Any]) -> S:
     known = values_of(tree)
     for name in values:
         if name not in known:
-            near = difflib.get_close_matches(name, known, n=1)
-            hint = f"; did you mean '{near[0]}'?" if near else ''
-            raise ConfigError(f"there is no setting '{name}'{hint}")
+            raise ConfigError(unknown_name(name, known))
     return _replace(tree, values)
+
+
+def unknown_name(name: str, known: Iterable[str]) -> str:
+    """Return the message for a setting that does not exist, with the most similar known name."""
+    near = difflib.get_close_matches(name, list(known), n=1)
+    hint = f"; did you mean '{near[0]}'?" if near else ''
+    return f"there is no setting '{name}'{hint}"
 
 
 def _replace[S: Section](tree: S, values: Mapping[str, Any]) -> S:
@@ -177,9 +197,20 @@ def read_parameters(path: Path) -> dict[str, Any]:
             parameters = node.get('ros__parameters') if isinstance(node, Mapping) else None
             if not isinstance(parameters, Mapping):
                 raise ConfigError(f"{path}: expected '/**:' with 'ros__parameters:' below it")
-            values.update(parameters)
+            values.update(_flat(parameters))
     elif content is not None:
         raise ConfigError(f'{path}: expected a mapping, found {type(content).__name__}')
+    return values
+
+
+def _flat(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Return nested parameters by the names that ROS gives them: {'robot1.vision': 'none'}."""
+    values: dict[str, Any] = {}
+    for name, value in parameters.items():
+        if isinstance(value, Mapping):
+            values.update({f'{name}.{leaf}': item for leaf, item in _flat(value).items()})
+        else:
+            values[str(name)] = value
     return values
 
 

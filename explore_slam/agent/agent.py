@@ -122,7 +122,8 @@ class Agent:
         """Match the scans and process the measurements that odometry has reached."""
         while (scan := track.next_to_match()) is not None:
             if track.keyframe is None or scan.stamp >= track.keyframe.stamp:
-                laser, bodies = self.config.laser_mount.pose, self._team.discs(track, scan.stamp)
+                laser = scan.mount or self.config.laser_mount.pose
+                bodies = self._team.discs(track, scan.stamp)
                 refine_by_scan(track, scan, laser, self.config.slam, bodies)
         timeout = self.config.scan_matching.scan_wait_timeout
         while (measurement := track.next_ready(timeout)) is not None:

@@ -3,13 +3,14 @@
 from dataclasses import dataclass
 
 from explore_slam.exploration import ExplorationConfig
+from explore_slam.geometry import Pose2, Pose3
 from explore_slam.mapping import GridConfig
-from explore_slam.mounts import LaserMountConfig
+from explore_slam.mounts import CameraMountConfig, LaserMountConfig
 from explore_slam.registration import ScanMatchingConfig
 from explore_slam.settings import Section, section, setting
 from explore_slam.slam import FastSlamConfig
 from explore_slam.slam.closures import ClosureConfig
-from explore_slam.vision import VisionConfig
+from explore_slam.vision import CameraMount, VisionConfig
 
 
 @dataclass(frozen=True)
@@ -95,3 +96,16 @@ class AgentConfig(Section):
     closures: ClosureConfig = section(ClosureConfig)
     mapping: GridConfig = section(GridConfig)
     exploration: ExplorationConfig = section(ExplorationConfig)
+
+
+def explicit_mounts(config: AgentConfig) -> tuple[Pose2 | None, Pose3 | None]:
+    """Return the poses of laser and of optical frame that the settings give; None for defaults.
+
+    Transforms are compared with these: a default is nobody's statement.
+    """
+    laser, camera = config.laser_mount, config.vision.mount
+    optical = CameraMount.from_config(camera).optical_pose
+    return (
+        laser.pose if laser != LaserMountConfig() else None,
+        optical if camera != CameraMountConfig() else None,
+    )

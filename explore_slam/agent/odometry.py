@@ -103,6 +103,13 @@ class OdometryBuffer:
         """Newest pose of the trajectory."""
         return self._poses[-1]
 
+    @property
+    def reading(self) -> Pose2:
+        """Newest pose as the base has reported it: without the corrections of the trajectory."""
+        if self._correction is None:
+            return self.pose
+        return self._correction.inverse().compose(self.pose)
+
     def add(self, reading: OdometryReading) -> bool:
         """Append a reading; return False if it was discarded because it is late or repeated."""
         if self._stamps and reading.stamp <= self.last:

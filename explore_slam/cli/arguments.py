@@ -25,6 +25,19 @@ def named_settings(arguments: argparse.Namespace, names: Iterable[str]) -> dict[
     return options
 
 
+def add_topic_option(parser: argparse.ArgumentParser) -> None:
+    """Declare `--topic`, which says what a topic of a recording or of other nodes is."""
+    parser.add_argument(
+        '--topic',
+        action='append',
+        default=[],
+        metavar='VEHICLE.KIND=/TOPIC',
+        help='topic of a vehicle that has another name, e.g. robot1.scan=/front/scan; may be '
+        'repeated; kinds: scan, odometry, color, depth, camera_info, landmarks, inter_robot_observations, '
+        'ground_truth, initial_pose',
+    )
+
+
 def whole_numbers(text: str) -> list[int]:
     """Return the numbers of '1..8', '1,2,4' or a mixture (an argparse type)."""
     numbers: list[int] = []

@@ -2,8 +2,11 @@
 
 import argparse
 import os
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from explore_slam.cli.arguments import add_topic_option
 
 if TYPE_CHECKING:
     from explore_slam.geometry import Pose2
@@ -45,6 +48,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar='VEHICLE=X,Y,THETA',
         help='start pose in the map (m, rad) where the bag has none',
     )
+    add_topic_option(parser)
     parser.add_argument(
         '--until', type=float, metavar='SECONDS', help='stop after this recorded time'
     )
@@ -63,13 +67,12 @@ def run(arguments: argparse.Namespace) -> int:
     from explore_slam.cli.summary import print_summary
     from explore_slam.results.replay_run import replay_bag
     from explore_slam.results.run_folder import RunFolder
-    from explore_slam.settings import load_settings
 
-    config = None
+    config, vehicle_values = None, None
     if arguments.config:  # may be a file of the live agent, which has parameters of the node too
-        from explore_slam.nodes.agent_parameters import AgentNodeConfig
+        from explore_slam.nodes.agent_parameters import load_agent_settings
 
-        config = load_settings(AgentNodeConfig(), arguments.config).agent
+        config, vehicle_values = load_agent_settings(arguments.config)
     with progress_bar(arguments.bag.name, enabled=not arguments.no_progress) as show:
         data = replay_bag(
             arguments.bag,
@@ -80,12 +83,16 @@ def run(arguments: argparse.Namespace) -> int:
             starts=dict(_start(text) for text in arguments.start),
             until=arguments.until,
             progress=show,
+            topics=arguments.topic,
+            vehicle_values=vehicle_values,
         )
     folder = RunFolder.create(arguments.out)
     report = folder.write_run(data)
     print_summary(data)
     print(f'report: {report}')
-    return 0
+    for reason in data.metrics.get('unusable', []):
+        print(f'explore_slam replay: {reason}', file=sys.stderr)
+    return 1 if data.metrics.get('unusable') else 0
 
 
 def _limit_threads(count: int | None) -> None:

@@ -88,7 +88,7 @@ class RunMonitor(Node):
         self._area = area
         self._vehicles = list(starts)
         subscribe(self, GlobalTopic.CLOCK, self._on_clock)
-        subscribe(self, TeamTopic.MAP, self._on_map)
+        subscribe(self, TeamTopic.MAP_PROBABILITY, self._on_map)
         subscribe(self, TeamTopic.MAP_LANDMARKS, self._on_landmarks)
         subscribe(self, TeamTopic.STATUS, self._on_status)
         subscribe(self, GlobalTopic.DIAGNOSTICS, self._on_diagnostics, qos=COMPLETE)

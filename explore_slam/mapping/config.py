@@ -46,10 +46,16 @@ class GridConfig(Section):
         low=0.6, high=0.999,
     )  # fmt: skip
     map_free_threshold: float = setting(
-        0.45, 'Cells up to this probability are free in map files', low=0.05, high=0.5
+        0.45,
+        'Cells up to this probability are free on the topic map and in map files',
+        low=0.05,
+        high=0.5,
     )
     map_occupied_threshold: float = setting(
-        0.65, 'Cells from this probability on are occupied in map files', low=0.5, high=0.95
+        0.65,
+        'Cells from this probability on are occupied on the topic map and in map files',
+        low=0.5,
+        high=0.95,
     )
     maximum_map_side: float = setting(
         500.0,

@@ -56,10 +56,10 @@ def save_map(grid: OccupancyGrid, base_path: Path | str) -> Path:
 
 def _to_image(grid: OccupancyGrid) -> NDArray[np.uint8]:
     """Return (H, W) grey values with the highest y in the first row, as in map files."""
-    probability, known = grid.probability(), grid.known()
+    cells = grid.to_trinary()
     image = np.full(grid.shape, UNKNOWN, np.uint8)
-    image[known & (probability <= grid.config.map_free_threshold)] = FREE
-    image[known & (probability >= grid.config.map_occupied_threshold)] = OCCUPIED
+    image[cells == 0] = FREE
+    image[cells == 100] = OCCUPIED
     return np.ascontiguousarray(image[::-1])
 
 

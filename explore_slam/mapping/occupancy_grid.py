@@ -224,11 +224,24 @@ class OccupancyGrid:
         self._evidence, self._touched = evidence, touched
         self._first_col, self._first_row = low.tolist()
 
-    def to_occupancy(self) -> NDArray[np.int8]:
-        """Return the values (H, W) of a nav_msgs/OccupancyGrid: -1 unknown, else 0 to 100 %."""
+    def to_percent(self) -> NDArray[np.int8]:
+        """Return the probability (H, W) that a cell is occupied in percent; -1 where unknown."""
         percent = np.rint(self.probability() * 100.0).astype(np.int8)
         percent[~self.known()] = -1
         return percent
+
+    def to_trinary(self) -> NDArray[np.int8]:
+        """Return the values (H, W) that map_server publishes: 0 free, 100 occupied, -1 unknown.
+
+        Known cells between map_free_threshold and map_occupied_threshold are unknown, as in map
+        files. Consumers compare with these very values: AMCL takes 0 and 100 alone, the
+        StaticLayer of nav2 takes every value below lethal_cost_threshold (100) as free.
+        """
+        probability, known = self.probability(), self.known()
+        cells = np.full(self.shape, -1, np.int8)
+        cells[known & (probability <= self.config.map_free_threshold)] = 0
+        cells[known & (probability >= self.config.map_occupied_threshold)] = 100
+        return cells
 
     def copy(self) -> 'OccupancyGrid':
         """Return an independent copy."""

@@ -15,6 +15,7 @@ from explore_slam.messages.images import (
     intrinsics_record,
 )
 from explore_slam.messages.measurement import MeasurementKind, TopicMessages
+from explore_slam.messages.sensor_mounts import SensorMounts
 from explore_slam.messages.topics import COLOR_TOPICS, DEPTH_TOPICS, TopicKind
 from explore_slam.vision import decode_compressed
 
@@ -32,11 +33,18 @@ class FramePairing:
     The add methods return a frame when one is complete, else None. Malformed images raise
     DataError.
 
+    mounts: of the vehicle's sensors, for the pose of the camera.
     unpaired: images whose partner never arrived.
     without_camera_info: pairs that arrived before any camera_info.
     """
 
-    def __init__(self, tolerance: float = PAIRING_TOLERANCE, depth: int = PAIRING_DEPTH) -> None:
+    def __init__(
+        self,
+        mounts: SensorMounts | None = None,
+        tolerance: float = PAIRING_TOLERANCE,
+        depth: int = PAIRING_DEPTH,
+    ) -> None:
+        self._mounts = mounts
         self._tolerance = tolerance
         self._colors: _Images = deque()
         self._depths: _Images = deque()
@@ -103,7 +111,10 @@ class FramePairing:
             return None
         rgb = _pixels(color, color_array)
         meters = _pixels(depth, depth_array)
-        return RgbdFrame(seconds(color.header.stamp), rgb, meters, self._intrinsics)
+        mount = None
+        if self._mounts is not None:
+            mount = self._mounts.optical_pose(color.header.frame_id)
+        return RgbdFrame(seconds(color.header.stamp), rgb, meters, self._intrinsics, mount)
 
 
 def _pixels(message: Any, raw: Callable[[Any], Any]) -> Any:

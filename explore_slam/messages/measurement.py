@@ -1,7 +1,7 @@
 """What the package must know of one kind of measurement: topics, conversion, receiver, queue."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from explore_slam.data import (
@@ -13,7 +13,9 @@ from explore_slam.data import (
 )
 from explore_slam.messages.base import MessageFactory
 from explore_slam.messages.frames import FrameNames
+from explore_slam.messages.sensor_mounts import SensorMounts
 from explore_slam.messages.topics import TopicKind
+from explore_slam.messages.vehicle_settings import VehicleConfig
 
 Record = OdometryReading | LaserScan | RgbdFrame | LandmarkObservations | InterRobotObservation
 TopicMessages = list[tuple[TopicKind, Any]]
@@ -60,33 +62,49 @@ class MeasurementKind:
 
     name: in queues and diagnostics.
     topics: all that may carry it; events are labelled with the first one.
-    reader: makes the Reader of one vehicle.
+    reader: makes the Reader of one vehicle from the mounts of its sensors, if they are known.
     write: record -> messages by topic.
     queue_limit: records per vehicle that may wait for the agent's worker; the oldest is dropped.
     expected: topics whose silence is explained to the operator.
-    vision: the value of the setting `vision` with which it is expected; '' is either.
+    vision: the value of the setting `vision` with which it is expected; '' is any.
+    laser: it is expected of vehicles with a laser scanner only.
+    clock: the setting of the vehicle that is added to its stamps.
     bulky: subscribed to only with that setting, to save bandwidth.
     """
 
     name: str
     topics: tuple[TopicKind, ...]
-    reader: Callable[[], Reader]
+    reader: Callable[[SensorMounts | None], Reader]
     write: Callable[[MessageFactory, FrameNames, Any], TopicMessages]
     queue_limit: int
     expected: tuple[TopicKind, ...] = ()
     vision: str = ''
     bulky: bool = False
+    laser: bool = False
+    clock: str = 'camera_time_offset'
 
-    def is_expected(self, vision: str) -> bool:
-        """Return whether it is expected with this value of the setting `vision`."""
-        return self.vision in ('', vision)
+    def is_expected(self, config: VehicleConfig) -> bool:
+        """Return whether it is expected of a vehicle with these settings."""
+        return self.vision in ('', config.vision) and (config.use_laser or not self.laser)
+
+    def is_welcome(self, config: VehicleConfig) -> bool:
+        """Return whether it is used if it arrives: from sensors that the vehicle has."""
+        if self.laser and not config.use_laser:
+            return False
+        return not self.bulky and (not self.vision or config.vision != 'none')
 
 
 class VehicleReader:
-    """Converts the messages of one vehicle, of all kinds."""
+    """Converts the messages of one vehicle, of all kinds.
 
-    def __init__(self, kinds: Iterable[MeasurementKind]) -> None:
-        self._readers = [(kind, kind.reader()) for kind in kinds]
+    mounts: of its sensors; None: records have none, so that the team's settings apply.
+    """
+
+    def __init__(
+        self, kinds: Iterable[MeasurementKind], mounts: SensorMounts | None = None
+    ) -> None:
+        self._mounts = mounts
+        self._readers = [(kind, kind.reader(mounts)) for kind in kinds]
         self._by_topic = {
             topic: (kind, reader) for kind, reader in self._readers for topic in kind.topics
         }
@@ -95,7 +113,15 @@ class VehicleReader:
         """Return kind and record, or None while messages of other topics are missing."""
         kind, reader = self._by_topic[topic]
         record = reader.read(topic, message)
-        return None if record is None else (kind, record)
+        if record is None:
+            return None
+        if self._mounts is not None:
+            if topic is TopicKind.ODOMETRY:
+                self._mounts.add_odometry(message)
+            offset = float(getattr(self._mounts.config, kind.clock))
+            if offset:
+                record = replace(record, stamp=record.stamp + offset)
+        return kind, record
 
     def losses(self) -> dict[str, int]:
         """Return what could not be used so far, by name."""

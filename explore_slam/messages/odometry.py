@@ -60,10 +60,11 @@ def odometry_message(
 ODOMETRY = MeasurementKind(
     name='odometry',
     topics=(TopicKind.ODOMETRY,),
-    reader=lambda: MessageReader(odometry_record),
+    reader=lambda _: MessageReader(odometry_record),
     write=lambda factory, frames, reading: [
         (TopicKind.ODOMETRY, odometry_message(factory, reading, frames.odom, frames.base))
     ],
     queue_limit=2000,  # 20 s at 100 Hz
     expected=(TopicKind.ODOMETRY,),
+    clock='odom_time_offset',
 )

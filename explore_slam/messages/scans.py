@@ -7,6 +7,7 @@ import numpy as np
 from explore_slam.data import LaserScan
 from explore_slam.messages.base import MessageFactory, header, seconds
 from explore_slam.messages.measurement import MeasurementKind, MessageReader
+from explore_slam.messages.sensor_mounts import SensorMounts
 from explore_slam.messages.topics import TopicKind
 
 
@@ -42,13 +43,24 @@ def scan_message(
     )
 
 
+def scan_reader(mounts: SensorMounts | None) -> MessageReader:
+    """Return the reader of a vehicle's scans, which get the mount of their laser."""
+    if mounts is None:
+        return MessageReader(scan_record)
+    return MessageReader(
+        lambda message: mounts.place_scan(scan_record(message), message.header.frame_id)
+    )
+
+
 SCAN = MeasurementKind(
     name='scan',
     topics=(TopicKind.SCAN,),
-    reader=lambda: MessageReader(scan_record),
+    reader=scan_reader,
     write=lambda factory, frames, scan: [
         (TopicKind.SCAN, scan_message(factory, scan, frames.laser))
     ],
     queue_limit=400,
     expected=(TopicKind.SCAN,),
+    laser=True,
+    clock='scan_time_offset',
 )

@@ -24,6 +24,9 @@ SENSOR_DATA = Qos(5, reliable=False)  # rclpy's qos_profile_sensor_data
 SENSOR_BURST = Qos(50, reliable=False)
 BEST_EFFORT = Qos(1, reliable=False)
 TRANSFORMS = Qos(100)  # tf2_ros's depth for /tf
+TRANSFORMS_HEARD = Qos(100, reliable=False)
+# every broadcaster of static transforms has one latched message of its own; tf2_ros's depth again
+STATIC_TRANSFORMS = Qos(100, latched=True)
 
 
 class Topic(Enum):
@@ -94,6 +97,8 @@ class TeamTopic(Topic):
     """What the agent publishes for the whole team, and commands of the operator to it."""
 
     MAP = 'map', 'nav_msgs/msg/OccupancyGrid', LATCHED, LATCHED
+    MAP_PROBABILITY = 'map_probability', 'nav_msgs/msg/OccupancyGrid', LATCHED, LATCHED
+    MAP_UPDATES = 'map_updates', 'map_msgs/msg/OccupancyGridUpdate', RELIABLE, RELIABLE
     MAP_LANDMARKS = 'map_landmarks', 'sensor_msgs/msg/PointCloud2', LATCHED, LATCHED
     FRONTIERS = 'explore/frontiers', 'visualization_msgs/msg/MarkerArray', RELIABLE, RELIABLE
     STATUS = 'explore/status', 'std_msgs/msg/String', LATCHED, LATCHED
@@ -105,8 +110,8 @@ class GlobalTopic(Topic):
 
     CLOCK = '/clock', 'rosgraph_msgs/msg/Clock'
     DIAGNOSTICS = '/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', RELIABLE, RELIABLE
-    TF = '/tf', 'tf2_msgs/msg/TFMessage', TRANSFORMS, TRANSFORMS
-    TF_STATIC = '/tf_static', 'tf2_msgs/msg/TFMessage', LATCHED, LATCHED
+    TF = '/tf', 'tf2_msgs/msg/TFMessage', TRANSFORMS, TRANSFORMS_HEARD
+    TF_STATIC = '/tf_static', 'tf2_msgs/msg/TFMessage', LATCHED, STATIC_TRANSFORMS
 
 
 COLOR_TOPICS = (TopicKind.COLOR, TopicKind.COLOR_COMPRESSED)

@@ -2,87 +2,156 @@
 
 import math
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from rclpy.node import Node
 from std_msgs.msg import String
 
-from explore_slam.errors import ExploreSlamError
-from explore_slam.messages.base import planar_covariance, planar_pose
+from explore_slam.errors import DataError, ExploreSlamError
+from explore_slam.geometry import Array, Pose2
+from explore_slam.messages.base import planar_covariance, planar_pose, seconds, time_message
+from explore_slam.messages.clocks import StampWatch
 from explore_slam.messages.measurement import MeasurementKind, MeasurementSink, VehicleReader
-from explore_slam.messages.measurement_kinds import MEASUREMENT_KINDS
-from explore_slam.messages.topics import Topic, TopicKind, VehicleTopic
+from explore_slam.messages.measurement_kinds import KIND_OF_TOPIC, MEASUREMENT_KINDS
+from explore_slam.messages.sensor_mounts import SensorMounts
+from explore_slam.messages.topics import (
+    COLOR_TOPICS,
+    DEPTH_TOPICS,
+    Topic,
+    TopicKind,
+    VehicleTopic,
+)
+from explore_slam.messages.transforms import frame_name
+from explore_slam.messages.vehicle_settings import VehicleConfig
 from explore_slam.nodes.endpoints import subscribe
 from explore_slam.nodes.inbox import Inbox
 from explore_slam.nodes.node_support import SILENCE, WARNING_PERIOD, explain_silence, now_seconds
+from explore_slam.nodes.ros_types import MESSAGES
+from explore_slam.nodes.transform_listener import TransformListener
 
 # records per vehicle that may wait for the worker
 LIMITS: Mapping[str, int] = {
     **{kind.name: kind.queue_limit for kind in MEASUREMENT_KINDS},
     'follower': 100,
 }
+MOUNT_WAIT = 2.0  # s for which messages wait for the transform of their sensor
+_HELD = 100  # messages per vehicle that wait for a transform
+_MOUNTED = (TopicKind.SCAN, *COLOR_TOPICS, *DEPTH_TOPICS)  # topics whose sensor has a mount
+_UNCHECKED = (TopicKind.INITIAL_POSE, VehicleTopic.FOLLOWER_STATUS)  # not measured at a stamp
 
 type Take = Callable[[tuple[str, Any]], None]
+
+
+@dataclass(frozen=True)
+class OperatorPose:
+    """A pose that the operator has given, with its covariance (3, 3)."""
+
+    pose: Pose2
+    covariance: Array
+
+
+def operator_pose(message: Any, map_frame: str) -> OperatorPose:
+    """Return the pose in a PoseWithCovarianceStamped; DataError where it cannot be used.
+
+    Its frame must be that of the map. A covariance of zero is no statement about the accuracy, and
+    would pin all particles to one point.
+    """
+    frame = frame_name(message.header.frame_id)
+    if frame != map_frame:
+        raise DataError(f'pose is in frame {frame!r}, expected {map_frame!r}')
+    pose, covariance = planar_pose(message.pose.pose), planar_covariance(message.pose.covariance)
+    if not pose.is_finite():
+        raise DataError(f'pose is {tuple(pose)}, expected finite values')
+    if not (covariance.diagonal() > 0.0).all():
+        raise DataError(
+            f'variances of x, y and yaw are {covariance.diagonal().tolist()}, expected more than '
+            '0; RViz sends 0.25 m² and 0.068 rad²'
+        )
+    return OperatorPose(pose, covariance)
 
 
 class VehicleInputs:
     """All subscriptions to the topics of one vehicle.
 
-    A malformed message is counted, named in a warning and omitted.
+    A malformed message is counted, named in a warning and omitted. A scan or image whose frame
+    the transforms do not hold yet waits for it for a while; then the settings apply.
 
     sink: the agent, which takes measurements.
-    set_pose, report_follower: take (vehicle, (pose, covariance)) of the operator and (vehicle,
-    (status, stamp)) of the path follower.
-    vision: 'agent' or 'vehicle', the setting of that name.
+    set_pose, report_follower: take (vehicle, OperatorPose) and (vehicle, (status, stamp)) of the
+    path follower.
+    mounts: of the vehicle's sensors; also its base and odometry frames.
     """
 
     def __init__(
         self,
         node: Node,
-        vehicle: str,
+        mounts: SensorMounts,
         team: list[str],
         inbox: Inbox,
         sink: MeasurementSink,
         set_pose: Take,
         report_follower: Take,
-        vision: str,
+        transforms: TransformListener,
+        map_frame: str,
     ) -> None:
         self._node = node
-        self.vehicle = vehicle
-        self._others = [name for name in team if name != vehicle]
+        self.vehicle = mounts.vehicle
+        self.mounts = mounts
+        self._others = [name for name in team if name != self.vehicle]
         self._inbox = inbox
         self._sink = sink
         self._set_pose = set_pose
         self._report_follower = report_follower
-        self._reader = VehicleReader(MEASUREMENT_KINDS)
+        self._transforms = transforms
+        self._map_frame = map_frame
+        self._reader = VehicleReader(MEASUREMENT_KINDS, mounts)
+        self._stamps = StampWatch()
+        self._held: deque[tuple[TopicKind, Any]] = deque(maxlen=_HELD)
+        self._waiting_since: dict[str, float] = {}  # frame -> monotonic s
         self.malformed = 0
         self._warned: dict[Topic, float] = {}
         self.received: dict[Topic, int] = {}
         self._expected: list[Topic] = []
         for kind in MEASUREMENT_KINDS:
-            expected = kind.is_expected(vision)
-            if expected or not kind.bulky:
+            expected = kind.is_expected(mounts.config)
+            if expected or kind.is_welcome(mounts.config):
                 for topic in kind.topics:
                     self._subscribe(topic, self._measurement_callback(topic))
             if expected:
                 self._expected += kind.expected
-        self._subscribe(TopicKind.INITIAL_POSE, self._on_pose)
+        self._subscribe(TopicKind.INITIAL_POSE, self.take_pose)
         self._subscribe(VehicleTopic.FOLLOWER_STATUS, self._on_follower)
+
+    @property
+    def config(self) -> VehicleConfig:
+        """Settings of the vehicle."""
+        return self.mounts.config
 
     def _subscribe(self, topic: Topic, take: Callable[[Any], None]) -> None:
         self.received[topic] = 0
 
+        def check_and_take(message: Any) -> None:
+            self._check_frame(topic, message)
+            self._check_stamp(topic, message)
+            take(message)
+
         def on_message(message: Any) -> None:
             self.received[topic] += 1
-            try:
-                self._check_frame(topic, message)
-                take(message)
-            except (ExploreSlamError, ValueError, TypeError) as error:
-                self.malformed += 1
-                self._warn(topic, f'{error}; message omitted')
+            self._try(topic, check_and_take, message)
 
         subscribe(self._node, topic, on_message, self.vehicle)
+
+    def _try(self, topic: Topic, take: Callable[[Any], None], message: Any) -> None:
+        """Take a message; a malformed one is counted and named."""
+        try:
+            take(message)
+        except (ExploreSlamError, ValueError, TypeError) as error:
+            self.malformed += 1
+            self._warn(topic, f'{error}; message omitted')
 
     def _warn(self, topic: Topic, text: str) -> None:
         """Log a warning about a topic, at most one per WARNING_PERIOD and topic."""
@@ -94,17 +163,50 @@ class VehicleInputs:
     def _check_frame(self, topic: Topic, message: Any) -> None:
         """Raise ValueError for a message in the frame of another vehicle: topics are mixed up."""
         frame = message.header.frame_id if hasattr(message, 'header') else ''
-        owner = frame.split('/')[0]
+        owner = frame_name(frame).split('/')[0]
         if owner in self._others and topic is not TopicKind.INTER_ROBOT:
             raise ValueError(f'frame {frame!r} belongs to vehicle {owner!r}')
 
+    def _check_stamp(self, topic: Topic, message: Any) -> None:
+        """Compare a stamp with the clock; replace a stamp of zero by the time of receipt."""
+        if topic in _UNCHECKED or not isinstance(topic, TopicKind):
+            return
+        now = now_seconds(self._node)
+        offset = float(getattr(self.config, KIND_OF_TOPIC[topic].clock))
+        stamp = seconds(message.header.stamp)
+        if not self._stamps.add(topic.value, stamp + offset if stamp else 0.0, now):
+            message.header.stamp = time_message(MESSAGES, now - offset)
+
     def _measurement_callback(self, topic: TopicKind) -> Callable[[Any], None]:
         def on_measurement(message: Any) -> None:
-            found = self._reader.read(topic, message)
-            if found is not None:
-                self._put(*found)
+            if topic in _MOUNTED and self._must_wait(message.header.frame_id):
+                self._held.append((topic, message))
+                return
+            self.release_held()
+            self._read(topic, message)
 
         return on_measurement
+
+    def release_held(self) -> None:
+        """Read the messages that have waited for the transforms of their sensors long enough."""
+        while self._held and not self._must_wait(self._held[0][1].header.frame_id):
+            topic, message = self._held.popleft()
+            self._try(topic, partial(self._read, topic), message)
+
+    def _must_wait(self, frame: str) -> bool:
+        """Return whether a message of a sensor has to wait for the transform of its frame."""
+        if not self._transforms.available or self.mounts.is_known(frame):
+            return False
+        now = time.monotonic()
+        waited = now - self._waiting_since.setdefault(frame, now)
+        if waited > 0.5 * MOUNT_WAIT:
+            self._transforms.listen_to_tf()
+        return waited < MOUNT_WAIT
+
+    def _read(self, topic: TopicKind, message: Any) -> None:
+        found = self._reader.read(topic, message)
+        if found is not None:
+            self._put(*found)
 
     def _put(self, kind: MeasurementKind, record: Any) -> None:
         def add(payload: Any) -> None:
@@ -112,10 +214,15 @@ class VehicleInputs:
 
         self._inbox.put(kind.name, self.vehicle, add, record)
 
-    def _on_pose(self, message: Any) -> None:
-        covariance = planar_covariance(message.pose.covariance)
-        record = (planar_pose(message.pose.pose), covariance)
-        self._inbox.put('pose', self.vehicle, self._set_pose, (self.vehicle, record))
+    def take_pose(self, message: Any) -> None:
+        """Place the vehicle where the operator says; DataError where that cannot be used."""
+        given = operator_pose(message, self._map_frame)
+        x, y, yaw = given.pose
+        self._node.get_logger().info(
+            f'{self.vehicle} is placed by the operator at x {x:.2f} m, y {y:.2f} m, '
+            f'yaw {yaw:.2f} rad'
+        )
+        self._inbox.put('pose', self.vehicle, self._set_pose, (self.vehicle, given))
 
     def _on_follower(self, message: String) -> None:
         record = (message.data, now_seconds(self._node))
@@ -124,6 +231,11 @@ class VehicleInputs:
     def losses(self) -> dict[str, int]:
         """Return the numbers of messages that could not be used so far, by reason."""
         return {'malformed': self.malformed, **self._reader.losses()}
+
+    def clock_problems(self) -> list[str]:
+        """Return which topics have stamps of another clock, with the amounts."""
+        problems = self._stamps.problems(TopicKind.ODOMETRY.value)
+        return [f'{self.vehicle}/{topic}: {text}' for topic, text in sorted(problems.items())]
 
     def silence(self) -> list[str]:
         """Return an explanation for every expected topic on which nothing has arrived."""

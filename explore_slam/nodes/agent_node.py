@@ -20,33 +20,40 @@ from rclpy.task import Future
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
-from explore_slam.agent import Agent, TeamPlanner, warm_up
+from explore_slam.agent import Agent, TeamPlanner, explicit_mounts, warm_up
 from explore_slam.errors import ExploreSlamError
 from explore_slam.messages.frame_pairing import FRAME
+from explore_slam.messages.sensor_mounts import SensorMounts
 from explore_slam.messages.topics import GlobalTopic, TeamTopic
-from explore_slam.nodes.agent_inputs import LIMITS, VehicleInputs
+from explore_slam.messages.vehicle_settings import VehicleConfig
+from explore_slam.nodes.agent_inputs import LIMITS, OperatorPose, VehicleInputs
 from explore_slam.nodes.agent_outputs import AgentOutputs
 from explore_slam.nodes.agent_parameters import AgentNodeConfig
 from explore_slam.nodes.agent_statistics import AgentStatistics
 from explore_slam.nodes.endpoints import publisher, subscribe
 from explore_slam.nodes.heartbeat import Heartbeat
 from explore_slam.nodes.inbox import Inbox, Item
+from explore_slam.nodes.map_outputs import map_message
 from explore_slam.nodes.node_support import (
     REPORT_PERIOD,
     SILENCE,
     RosLogHandler,
     changed_settings,
     declare_settings,
+    declare_vehicle_settings,
     diagnostics_message,
     now_seconds,
     run_node,
 )
+from explore_slam.nodes.transform_listener import TransformListener
+from explore_slam.settings import values_of
 
 POLL_PERIOD = 0.05  # s that the worker waits for an item before it does periodic work
+_RELEASE_PERIOD = 0.2  # s between looks at messages that wait for transforms
 # parameters that other nodes rely on, or that the agent is built from: fixed after the start
 FIXED = {
-    'vehicles', 'start_poses', 'seed', 'vision', 'frame_queue', 'map_frame', 'odom_frame',
-    'robot_base_frame', 'run_directory',
+    'vehicles', 'start_poses', 'seed', 'frame_queue', 'map_frame', 'run_directory',
+    *values_of(VehicleConfig()),
 }  # fmt: skip
 
 
@@ -59,6 +66,9 @@ class AgentNode(Node):
         logging.getLogger('explore_slam').addHandler(self._log_handler)
         logging.getLogger('explore_slam').setLevel(logging.INFO)
         self.config = declare_settings(self, AgentNodeConfig())
+        self.vehicle_configs = declare_vehicle_settings(
+            self, self.config.team, self.config.vehicles
+        )
         warm_up()
         self.agent = Agent(self.config.agent, self.config.poses(), self.config.seed)
         self.planner = TeamPlanner(self.agent)
@@ -67,15 +77,20 @@ class AgentNode(Node):
         self.outputs = AgentOutputs(self, self.config)
         self.statistics = AgentStatistics()
         self.outputs.status('exploration_started' if self.config.explore else 'exploration_paused')
+        self._transforms = TransformListener(self, self.config.vehicles)
         self._inputs = self._listen()
         self._offer_services()
         self._diagnostics = publisher(self, GlobalTopic.DIAGNOSTICS)
         self._heartbeat = Heartbeat(self, self.config.vehicles)
-        self._due = dict.fromkeys(('plan', 'map', 'landmarks'), -np.inf)
+        self._due = dict.fromkeys(('plan', 'map', 'map update', 'landmarks'), -np.inf)
         self._posed = dict.fromkeys(self.config.vehicles, -np.inf)
         self._reported = time.monotonic()
+        self._clocks_explained: set[str] = set()
         self._silence_timer = self.create_timer(
             SILENCE, self._explain_silence, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
+        self.create_timer(
+            _RELEASE_PERIOD, self._release_held, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
         self.add_on_set_parameters_callback(self._on_parameters)
         self._worker = threading.Thread(target=self._work, name='agent', daemon=True)
@@ -83,22 +98,32 @@ class AgentNode(Node):
 
     # -- wiring ----------------------------------------------------------------------------------
 
-    def _listen(self) -> list[VehicleInputs]:
+    def _listen(self) -> dict[str, VehicleInputs]:
         subscribe(self, TeamTopic.RESUME, self._on_resume)
         names = list(self.config.vehicles)
-        return [
-            VehicleInputs(
+        given = explicit_mounts(self.config.agent)
+        mounts = {
+            name: SensorMounts(name, self._transforms.trees[name], config, *given)
+            for name, config in self.vehicle_configs.items()
+        }
+        return {
+            name: VehicleInputs(
                 self,
-                name,
+                mounts[name],
                 names,
                 self.inbox,
                 sink=self.agent,
-                set_pose=lambda item: self.agent.set_pose(item[0], *item[1]),
+                set_pose=self._place,
                 report_follower=lambda item: self.planner.report_follower(item[0], *item[1]),
-                vision=self.config.vision,
+                transforms=self._transforms,
+                map_frame=self.config.map_frame,
             )
             for name in names
-        ]
+        }
+
+    def _place(self, item: tuple[str, OperatorPose]) -> None:
+        vehicle, given = item
+        self.agent.set_pose(vehicle, given.pose, given.covariance)
 
     def _offer_services(self) -> None:
         directory = Path(self.config.run_directory)
@@ -145,7 +170,8 @@ class AgentNode(Node):
 
     async def _on_get_map(self, _request: Any, response: Any) -> Any:
         def read() -> str:
-            response.map = self.outputs.grid_message(now_seconds(self), self.agent.grid)
+            now, frame = now_seconds(self), self.config.map_frame
+            response.map = map_message(now, frame, self.agent.grid)
             return ''
 
         await self._ask(read)
@@ -171,7 +197,7 @@ class AgentNode(Node):
 
     def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         """Check and apply; planning and publishing change at once, filter and grid at a reset."""
-        fixed = [item.name for item in parameters if item.name in FIXED]
+        fixed = [p.name for p in parameters if p.name in FIXED or '.' in p.name]
         if fixed:
             reason = f'{", ".join(fixed)}: set at start only'
             return SetParametersResult(successful=False, reason=reason)
@@ -237,7 +263,8 @@ class AgentNode(Node):
         self._posed[vehicle] = stamp
         pose, covariance = self.agent.estimate(vehicle)
         self.outputs.pose(vehicle, stamp, pose, covariance)
-        self.outputs.transform(vehicle, stamp, pose, track.odometry.pose)
+        odom_frame = self._inputs[vehicle].mounts.odom
+        self.outputs.transform(vehicle, stamp, pose, track.odometry.reading, odom_frame)
 
     def _is_due(self, what: str, period: float, now: float) -> bool:
         if self._due[what] - period <= now < self._due[what]:
@@ -254,6 +281,11 @@ class AgentNode(Node):
             self._plan(now)
         if self._is_due('map', self.config.map_period, now):
             self.outputs.grid(now, self.agent.grid)
+            self._due['map update'] = now + self.config.map_update_period
+        elif self.outputs.maps.wants_updates and self._is_due(
+            'map update', self.config.map_update_period, now
+        ):
+            self.outputs.grid_update(now, self.agent.grid)
         if self._is_due('landmarks', self.config.landmarks_period, now):
             self.publish_results(now)
 
@@ -276,18 +308,35 @@ class AgentNode(Node):
 
     def _explain_silence(self) -> None:
         self._silence_timer.cancel()
-        for inputs in self._inputs:
+        for inputs in self._inputs.values():
             for text in inputs.silence():
                 self.get_logger().warning(text)
+
+    def _release_held(self) -> None:
+        for inputs in self._inputs.values():
+            inputs.release_held()
+
+    def _explain_clocks(self) -> None:
+        """Log once per topic that its stamps are of another clock."""
+        for inputs in self._inputs.values():
+            for text in inputs.clock_problems():
+                topic = text.partition(':')[0]
+                if topic not in self._clocks_explained:
+                    self._clocks_explained.add(topic)
+                    self.get_logger().warning(
+                        f'{text}; if the clocks differ by a constant, set {inputs.vehicle}.'
+                        'odom_time_offset, scan_time_offset or camera_time_offset'
+                    )
 
     def _publish_diagnostics(self) -> None:
         if time.monotonic() < self._reported + REPORT_PERIOD:
             return
         self._reported = time.monotonic()
+        self._explain_clocks()
         parts = self.statistics.parts(
             self.agent.statuses(),
             self.agent.summary(),
-            self._inputs,
+            self._inputs.values(),
             self.inbox,
             self.planner.result,
         )

@@ -16,7 +16,6 @@ from explore_slam.mapping import OccupancyGrid
 from explore_slam.messages import (
     cloud_message,
     estimate_message,
-    grid_message,
     path_message,
     planar_transform_message,
     pose_array_message,
@@ -25,6 +24,7 @@ from explore_slam.messages import (
 from explore_slam.messages.topics import TeamTopic, VehicleTopic
 from explore_slam.nodes.agent_parameters import AgentNodeConfig
 from explore_slam.nodes.endpoints import TransformBroadcaster, publisher
+from explore_slam.nodes.map_outputs import MapOutputs
 from explore_slam.nodes.ros_types import MESSAGES
 from explore_slam.slam import Landmarks
 
@@ -49,7 +49,7 @@ class AgentOutputs:
             for vehicle in config.vehicles
             for topic in _RESULTS
         }
-        self._map = publisher(node, TeamTopic.MAP)
+        self.maps = MapOutputs(node)
         self._landmarks = publisher(node, TeamTopic.MAP_LANDMARKS)
         self._frontiers = publisher(node, TeamTopic.FRONTIERS)
         self._status = publisher(node, TeamTopic.STATUS)
@@ -62,12 +62,19 @@ class AgentOutputs:
         message = estimate_message(MESSAGES, stamp, self._config.map_frame, pose, covariance)
         self._vehicle[vehicle, VehicleTopic.POSE].publish(message)
 
-    def transform(self, vehicle: str, stamp: float, pose: Pose2, odometry: Pose2) -> None:
-        """Publish the transform map -> odom (REP-105)."""
-        frames = self._config.frames(vehicle)
+    def transform(
+        self, vehicle: str, stamp: float, pose: Pose2, odometry: Pose2, odom_frame: str
+    ) -> None:
+        """Publish the transform map -> odom (REP-105), which completes the vehicle's tree.
+
+        odometry: pose that the base has reported at the stamp (s), which is that of odom -> base.
+        It is dated transform_tolerance into the future, so that others need not wait for the next.
+        """
         offset = pose.compose(odometry.inverse())
+        valid = stamp + self._config.transform_tolerance
         self._transforms.send(
-            planar_transform_message(MESSAGES, stamp, frames.map, frames.odom, offset)
+            planar_transform_message(MESSAGES, valid, self._config.map_frame, odom_frame, offset),
+            vehicle,
         )
 
     def particles(self, vehicle: str, stamp: float, poses: Array) -> None:
@@ -102,18 +109,11 @@ class AgentOutputs:
 
     def grid(self, stamp: float, grid: OccupancyGrid) -> None:
         """Publish the occupancy grid."""
-        self._map.publish(self.grid_message(stamp, grid))
+        self.maps.publish(stamp, self._config.map_frame, grid)
 
-    def grid_message(self, stamp: float, grid: OccupancyGrid) -> Any:
-        """Return a nav_msgs/OccupancyGrid in the map frame."""
-        return grid_message(
-            MESSAGES,
-            stamp,
-            self._config.map_frame,
-            grid.to_occupancy(),
-            grid.resolution,
-            grid.origin,
-        )
+    def grid_update(self, stamp: float, grid: OccupancyGrid) -> None:
+        """Publish what has changed in the occupancy grid since it was published last."""
+        self.maps.publish_update(stamp, self._config.map_frame, grid)
 
     def landmarks(self, stamp: float, landmarks: Landmarks) -> None:
         """Publish the landmarks: x, y, z, standard deviation (m), number of observations."""

@@ -1,12 +1,25 @@
 """Parameters of the agent node beside those of the agent: vehicles, frames, rates, folders."""
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 from explore_slam.agent import AgentConfig
+from explore_slam.errors import ConfigError
 from explore_slam.geometry import Pose2
-from explore_slam.messages.frames import FrameNames
+from explore_slam.messages.vehicle_settings import (
+    VehicleConfig,
+    settings_of_vehicles,
+    split_vehicle_values,
+)
 from explore_slam.nodes import shared_parameters
-from explore_slam.settings import Section, section, setting
+from explore_slam.settings import (
+    Section,
+    read_parameters,
+    section,
+    setting,
+    with_values,
+)
 
 
 @dataclass(frozen=True)
@@ -20,18 +33,18 @@ class AgentNodeConfig(Section):
         tier='basic',
     )
     seed: int = setting(0, 'Seed of all random numbers', low=0)
-    vision: str = setting(
-        'agent',
-        'Where features are extracted: in the agent, from images, or on the vehicles, which '
-        'then publish landmarks',
-        choices=('agent', 'vehicle'),
-        tier='basic',
-    )
     explore: bool = setting(True, 'Start exploring at once', tier='basic')
     planner_frequency: float = setting(
         0.5, 'Planning cycles per second', unit='Hz', low=0.01, high=20.0
     )
     map_period: float = setting(2.0, 'Time between published maps', unit='s', low=0.1, high=3600.0)
+    map_update_period: float = setting(
+        0.5,
+        'Time between messages on map_updates, where map_msgs is installed and somebody listens',
+        unit='s',
+        low=0.05,
+        high=3600.0,
+    )
     landmarks_period: float = setting(
         5.0, 'Time between published landmarks and trajectories', unit='s', low=0.1, high=3600.0
     )
@@ -53,17 +66,33 @@ class AgentNodeConfig(Section):
         low=0, high=20000,
     )  # fmt: skip
     map_frame: str = shared_parameters.map_frame()
-    odom_frame: str = shared_parameters.odom_frame()
-    robot_base_frame: str = shared_parameters.robot_base_frame()
+    transform_tolerance: float = setting(
+        0.5,
+        'Time by which the transform map -> odom is dated into the future',
+        unit='s',
+        low=0.0,
+        high=10.0,
+    )
     run_directory: str = setting(
         '.', 'Folder into which save_map and save_state write', tier='basic'
     )
+    team: VehicleConfig = section(VehicleConfig)
     agent: AgentConfig = section(AgentConfig)
 
     def poses(self) -> dict[str, Pose2]:
         """Return vehicle -> start pose; ConfigError when the numbers do not fit the names."""
         return shared_parameters.start_poses(self.vehicles, self.start_poses)
 
-    def frames(self, vehicle: str) -> FrameNames:
-        """Return the frames of a vehicle."""
-        return FrameNames(vehicle, self.map_frame, self.odom_frame, self.robot_base_frame)
+
+def load_agent_settings(path: Path) -> tuple[AgentConfig, dict[str, Any]]:
+    """Return the agent's settings in a parameter file, and those of its vehicles by name.
+
+    ConfigError for unknown names.
+    """
+    own, others = split_vehicle_values(read_parameters(path))
+    try:
+        config = with_values(AgentNodeConfig(), others)
+        settings_of_vehicles(own, config.vehicles)
+    except ConfigError as error:
+        raise ConfigError(f'{path}: {error}') from error
+    return config.agent, own

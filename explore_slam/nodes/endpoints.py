@@ -12,6 +12,8 @@ from rclpy.subscription import Subscription
 from explore_slam.messages.topics import GlobalTopic, Qos, Topic
 from explore_slam.nodes.ros_types import message_class
 
+_TOPIC_CHECK = 50  # transforms of a vehicle between two looks at the topic that its nodes use
+
 
 def qos_profile(qos: Qos) -> QoSProfile:
     """Return the profile of rclpy."""
@@ -57,26 +59,41 @@ def subscribe(
 
 
 class TransformBroadcaster:
-    """Publishes transforms on /tf and /tf_static; does nothing where tf2_msgs is not installed."""
+    """Publishes transforms on /tf and /tf_static; does nothing where tf2_msgs is not installed.
+
+    A vehicle whose own nodes use <vehicle>/tf (as nav2 starts several robots) gets its transforms
+    there: its frames have no prefix, and on /tf they would mix with those of the others.
+    """
 
     def __init__(self, node: Node) -> None:
         self._node = node
         self._type: Any = None
-        self._publishers: dict[Topic, Publisher] = {}
+        self._publishers: dict[str, Publisher] = {}
+        self._sent: dict[str, int] = {}
+        self._names: dict[str, str] = {}
         with contextlib.suppress(ImportError):
             self._type = message_class(GlobalTopic.TF.message_type)
 
-    def send(self, transform: Any) -> None:
-        """Publish a transform that changes."""
-        self._send(GlobalTopic.TF, [transform])
+    def send(self, transform: Any, vehicle: str = '') -> None:
+        """Publish a transform that changes; the vehicle's name in nodes of a whole team."""
+        if vehicle and self._sent.get(vehicle, 0) % _TOPIC_CHECK == 0:
+            own = f'{vehicle}{GlobalTopic.TF.value}'
+            namespaced = self._node.count_publishers(own) > (self._names.get(vehicle) == own)
+            self._names[vehicle] = own if namespaced else GlobalTopic.TF.value
+        self._sent[vehicle] = self._sent.get(vehicle, 0) + 1
+        name = self._names.get(vehicle, GlobalTopic.TF.value)
+        self._send(name, GlobalTopic.TF.offered, [transform])
 
     def send_static(self, transforms: Iterable[Any]) -> None:
         """Publish the transforms that never change; one message holds all of a node."""
-        self._send(GlobalTopic.TF_STATIC, transforms)
+        topic = GlobalTopic.TF_STATIC
+        self._send(topic.value, topic.offered, transforms)
 
-    def _send(self, topic: Topic, transforms: Iterable[Any]) -> None:
+    def _send(self, name: str, qos: Qos, transforms: Iterable[Any]) -> None:
         if self._type is None:
             return
-        if topic not in self._publishers:
-            self._publishers[topic] = publisher(self._node, topic)
-        self._publishers[topic].publish(self._type(transforms=list(transforms)))
+        if name not in self._publishers:
+            self._publishers[name] = self._node.create_publisher(
+                self._type, name, qos_profile(qos)
+            )
+        self._publishers[name].publish(self._type(transforms=list(transforms)))

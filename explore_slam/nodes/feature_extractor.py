@@ -21,9 +21,8 @@ from explore_slam.data import RgbdFrame
 from explore_slam.errors import ExploreSlamError
 from explore_slam.messages import landmarks_message, odometry_record
 from explore_slam.messages.frame_pairing import FRAME, FramePairing
-from explore_slam.messages.frames import FrameNames
 from explore_slam.messages.topics import GlobalTopic, TopicKind
-from explore_slam.nodes import shared_parameters
+from explore_slam.mounts import LaserMountConfig
 from explore_slam.nodes.endpoints import publisher, subscribe
 from explore_slam.nodes.inbox import Inbox
 from explore_slam.nodes.node_support import (
@@ -37,6 +36,7 @@ from explore_slam.nodes.node_support import (
     vehicle_name,
 )
 from explore_slam.nodes.ros_types import MESSAGES
+from explore_slam.nodes.transform_listener import own_mounts
 from explore_slam.settings import Section, section, setting
 from explore_slam.vision import FeatureExtractor, KeyframeSelector, VisionConfig
 
@@ -49,7 +49,6 @@ ODOMETRY_WAIT = 0.5  # s that a frame waits for odometry that reaches its stamp
 class FeatureExtractorConfig(Section):
     """All parameters of the node."""
 
-    robot_base_frame: str = shared_parameters.robot_base_frame()
     compact_descriptors: bool = setting(
         True, 'Publish descriptors as 128 bytes instead of 128 float32 values'
     )
@@ -65,7 +64,8 @@ class FeatureExtractorNode(Node):
         self.vehicle = vehicle_name(self)
         self._extractor = FeatureExtractor(self.config.vision)
         self._selector = KeyframeSelector(self.config.vision)
-        self._pairing = FramePairing()
+        self._mounts = own_mounts(self, self.vehicle, LaserMountConfig())
+        self._pairing = FramePairing(self._mounts)
         self._odometry = OdometryBuffer(
             self.vehicle,
             _INPUTS.odometry_duration,
@@ -105,6 +105,7 @@ class FeatureExtractorNode(Node):
             self._malformed += 1
             self.get_logger().warning(f'odom: {error}', throttle_duration_sec=WARNING_PERIOD)
             return
+        self._mounts.add_odometry(message)
         with self._odometry_came:
             self._odometry.add(reading)
             self._odometry_came.notify_all()
@@ -132,9 +133,8 @@ class FeatureExtractorNode(Node):
         observations = self._extractor.extract(frame)
         self._busy += time.perf_counter() - start
         self._sent += 1
-        frames = FrameNames(self.vehicle, base_suffix=self.config.robot_base_frame)
-        compact = self.config.compact_descriptors
-        self._landmarks.publish(landmarks_message(MESSAGES, observations, frames.base, compact))
+        base, compact = self._mounts.base, self.config.compact_descriptors
+        self._landmarks.publish(landmarks_message(MESSAGES, observations, base, compact))
 
     def _report(self) -> None:
         self._reported = time.monotonic()

@@ -1,11 +1,12 @@
 """Support for all nodes: parameters from settings, time, diagnostics, logging, the main loop."""
 
 import contextlib
+import dataclasses
 import logging
 import os
 import signal
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Protocol
 
 import rclpy
@@ -23,6 +24,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from explore_slam.errors import ConfigError, ExploreSlamError
+from explore_slam.messages.vehicle_settings import VehicleConfig, vehicle_settings
 from explore_slam.settings import Section, Setting, settings_of, with_values
 
 _NICENESS = -10  # granted to root, and where limits.conf allows it
@@ -63,14 +65,36 @@ def declare_settings[S: Section](node: Node, tree: S) -> S:
 
     Raises ConfigError naming the parameter, its value and what was expected.
     """
-    for info, value in settings_of(tree):
-        try:
-            node.declare_parameter(info.name, _plain(value), _descriptor(info))
-        except InvalidParameterValueException as error:  # rclpy checks the range first
-            raise ConfigError(str(error)) from error
-    names = [info.name for info, _ in settings_of(tree)]
-    values = {name: _plain(node.get_parameter(name).value) for name in names}
+    values = {info.name: declare_setting(node, info, value) for info, value in settings_of(tree)}
     return with_values(tree, values)
+
+
+def declare_setting(node: Node, info: Setting, value: Any) -> Any:
+    """Declare one setting with its default; return the value that the node has.
+
+    ConfigError for a number out of range.
+    """
+    try:
+        node.declare_parameter(info.name, _plain(value), _descriptor(info))
+    except InvalidParameterValueException as error:  # rclpy checks the range first
+        raise ConfigError(str(error)) from error
+    return _plain(node.get_parameter(info.name).value)
+
+
+def declare_vehicle_settings(
+    node: Node, team: VehicleConfig, vehicles: Iterable[str]
+) -> dict[str, VehicleConfig]:
+    """Declare '<vehicle>.<setting>' of every vehicle, by default the team's; return the values.
+
+    ConfigError naming the parameter, its value and what was expected.
+    """
+    names = list(vehicles)
+    values: dict[str, Any] = {}
+    for vehicle in names:
+        for info, default in settings_of(team):
+            name = f'{vehicle}.{info.name}'
+            values[name] = declare_setting(node, dataclasses.replace(info, name=name), default)
+    return vehicle_settings(team, values, names)
 
 
 def changed_settings[S: Section](

@@ -51,6 +51,7 @@ from explore_slam.nodes.node_support import (
     vehicle_name,
 )
 from explore_slam.nodes.ros_types import MESSAGES
+from explore_slam.nodes.transform_listener import own_mounts
 from explore_slam.vehicle import FollowerState, PathFollower, PathFollowerConfig, VelocityCommand
 
 _REPORT_PERIOD = 0.5  # s
@@ -66,6 +67,7 @@ class PathFollowerNode(Node):
         super().__init__('path_follower', **options)
         self.follower = PathFollower(declare_settings(self, PathFollowerConfig()))
         self.vehicle = vehicle_name(self)
+        self._mounts = own_mounts(self, self.vehicle, self.follower.config.laser_mount)
         self._command: VelocityCommand | None = None
         self._reported = -1.0
         self._driven = -1.0
@@ -113,13 +115,19 @@ class PathFollowerNode(Node):
         self._heartbeat = time.monotonic()
 
     def _on_odometry(self, message: Odometry) -> None:
+        self._mounts.add_odometry(message)
         self._take(
             TopicKind.ODOMETRY,
             lambda now: self.follower.set_odometry(odometry_record(message), now),
         )
 
     def _on_scan(self, message: LaserScan) -> None:
-        self._take(TopicKind.SCAN, lambda now: self.follower.set_scan(scan_record(message), now))
+        self._take(
+            TopicKind.SCAN,
+            lambda now: self.follower.set_scan(
+                self._mounts.place_scan(scan_record(message), message.header.frame_id), now
+            ),
+        )
 
     def _explain_silence(self) -> None:
         """Log once which inputs are missing, and the possible causes."""

@@ -25,6 +25,7 @@ from explore_slam.data import LaserScan, RgbdFrame
 from explore_slam.errors import DataError
 from explore_slam.geometry import to_world
 from explore_slam.messages import scan_record
+from explore_slam.messages.sensor_mounts import SensorMounts
 from explore_slam.messages.topics import TopicKind, VehicleTopic
 from explore_slam.nodes.driver_outputs import DriverOutputs, Latency
 from explore_slam.nodes.driver_parameters import DriverNodeConfig
@@ -43,6 +44,7 @@ from explore_slam.nodes.node_support import (
     run_node,
     vehicle_name,
 )
+from explore_slam.nodes.transform_listener import own_mounts
 from explore_slam.settings import values_of
 from explore_slam.vehicle import (
     BaseState,
@@ -79,6 +81,7 @@ class PioneerDriverNode(Node):
         frames = self.config.frames(vehicle_name(self))
         self.outputs = DriverOutputs(self, frames, driver, self.config.publish_tf)
         self._laser_pose = driver.laser_mount.pose
+        self._mounts: SensorMounts | None = None  # of the laser of another driver
         limits = driver.base.maximum_speed, driver.base.maximum_turn_rate
         self._gate = SafetyGate(driver.safety, *limits)
         self._inputs = SafetyInputs()
@@ -122,6 +125,9 @@ class PioneerDriverNode(Node):
             subscribe(self, VehicleTopic.VELOCITY_COMMAND, self._on_velocity)
             self.create_service(SetBool, 'enable_motors', self._on_enable_motors)
         if self.laser is None and self.config.watch_scan_topic:
+            name, laser = vehicle_name(self), self.config.driver.laser_mount
+            base = self.config.frames(name).base if self.base is not None else ''
+            self._mounts = own_mounts(self, name, laser, base)
             subscribe(self, TopicKind.SCAN, self._on_watched_scan)
         self.add_on_set_parameters_callback(self._on_parameters)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -155,7 +161,10 @@ class PioneerDriverNode(Node):
 
     def _on_watched_scan(self, message: ScanMessage) -> None:
         try:
-            self._keep_points(scan_record(message))
+            scan = scan_record(message)
+            if self._mounts is not None:
+                scan = self._mounts.place_scan(scan, message.header.frame_id)
+            self._keep_points(scan)
             self._watched_scan = time.monotonic()
         except DataError as error:
             self.get_logger().warning(f'scan: {error}', throttle_duration_sec=WARNING_PERIOD)
@@ -233,7 +242,7 @@ class PioneerDriverNode(Node):
         self._keep_points(scan)
 
     def _keep_points(self, scan: LaserScan) -> None:
-        points = scan_points(scan, self._laser_pose)
+        points = scan_points(scan, scan.mount or self._laser_pose)
         with self._lock:
             self._seen = (scan.stamp, points)
 

@@ -60,6 +60,12 @@ class BagReader:
         """Number of messages on all topics."""
         return sum(self.counts.values())
 
+    @property
+    def rates(self) -> dict[str, float]:
+        """Messages per second on each topic."""
+        duration = max((self.end - self.start) * 1e-9, 1e-9)
+        return {topic: count / duration for topic, count in self.counts.items()}
+
     def __enter__(self) -> 'BagReader':
         return self
 
@@ -99,9 +105,7 @@ class BagReader:
                 yield RawMessage(connection.topic, connection.msgtype, log_time, bytes(data))
                 count += 1
         except Exception as error:  # rosbags lets the errors of its storages and parsers through
-            self._warn(
-                f'{self.path} is damaged after {count} messages ({error}): the rest is lost'
-            )
+            self.warn(f'{self.path} is damaged after {count} messages ({error}): the rest is lost')
 
     @staticmethod
     def decode(message: RawMessage) -> Any:
@@ -139,17 +143,17 @@ class BagReader:
             files = sorted(file for file in self.path.iterdir() if file.suffix in SUFFIXES)
             if not files:
                 raise RecordingError(f'{self.path} is not a bag: {reason}')
-            self._warn(f'{self.path}: {reason}; reading its files one by one')
+            self.warn(f'{self.path}: {reason}; reading its files one by one')
             for file in files:
                 try:
                     self._parts.append(BagReader(file))
                 except RecordingError as error:
-                    self._warn(str(error))
+                    self.warn(str(error))
         elif self.path.suffix == '.mcap':
             salvage = McapSalvage(self.path)
             self._survey(salvage)
             if not salvage.complete:
-                self._warn(
+                self.warn(
                     f'{self.path} is truncated: its first {self.message_count} messages are used'
                 )
             self._parts.append(salvage)
@@ -174,8 +178,8 @@ class BagReader:
             self.topics[message.topic] = message.type
             self.counts[message.topic] = self.counts.get(message.topic, 0) + 1
 
-    def _warn(self, text: str) -> None:
-        # the caller shows the warnings: in the report, on the terminal or in a node's log
+    def warn(self, text: str) -> None:
+        """Keep a warning: the caller shows it in the report, on the terminal or in a log."""
         logger.info('%s', text)
         self.warnings.append(text)
 

@@ -10,17 +10,25 @@ from typing import Any, Protocol
 
 from explore_slam.data import OdometryReading
 from explore_slam.errors import ExploreSlamError, RecordingError
-from explore_slam.geometry import Array, Pose2, moved_enough
-from explore_slam.messages.base import planar_pose
+from explore_slam.geometry import Array, Pose2, Pose3, moved_enough
+from explore_slam.messages.base import planar_pose, time_message
 from explore_slam.messages.measurement import MeasurementSink, VehicleReader
 from explore_slam.messages.measurement_kinds import KIND_OF_TOPIC, MEASUREMENT_KINDS
 from explore_slam.messages.odometry import odometry_record
+from explore_slam.messages.sensor_mounts import SensorMounts
 from explore_slam.messages.topics import RecordedTopic, TopicKind
+from explore_slam.messages.vehicle_settings import VehicleConfig, settings_of_vehicles
 from explore_slam.recording.bag import BagReader
 from explore_slam.recording.events import Event
-from explore_slam.recording.ordering import StampOrder
+from explore_slam.recording.ordering import StampOrder, unstamped_topics
+from explore_slam.recording.recorded_transforms import recorded_transforms
+from explore_slam.recording.rosbags_types import MESSAGES
 from explore_slam.recording.salvage import RawMessage
-from explore_slam.recording.topic_selection import frames_or_landmarks, vehicle_topics
+from explore_slam.recording.topic_selection import (
+    TopicChoice,
+    frames_or_landmarks,
+    vehicle_topics,
+)
 
 logger = logging.getLogger(__name__)
 
@@ -67,6 +75,9 @@ class Replay:
 
     starts, recorded_starts: start poses in the map by vehicle; the former take precedence.
     vision: 'agent' or 'vehicle', see topic_selection.frames_or_landmarks.
+    choices: topics that the user has chosen by hand.
+    settings: of the team and of single vehicles by name (messages.vehicle_settings).
+    team_laser, team_camera: mounts of the sensors that the settings of the team give explicitly.
     """
 
     def __init__(
@@ -76,16 +87,31 @@ class Replay:
         starts: Mapping[str, Pose2] | None = None,
         recorded_starts: Mapping[str, Pose2] | None = None,
         vision: str | None = None,
+        choices: Iterable[TopicChoice] = (),
+        settings: Mapping[str, Any] | None = None,
+        team_laser: Pose2 | None = None,
+        team_camera: Pose3 | None = None,
     ) -> None:
         self.bag = bag
-        found, warnings = vehicle_topics(bag.topics, vehicles)
+        found, warnings = vehicle_topics(bag.topics, vehicles, choices, bag.rates)
         self._topics = frames_or_landmarks(found, vision, warnings)
         self.warnings = list(bag.warnings) + warnings
         self._by_name = {topic.name: topic for topic in self._topics}
         self.vehicles = sorted({topic.vehicle for topic in self._topics})
         self.tally = Tally()
-        self._order = StampOrder()
-        self._readers = {vehicle: VehicleReader(MEASUREMENT_KINDS) for vehicle in self.vehicles}
+        configs = settings_of_vehicles(settings or {}, self.vehicles)
+        trees = recorded_transforms(bag, self.vehicles)
+        self.mounts = {
+            name: SensorMounts(name, trees[name], configs[name], team_laser, team_camera)
+            for name in self.vehicles
+        }
+        self._unstamped = unstamped_topics(bag.messages(set(self._by_name)))
+        offsets = {topic.name: self._offset(topic, configs) for topic in self._topics}
+        self._order = StampOrder(offsets=offsets, unstamped=self._unstamped)
+        self._readers = {
+            name: VehicleReader(MEASUREMENT_KINDS, mounts) for name, mounts in self.mounts.items()
+        }
+        self._find_base_frames()
         given = dict(starts or {})
         unknown = sorted(set(given) - set(self.vehicles))
         if unknown:
@@ -96,6 +122,31 @@ class Replay:
         self._recorded = {
             name: pose for name, pose in (recorded_starts or {}).items() if name in self.vehicles
         }
+
+    @staticmethod
+    def _offset(topic: RecordedTopic, configs: Mapping[str, VehicleConfig]) -> int:
+        """Return what is added to the stamps of a topic (ns)."""
+        if topic.kind not in KIND_OF_TOPIC:
+            return 0
+        return round(float(getattr(configs[topic.vehicle], KIND_OF_TOPIC[topic.kind].clock)) * 1e9)
+
+    def _find_base_frames(self) -> None:
+        """Let the first odometry message of each vehicle name its base frame."""
+        waiting = {t.name: t for t in self._topics if t.kind is TopicKind.ODOMETRY}
+        for message in self.bag.messages(list(waiting)):
+            topic = waiting.pop(message.topic, None)
+            if topic is not None:
+                try:
+                    self.mounts[topic.vehicle].add_odometry(self.bag.decode(message))
+                except RecordingError:  # counted and named when the events are read
+                    waiting[message.topic] = topic
+            if not waiting:
+                break
+
+    def topic_of(self, vehicle: str, kind: TopicKind) -> str | None:
+        """Return the name of a vehicle's topic of a kind in the recording."""
+        names = [t.name for t in self._topics if t.vehicle == vehicle and t.kind is kind]
+        return names[0] if names else None
 
     def kinds(self, vehicle: str) -> set[TopicKind]:
         """Return the kinds of topics that the recording holds of a vehicle."""
@@ -184,7 +235,10 @@ class Replay:
                 progress((message.log_time - self.bag.start) / span)
             topic = self._by_name[message.topic]
             try:
-                event = self._event(topic, stamp * 1e-9, self.bag.decode(message))
+                decoded = self.bag.decode(message)
+                if message.topic in self._unstamped:
+                    decoded.header.stamp = time_message(MESSAGES, stamp * 1e-9)
+                event = self._event(topic, stamp * 1e-9, decoded)
             except ExploreSlamError as error:
                 self.tally.refuse(topic.name, str(error))
                 continue
@@ -252,18 +306,36 @@ class Replay:
         return Event(stamp, topic.vehicle, kind.topics[0], record)
 
     def _report_losses(self) -> None:
-        for topic, count in sorted(self._order.malformed.items()):
-            self._note(f'{count} messages on {topic} are too short for their header: omitted')
-        for topic, count in sorted(self._order.late.items()):
-            self._note(f'{count} messages on {topic} came more than 2 s out of order: omitted')
-        for before, after in self._order.clock_jumps:
-            self._note(f'the recorded clock jumps back from {before:.3f} s to {after:.3f} s')
+        for text in self._order.notes():
+            self._note(text)
         for vehicle, reader in sorted(self._readers.items()):
             for what, count in reader.losses().items():
                 if count:
                     self._note(f'{vehicle}: {count} {what.replace("_", " ")}: omitted')
         for topic, count in sorted(self.tally.refused.items()):
             self._note(f'{count} messages on {topic} refused; {self.tally.first_refusals[topic]}')
+
+    def unusable(self) -> list[str]:
+        """Return the topics of which more than half of the messages could not be used, and why.
+
+        Ground truth and initial poses are not needed: they are left out here.
+        """
+        found = []
+        for topic in self._topics:
+            known = self._order.statistics.get(topic.name)
+            if known is None or topic.kind not in KIND_OF_TOPIC:
+                continue
+            refused = self.tally.refused.get(topic.name, 0)
+            reasons = {
+                f'{known.late} came out of order': known.late,
+                f'{known.malformed} are too short': known.malformed,
+                f'{refused} refused: {self.tally.first_refusals.get(topic.name)}': refused,
+            }
+            lost = sum(reasons.values())
+            if 2 * lost > known.count:
+                why = '; '.join(text for text, count in reasons.items() if count)
+                found.append(f'{lost} of {known.count} messages on {topic.name} unusable: {why}')
+        return found
 
     def _note(self, text: str) -> None:
         logger.info('%s', text)

@@ -17,7 +17,7 @@ from explore_slam.data import LandmarkObservations, RgbdFrame
 from explore_slam.errors import RecordingError
 from explore_slam.geometry import Array
 from explore_slam.messages import seconds
-from explore_slam.messages.topics import TopicKind, topic_name
+from explore_slam.messages.topics import TopicKind
 from explore_slam.recording.replay import Replay
 from explore_slam.results.run_data import Panel, RunData, Series, VehicleRun
 from explore_slam.results.spatial_trajectory import SpatialTrajectory
@@ -81,7 +81,8 @@ def evaluate_frames(replay: Replay, config: AgentConfig, until: float | None = N
 def true_trajectory(replay: Replay, vehicle: str) -> SpatialTrajectory | None:
     """Read the ground truth of a vehicle from a recording; None where there is none."""
     rows = []
-    for raw in replay.bag.messages([topic_name(vehicle, TopicKind.GROUND_TRUTH)]):
+    topic = replay.topic_of(vehicle, TopicKind.GROUND_TRUTH)
+    for raw in replay.bag.messages([topic]) if topic else ():
         message = replay.bag.decode(raw)
         pose = message.pose.pose
         p, q = pose.position, pose.orientation

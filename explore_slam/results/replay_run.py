@@ -9,16 +9,18 @@ from typing import Any
 import numpy as np
 
 from explore_slam.agent.agent import Agent
-from explore_slam.agent.config import AgentConfig
+from explore_slam.agent.config import AgentConfig, explicit_mounts
 from explore_slam.data import OdometryReading
 from explore_slam.errors import RecordingError
 from explore_slam.geometry import Pose2
 from explore_slam.mapping import OccupancyGrid
 from explore_slam.messages.topics import TopicKind
+from explore_slam.messages.vehicle_settings import split_vehicle_values
 from explore_slam.recording.bag import BagReader
 from explore_slam.recording.events import Event
 from explore_slam.recording.importers.importing import SETTINGS_FILE
-from explore_slam.recording.replay import Replay
+from explore_slam.recording.replay import Replay, Tally
+from explore_slam.recording.topic_selection import topic_choices
 from explore_slam.results.landmark_agreement import evaluate_frames
 from explore_slam.results.run_data import RunData, RunRecorder
 from explore_slam.settings import read_parameters, values_of, with_values
@@ -59,7 +61,7 @@ def configuration(
     tree = config or AgentConfig()
     if config is None:
         known = values_of(tree)
-        found = bag_settings(bag)
+        _, found = split_vehicle_values(bag_settings(bag))
         others = sorted(set(found) - set(known))
         if others:
             logger.info('%s: settings %s do not belong to the agent and are ignored', bag, others)
@@ -114,18 +116,36 @@ def replay_bag(
     starts: Mapping[str, Pose2] | None = None,
     until: float | None = None,
     progress: Callable[[float], None] | None = None,
+    topics: Iterable[str] = (),
+    vehicle_values: Mapping[str, Any] | None = None,
 ) -> RunData:
     """Replay a bag through the agent and return the data of the run.
 
     config, options: see `configuration`. starts: start poses that the bag does not hold. until:
     time (s) after the first record at which to stop. progress: called with the fraction done.
+    topics: chosen by hand, 'VEHICLE.KIND=/TOPIC'. vehicle_values: settings of the vehicles by
+    name, of the team ('vision') or of one ('robot1.laser_mount'), instead of those in the bag;
+    options may hold them too.
+    metrics['unusable']: reasons why most of what is needed could not be used; [] if all is well.
     The result depends on the bag, the settings and the seed alone (except metrics['timing']).
     A bag without odometry is evaluated frame by frame (`landmark_agreement`).
     """
-    effective = configuration(path, config, options)
+    own, others = split_vehicle_values(options or {})
+    effective = configuration(path, config, others)
     with BagReader(path) as bag:
-        vision = bag_settings(path).get('vision')
-        replay = Replay(bag, vehicles, starts, recorded_starts(path), vision)
+        if vehicle_values is None:
+            vehicle_values, _ = split_vehicle_values(bag_settings(path))
+        settings = {**vehicle_values, **own}
+        replay = Replay(
+            bag,
+            vehicles,
+            starts,
+            recorded_starts(path),
+            settings.get('vision'),
+            topic_choices(topics),
+            settings,
+            *explicit_mounts(effective),
+        )
         if not _has_odometry(replay):
             return evaluate_frames(replay, effective, until)
         poses = replay.start_poses()
@@ -142,7 +162,7 @@ def replay_bag(
         collector.tick(agent.now)
         wall = time.perf_counter() - begin
     recorded = collector.last - (collector.first or collector.last)
-    for warning in (*replay.warnings, *_warn_without_landmarks(replay)):
+    for warning in (*replay.warnings, *_mount_notes(replay), *_warn_without_landmarks(replay)):
         recorder.add_note(warning)
     return recorder.finish(
         {vehicle: agent.trajectory(vehicle) for vehicle in poses},
@@ -154,6 +174,8 @@ def replay_bag(
             'records': dict(sorted(tally.fed.items())),
             'refused': dict(sorted(tally.refused.items())),
             'agent': agent.summary(),
+            'mounts': {name: dict(item.report()) for name, item in replay.mounts.items()},
+            'unusable': [*replay.unusable(), *_lost_in_agent(agent, tally)],
             'timing': {
                 'wall_seconds': wall,
                 'recorded_seconds': recorded,
@@ -161,6 +183,31 @@ def replay_bag(
             },
         },
     )
+
+
+def _mount_notes(replay: Replay) -> list[str]:
+    """Return the mounts that are not those of the settings, and where they come from."""
+    return [
+        f'{vehicle}: sensor {frame or "without frame"} at {mount}'
+        for vehicle, mounts in replay.mounts.items()
+        for frame, mount in sorted(mounts.used.items())
+        if mount.pose is not None
+    ]
+
+
+def _lost_in_agent(agent: Agent, tally: Tally) -> list[str]:
+    """Return the vehicles of which most measurements did not fit the odometry in time."""
+    found = []
+    for vehicle, counts in agent.summary().items():
+        kinds = (TopicKind.SCAN, TopicKind.COLOR, TopicKind.LANDMARKS)
+        fed = sum(tally.fed.get(f'{vehicle}/{kind.value}', 0) for kind in kinds)
+        lost = counts.get('dropped_without_odometry', 0) + counts.get('late_observations', 0)
+        if 2 * lost > fed > 0:
+            found.append(
+                f'{lost} of {fed} measurements of {vehicle} lie outside its odometry: their '
+                'stamps do not fit together'
+            )
+    return found
 
 
 def _warn_without_landmarks(replay: Replay) -> list[str]:

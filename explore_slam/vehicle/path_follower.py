@@ -151,7 +151,7 @@ class PathFollower:
         """Replace the scan that shows obstacles."""
         self._times.scan = scan.stamp if received is None else received
         self._scan_stamp = scan.stamp
-        self._points = scan_points(scan, self.config.laser_mount.pose)
+        self._points = scan_points(scan, scan.mount or self.config.laser_mount.pose)
 
     def map_pose(self, now: float) -> Pose2 | None:
         """Return the dead-reckoned pose in the map, None before the first map pose."""

@@ -6,7 +6,13 @@ from typing import NamedTuple
 import numpy as np
 
 from explore_slam.errors import VisionError
-from explore_slam.geometry import Array, rotation_matrix
+from explore_slam.geometry import (
+    Array,
+    Pose3,
+    quaternion_from_rotation,
+    roll_pitch_yaw,
+    rotation_matrix,
+)
 from explore_slam.mounts import CameraMountConfig
 
 # optical frame (x right, y down, z forward) -> body frame (x forward, y left, z up), REP-103
@@ -34,6 +40,16 @@ class CameraMount(NamedTuple):
             config.camera_pitch,
             config.camera_yaw,
         )
+
+    @classmethod
+    def from_optical(cls, pose: Pose3) -> 'CameraMount':
+        """Return the mount of a camera whose optical frame has this pose in the vehicle frame."""
+        return cls(*pose.position, *roll_pitch_yaw(pose.rotation @ OPTICAL_TO_BODY.T))
+
+    @property
+    def optical_pose(self) -> Pose3:
+        """Pose of the optical frame in the vehicle frame."""
+        return Pose3((self.x, self.y, self.z), quaternion_from_rotation(self.rotation))
 
     @property
     def rotation(self) -> Array:

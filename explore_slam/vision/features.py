@@ -25,7 +25,7 @@ class FeatureExtractor:
 
     The same frame gives the same observations, bit for bit, whatever the number of threads.
 
-    mount: of the camera; by default that of the settings.
+    mount: of the camera, where a frame does not tell it; by default that of the settings.
     """
 
     def __init__(self, config: VisionConfig | None = None, mount: CameraMount | None = None):
@@ -65,10 +65,11 @@ class FeatureExtractor:
             np.full(len(depths), self.config.depth.pixel_noise),
             self._depth_noise(depths, depth.spread[rows, columns].astype(np.float64)),
         )
+        mount = self.mount if frame.mount is None else CameraMount.from_optical(frame.mount)
         observations = LandmarkObservations(
             frame.stamp,
-            self.mount.to_vehicle(points),
-            self.mount.rotate_covariances(covariances),
+            mount.to_vehicle(points),
+            mount.rotate_covariances(covariances),
             features.descriptors,
         )
         return observations, features

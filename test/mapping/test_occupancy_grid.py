@@ -123,11 +123,21 @@ def test_occupancy_message_values():
     grid = OccupancyGrid()
     for _ in range(30):
         grid.insert_scan(IDENTITY, scan_of([2.02]))
-    values = grid.to_occupancy()
-    assert values.dtype == np.int8
-    assert values[tuple(grid.to_cell([(2.02, 0.0)])[0])] == 97
-    assert values[tuple(grid.to_cell([(1.0, 0.0)])[0])] == 3
-    assert values[tuple(grid.to_cell([(2.2, 0.0)])[0])] == -1
+    wall, floor, behind = (tuple(cell) for cell in grid.to_cell([(2.02, 0), (1.0, 0), (2.2, 0)]))
+    percent, cells = grid.to_percent(), grid.to_trinary()
+    assert percent.dtype == cells.dtype == np.int8
+    assert (percent[wall], percent[floor], percent[behind]) == (97, 3, -1)
+    assert (cells[wall], cells[floor], cells[behind]) == (100, 0, -1)
+
+
+def test_trinary_values_follow_the_thresholds_of_map_files():
+    known = np.array([[True, True, True, True, False]])
+    probability = np.array([[0.40, 0.50, 0.60, 0.90, 0.5]])
+    grid = OccupancyGrid.from_probability(probability, known, (0.0, 0.0), GridConfig())
+    assert grid.to_trinary().tolist() == [[0, -1, -1, 100, -1]]
+    strict = GridConfig(map_free_threshold=0.3, map_occupied_threshold=0.55)
+    grid = OccupancyGrid.from_probability(probability, known, (0.0, 0.0), strict)
+    assert grid.to_trinary().tolist() == [[-1, -1, 100, 100, -1]]
 
 
 @pytest.mark.parametrize('setting', ['hit_probability', 'miss_probability'])

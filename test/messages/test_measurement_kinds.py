@@ -20,6 +20,7 @@ from explore_slam.messages.frames import FrameNames
 from explore_slam.messages.measurement import VehicleReader
 from explore_slam.messages.measurement_kinds import KIND_OF_TOPIC, MEASUREMENT_KINDS
 from explore_slam.messages.topics import TopicKind
+from explore_slam.messages.vehicle_settings import VehicleConfig
 from explore_slam.nodes.ros_types import MESSAGES as ROS_MESSAGES
 from explore_slam.nodes.ros_types import message_class
 from explore_slam.recording.rosbags_types import MESSAGES as BAG_MESSAGES
@@ -70,11 +71,24 @@ def test_every_topic_of_a_measurement_belongs_to_one_kind():
 
 def test_frames_and_landmarks_are_expected_where_vision_runs():
     expected = {
-        vision: {kind.name for kind in MEASUREMENT_KINDS if kind.is_expected(vision)}
-        for vision in ('agent', 'vehicle')
+        vision: {
+            kind.name
+            for kind in MEASUREMENT_KINDS
+            if kind.is_expected(VehicleConfig(vision=vision))
+        }
+        for vision in ('agent', 'vehicle', 'none')
     }
     assert expected['agent'] - expected['vehicle'] == {'frame'}
     assert expected['vehicle'] - expected['agent'] == {'landmarks'}
+    assert expected['none'] == expected['agent'] & expected['vehicle']
+
+
+def test_a_vehicle_without_laser_and_camera_needs_odometry_alone():
+    bare = VehicleConfig(vision='none', use_laser=False)
+    kinds = [kind for kind in MEASUREMENT_KINDS if kind.is_expected(bare) and kind.expected]
+    assert [kind.name for kind in kinds] == ['odometry']
+    welcome = {kind.name for kind in MEASUREMENT_KINDS if kind.is_welcome(bare)}
+    assert welcome == {'odometry', 'inter_robot'}
 
 
 def test_losses_are_counted_per_vehicle():

@@ -41,7 +41,6 @@ def test_start_poses_must_fit_the_names(names, values, words):
 def test_frames_take_the_names_of_the_parameters():
     frames = DriverNodeConfig(odom_frame='o', laser_frame='front').frames('robot1')
     assert (frames.odom, frames.laser) == ('robot1/o', 'robot1/front')
-    assert AgentNodeConfig(map_frame='site').frames('robot1').map == 'site'
 
 
 def test_names_are_unique_and_all_have_a_meaning():

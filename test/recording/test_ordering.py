@@ -5,7 +5,7 @@ import struct
 from hypothesis import given
 from hypothesis import strategies as st
 
-from explore_slam.recording.ordering import WINDOW, StampOrder, header_stamp
+from explore_slam.recording.ordering import WINDOW, StampOrder, header_stamp, unstamped_topics
 from explore_slam.recording.salvage import RawMessage
 
 SECOND = 10**9
@@ -25,7 +25,7 @@ def test_reads_the_stamp_of_either_byte_order():
 
 @given(st.lists(st.integers(0, WINDOW - 1), max_size=50), st.integers(0, 10**18))
 def test_delays_within_the_window_are_undone(delays, offset):
-    stamps = [index * SECOND // 10 for index in range(len(delays))]
+    stamps = [SECOND + index * SECOND // 10 for index in range(len(delays))]
     logged = sorted(
         (message(s, s + d + offset) for s, d in zip(stamps, delays, strict=True)),
         key=lambda m: m.log_time,
@@ -58,3 +58,49 @@ def test_data_without_a_header_are_counted():
     short = RawMessage('/a/scan', 'sensor_msgs/msg/LaserScan', 0, b'\x00\x01')
     assert list(order.sort([short])) == []
     assert order.malformed == {'/a/scan': 1}
+
+
+def test_topics_without_stamps_get_the_log_time():
+    stamped = [message(100 * SECOND + i * SECOND, 100 * SECOND + i * SECOND) for i in range(5)]
+    zero = [message(0, m.log_time + 1, '/a/scan') for m in stamped]
+    merged = [m for pair in zip(stamped, zero, strict=True) for m in pair]
+    assert unstamped_topics(merged) == {'/a/scan'}
+    order = StampOrder(unstamped=unstamped_topics(merged))
+    found = [(m.topic, stamp) for stamp, m in order.sort(merged)]
+    assert found == [(m.topic, m.log_time) for m in merged]
+    assert order.notes() == [
+        '5 of 5 messages on /a/scan have the stamp zero: the log time is used'
+    ]
+
+
+def test_simulated_time_may_begin_at_zero():
+    logged = [message(i * SECOND, 10**18 + i * SECOND) for i in range(5)]
+    assert unstamped_topics(logged) == set()
+    order = StampOrder(unstamped=unstamped_topics(logged))
+    assert [stamp for stamp, _ in order.sort(logged)] == [i * SECOND for i in range(5)]
+    assert order.notes() == []
+
+
+def test_a_clock_of_one_topic_that_is_off_is_one_note_with_the_amount():
+    logged = []
+    for i in range(100):
+        at = 1000 * SECOND + i * SECOND // 10
+        logged += [message(at, at), message(at + 30 * SECOND, at + 1, '/a/scan')]
+    order = StampOrder()
+    assert len(list(order.sort(logged))) == 200
+    assert order.clock_jumps == []
+    (note,) = order.notes()
+    assert note.startswith('stamps on /a/scan are 30.000 s ahead of those on /a/odom')
+    # with the offset all is well
+    corrected = StampOrder(offsets={'/a/scan': -30 * SECOND})
+    stamps = [stamp for stamp, _ in corrected.sort(logged)]
+    assert stamps == sorted(stamps)
+    assert corrected.notes() == []
+
+
+def test_stamps_that_go_back_are_one_note_with_the_amount():
+    stamps = [10, 11, 12, 11, 13, 14, 13, 15]
+    logged = [message(s * SECOND // 10, k * SECOND // 10) for k, s in enumerate(stamps)]
+    order = StampOrder()
+    assert len(list(order.sort(logged))) == len(stamps)
+    assert order.notes() == ['stamps on /a/odom go back 2 times, by up to 0.100 s']

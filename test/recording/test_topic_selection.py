@@ -3,8 +3,12 @@
 import pytest
 
 from explore_slam.errors import RecordingError
-from explore_slam.messages.topics import vehicle_topic
-from explore_slam.recording.topic_selection import frames_or_landmarks, vehicle_topics
+from explore_slam.messages.topics import TopicKind, vehicle_topic
+from explore_slam.recording.topic_selection import (
+    frames_or_landmarks,
+    topic_choices,
+    vehicle_topics,
+)
 
 
 def topics(*names: str) -> dict[str, str]:
@@ -50,3 +54,107 @@ def test_frames_or_landmarks_of_a_vehicle_that_has_both(vision, kept, warned):
     used = {topic.name for topic in frames_or_landmarks(found, vision, warnings)}
     assert used == {'/a/odom', kept, *alone}
     assert bool(warnings) == warned
+
+
+SCAN, ODOMETRY = TopicKind.SCAN.message_type, TopicKind.ODOMETRY.message_type
+IMAGE, INFO = TopicKind.COLOR.message_type, TopicKind.CAMERA_INFO.message_type
+COMPRESSED = TopicKind.COLOR_COMPRESSED.message_type
+
+
+def chosen(found):
+    return {(topic.vehicle, topic.kind): topic.name for topic in found}
+
+
+def test_a_bag_without_namespaces_is_one_vehicle():
+    found, warnings = vehicle_topics(
+        {'/odom': ODOMETRY, '/scan': SCAN, '/tf': 'tf2_msgs/msg/TFMessage'}
+    )
+    assert chosen(found) == {
+        ('robot1', TopicKind.ODOMETRY): '/odom',
+        ('robot1', TopicKind.SCAN): '/scan',
+    }
+    assert 'robot1.scan is /scan (found by its type)' in warnings
+
+
+@pytest.mark.parametrize(
+    'names', [('/front/scan', '/odom'), ('/lidar', '/wheels/odometry'), ('/sick_scan', '/o')]
+)
+def test_topics_of_other_names_are_found_by_their_type(names):
+    found, _ = vehicle_topics({names[0]: SCAN, names[1]: ODOMETRY})
+    assert chosen(found) == {
+        ('robot1', TopicKind.SCAN): names[0],
+        ('robot1', TopicKind.ODOMETRY): names[1],
+    }
+
+
+def test_namespaces_with_other_names_are_vehicles():
+    names = {f'/{v}/{t}': k for v in ('a', 'b') for t, k in (('o', ODOMETRY), ('lidar', SCAN))}
+    found, _ = vehicle_topics(names)
+    assert len(found) == 4
+    assert chosen(found)[('b', TopicKind.SCAN)] == '/b/lidar'
+
+
+def test_a_vehicle_found_by_name_gets_what_it_lacks_by_type():
+    found, _ = vehicle_topics({'/a/odom': ODOMETRY, '/a/front/lidar': SCAN, '/b/odom': ODOMETRY})
+    assert chosen(found)[('a', TopicKind.SCAN)] == '/a/front/lidar'
+
+
+def test_candidates_are_listed_with_their_rates_instead_of_guessed():
+    names = {'/odom': ODOMETRY, '/front_scan': SCAN, '/rear_scan': SCAN}
+    with pytest.raises(
+        RecordingError, match=r'/front_scan \(10.0 Hz\), /rear_scan \(5.0 Hz\)'
+    ) as e:
+        vehicle_topics(names, rates={'/front_scan': 10.0, '/rear_scan': 5.0})
+    assert '--topic robot1.scan=/front_scan' in str(e.value)
+    found, _ = vehicle_topics(names, choices=topic_choices(['robot1.scan=/rear_scan']))
+    assert chosen(found)[('robot1', TopicKind.SCAN)] == '/rear_scan'
+    assert chosen(found)[('robot1', TopicKind.ODOMETRY)] == '/odom'
+    # the usual name decides, and the others are named
+    found, warnings = vehicle_topics({**names, '/scan': SCAN}, rates={'/rear_scan': 5.0})
+    assert chosen(found)[('robot1', TopicKind.SCAN)] == '/scan'
+    assert any('also recorded: /front_scan, /rear_scan (5.0 Hz)' in text for text in warnings)
+
+
+def test_the_user_names_the_vehicle_and_the_topic():
+    found, _ = vehicle_topics(
+        {'/o': ODOMETRY, '/l': SCAN}, choices=topic_choices(['tb.odom=/o', 'tb.scan=/l'])
+    )
+    assert {topic.vehicle for topic in found} == {'tb'}
+    for text, reason in {
+        'robot1.scan': 'expected VEHICLE.KIND=/TOPIC',
+        'robot1.sonar=/s': 'expected VEHICLE.KIND=/TOPIC',
+    }.items():
+        with pytest.raises(RecordingError, match=reason):
+            topic_choices([text])
+    with pytest.raises(RecordingError, match='no such topic; the recording holds'):
+        vehicle_topics({'/o': ODOMETRY}, choices=topic_choices(['a.scan=/l']))
+    with pytest.raises(RecordingError, match=f'of type {ODOMETRY}, expected {SCAN}'):
+        vehicle_topics({'/o': ODOMETRY}, choices=topic_choices(['a.scan=/o']))
+
+
+def test_a_realsense_is_found_with_its_aligned_depth():
+    camera = {
+        '/camera/color/image_raw': IMAGE,
+        '/camera/color/image_raw/compressed': COMPRESSED,
+        '/camera/color/camera_info': INFO,
+        '/camera/depth/image_rect_raw': IMAGE,
+        '/camera/depth/camera_info': INFO,
+        '/camera/aligned_depth_to_color/image_raw': IMAGE,
+        '/camera/infra1/image_rect_raw': IMAGE,
+    }
+    found, _ = vehicle_topics({'/odom': ODOMETRY, **camera})
+    assert chosen(found) == {
+        ('robot1', TopicKind.ODOMETRY): '/odom',
+        ('robot1', TopicKind.COLOR): '/camera/color/image_raw',
+        ('robot1', TopicKind.DEPTH): '/camera/aligned_depth_to_color/image_raw',
+        ('robot1', TopicKind.CAMERA_INFO): '/camera/color/camera_info',
+    }
+    two = {name.replace('/camera/', '/left/'): kind for name, kind in camera.items()}
+    found, warnings = vehicle_topics({'/odom': ODOMETRY, **camera, **two})
+    assert len(found) == 1
+    assert any('several images' in text for text in warnings)
+
+
+def test_ground_truth_is_no_odometry():
+    found, _ = vehicle_topics({'/ground_truth/odom': ODOMETRY, '/wheel': ODOMETRY, '/s': SCAN})
+    assert chosen(found)[('robot1', TopicKind.ODOMETRY)] == '/wheel'

@@ -31,7 +31,7 @@ def process(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
         track.keyframe.number,
         track.name,
         scan,
-        moved.compose(team.config.laser_mount.pose),
+        moved.compose(scan.mount or team.config.laser_mount.pose),
         _bodies(team, track, scan.stamp),
     )
     _close_loops(team, track, scan, moved)
@@ -45,7 +45,8 @@ def _close_loops(team: Team, track: VehicleTrack, scan: LaserScan, moved: Pose2)
     matching = team.config.scan_matching
     cloud = track.cloud_of(scan.stamp)
     if not matching.scan_matching:
-        cloud = scan_cloud(scan, team.config.laser_mount.pose, matching.matching_range)
+        laser = scan.mount or team.config.laser_mount.pose
+        cloud = scan_cloud(scan, laser, matching.matching_range)
         cloud = cloud.masked(team.discs(track, scan.stamp))
     if cloud is None or track.keyframe is None:
         return

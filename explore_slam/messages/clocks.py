@@ -1,0 +1,62 @@
+"""Stamps against the clock of the receiver and against those of other topics of a vehicle."""
+
+import math
+from collections import deque
+from statistics import median
+
+CLOCKS_APART = 1.0  # s of difference that is named
+_SAMPLES = 20  # newest stamps per topic that are compared; one late message is no other clock
+_MINIMUM = 5  # stamps before a topic is judged
+
+
+class StampWatch:
+    """How far the stamps of a vehicle's topics are ahead of the receiver's clock.
+
+    unstamped: topics whose messages have the stamp zero, with their numbers.
+    """
+
+    def __init__(self) -> None:
+        self._ahead: dict[str, deque[float]] = {}
+        self.unstamped: dict[str, int] = {}
+
+    def add(self, topic: str, stamp: float, now: float) -> bool:
+        """Add a stamp (s) received at a time (s); return whether it is usable.
+
+        A stamp of zero is counted and not usable, unless the clock of the receiver is there too.
+        """
+        if stamp == 0.0 and now > CLOCKS_APART:
+            self.unstamped[topic] = self.unstamped.get(topic, 0) + 1
+            return False
+        self._ahead.setdefault(topic, deque(maxlen=_SAMPLES)).append(stamp - now)
+        return True
+
+    def ahead(self) -> dict[str, float]:
+        """Return by how much (s) the stamps of each topic are ahead of the clock, as a median."""
+        return {
+            topic: median(values)
+            for topic, values in self._ahead.items()
+            if len(values) >= _MINIMUM
+        }
+
+    def problems(self, reference: str) -> dict[str, str]:
+        """Return topic -> what is wrong with its stamps, with the amount.
+
+        reference: topic with which the others are compared first; its own stamps, and those of
+        others if it has none, are compared with the clock.
+        """
+        found = {
+            topic: f'{count} messages have the stamp zero; the time of receipt is used'
+            for topic, count in self.unstamped.items()
+        }
+        ahead = self.ahead()
+        base = ahead.get(reference, math.nan)
+        for topic, value in ahead.items():
+            if topic != reference and abs(value - base) > CLOCKS_APART:
+                found[topic] = f'stamps are {_amount(value - base)} those of {reference}'
+            elif not abs(value) <= CLOCKS_APART:
+                found[topic] = f'stamps are {_amount(value)} the clock of this node'
+        return found
+
+
+def _amount(seconds: float) -> str:
+    return f'{abs(seconds):.1f} s {"ahead of" if seconds > 0.0 else "behind"}'

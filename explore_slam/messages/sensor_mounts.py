@@ -1,0 +1,205 @@
+"""Where the sensors of one vehicle sit: from /tf_static, or from the vehicle's settings.
+
+The frame of a message (header.frame_id) is looked up below the vehicle's base frame, which its
+odometry messages name (child_frame_id). Where the tree of transforms does not hold it, the mount
+comes from the settings.
+"""
+
+import logging
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from explore_slam.data import LaserScan
+from explore_slam.geometry import Pose2, Pose3, roll_pitch_yaw, wrap_angle
+from explore_slam.messages.base import OPTICAL
+from explore_slam.messages.transforms import TransformTree, frame_name
+from explore_slam.messages.vehicle_settings import VehicleConfig
+
+logger = logging.getLogger(__name__)
+
+# names that base frames have by convention (REP-105, Kobuki, TurtleBot)
+_BASE_FRAMES = ('base_link', 'base_footprint')
+_TOLERANCE = 0.02  # m and rad by which transform and setting may differ without a warning
+_LEVEL = math.radians(10.0)  # tilt of a laser from which its scans are no section of the walls
+_UPRIGHT = 0.9  # vertical part of the z axis of a camera frame that is no optical frame
+
+
+@dataclass(frozen=True)
+class Mount:
+    """The mount of a sensor: pose in the vehicle frame and where it comes from.
+
+    pose: of the laser in the plane, or of the optical frame of the camera; None: the team's.
+    inverted: the laser is mounted upside down, so that its beams turn the other way.
+    """
+
+    source: str
+    pose: Pose2 | Pose3 | None
+    inverted: bool = False
+
+    def __str__(self) -> str:
+        if self.pose is None:
+            return self.source
+        if isinstance(self.pose, Pose2):
+            x, y, yaw = self.pose
+            turned = ', upside down' if self.inverted else ''
+            return (
+                f'x {x:.3f} m, y {y:.3f} m, yaw {math.degrees(yaw):.1f}°{turned}, '
+                f'from {self.source}'
+            )
+        x, y, z = self.pose.position
+        return f'x {x:.3f} m, y {y:.3f} m, z {z:.3f} m, from {self.source}'
+
+
+class SensorMounts:
+    """Mounts of the sensors of one vehicle by the frame of their messages.
+
+    tree: transforms, which may grow while messages arrive.
+    config: settings of the vehicle.
+    team_laser, team_camera: mounts that the team's settings give explicitly, for comparison.
+    used: frame -> mount of every sensor so far.
+    """
+
+    def __init__(
+        self,
+        vehicle: str,
+        tree: TransformTree,
+        config: VehicleConfig | None = None,
+        team_laser: Pose2 | None = None,
+        team_camera: Pose3 | None = None,
+    ) -> None:
+        self.vehicle = vehicle
+        self.config = config or VehicleConfig()
+        self.used: dict[str, Mount] = {}
+        self._tree = tree
+        self._team_laser, self._team_camera = team_laser, team_camera
+        self._odometry_base = self._odometry_frame = ''
+        self._warned: set[str] = set()
+
+    @property
+    def base(self) -> str:
+        """Base frame: as set, as the odometry messages name it, or one of the usual names."""
+        named = self.config.robot_base_frame or self._odometry_base
+        if named:
+            return frame_name(named)
+        usual = [f'{self.vehicle}/{name}' for name in _BASE_FRAMES] + list(_BASE_FRAMES)
+        return next((name for name in usual if name in self._tree), usual[0])
+
+    @property
+    def odom(self) -> str:
+        """Odometry frame: as set, as the odometry messages name it, or '<vehicle>/odom'."""
+        return frame_name(self.config.odom_frame or self._odometry_frame) or f'{self.vehicle}/odom'
+
+    def add_odometry(self, message: Any) -> None:
+        """Take the names of base and odometry frame from an odometry message."""
+        self._odometry_base = message.child_frame_id
+        self._odometry_frame = message.header.frame_id
+
+    def is_known(self, frame: str) -> bool:
+        """Return whether the transforms join a sensor's frame to the base frame."""
+        return self._tree.lookup(self.base, frame) is not None
+
+    def place_scan(self, scan: LaserScan, frame: str) -> LaserScan:
+        """Return a scan with the mount of its laser."""
+        mount = self._laser(frame)
+        if not isinstance(mount.pose, Pose2):
+            return scan
+        if mount.inverted:
+            scan = replace(scan, angle_min=-scan.angle_min, angle_increment=-scan.angle_increment)
+        return replace(scan, mount=mount.pose)
+
+    def optical_pose(self, frame: str) -> Pose3 | None:
+        """Return the pose of a camera's optical frame; None: that of the team's settings."""
+        pose = self._camera(frame).pose
+        return pose if isinstance(pose, Pose3) else None
+
+    def _laser(self, frame: str) -> Mount:
+        found = self._tree.lookup(self.base, frame)
+        own, team = self.config.laser_pose, self._team_laser
+        if found is None:
+            return self._use(
+                frame, self._from_settings(own or team, own is not None, 'laser_mount')
+            )
+        rotation = found.rotation
+        ahead = math.atan2(rotation[1, 0], rotation[0, 0])
+        pose = Pose2(found.position[0], found.position[1], ahead)
+        vertical = float(rotation[2, 2])
+        if abs(vertical) < math.cos(_LEVEL):
+            self._warn_once(
+                f'tilt {frame}',
+                f'laser frame {frame!r} is tilted by {math.degrees(math.acos(abs(vertical))):.0f}°'
+                '; its scans are used as if it were level',
+            )
+        expected = own or team
+        if expected is not None and _differ(pose, expected):
+            self._warn_once(
+                f'laser {frame}',
+                f'/tf_static has the laser ({frame}) at x {pose.x:.3f}, y {pose.y:.3f}, '
+                f'yaw {pose.theta:.3f}, the settings at x {expected.x:.3f}, '
+                f'y {expected.y:.3f}, yaw {expected.theta:.3f}; /tf_static is used',
+            )
+        return self._use(frame, Mount('/tf_static', pose, vertical < 0.0))
+
+    def _camera(self, frame: str) -> Mount:
+        found = self._tree.lookup(self.base, frame)
+        own, team = self.config.optical_pose, self._team_camera
+        if found is None:
+            return self._use(
+                frame, self._from_settings(own or team, own is not None, 'camera_mount')
+            )
+        if abs(float(found.rotation[2, 2])) > _UPRIGHT and 'optical' not in frame:
+            # the z axis of an optical frame looks forward: this is the body of the camera
+            self._warn_once(
+                f'body {frame}',
+                f'image frame {frame!r} is no optical frame (REP-103): its z axis points up; '
+                'it is taken as the body of the camera',
+            )
+            found = found.compose(Pose3((0.0, 0.0, 0.0), OPTICAL))
+        expected = own or team
+        if expected is not None and _differ_in_space(found, expected):
+            self._warn_once(
+                f'camera {frame}',
+                f'/tf_static and the settings have the camera ({frame}) at different poses: '
+                f'{_text(found)} and {_text(expected)}; /tf_static is used',
+            )
+        return self._use(frame, Mount('/tf_static', found))
+
+    def _from_settings(self, pose: Pose2 | Pose3 | None, own: bool, name: str) -> Mount:
+        if pose is None:
+            return Mount('the default settings', None)
+        return Mount(f'{self.vehicle}.{name}' if own else 'the settings of the team', pose)
+
+    def _use(self, frame: str, mount: Mount) -> Mount:
+        if self.used.get(frame) != mount:
+            self.used[frame] = mount
+            logger.info('%s: mount of %s: %s', self.vehicle, frame or 'a sensor', mount)
+        return mount
+
+    def _warn_once(self, key: str, text: str) -> None:
+        if key not in self._warned:
+            self._warned.add(key)
+            logger.warning('%s: %s', self.vehicle, text)
+
+    def report(self) -> Mapping[str, str]:
+        """Return frame -> mount and its source, in words."""
+        return {frame: str(mount) for frame, mount in sorted(self.used.items())}
+
+
+def _differ(a: Pose2, b: Pose2) -> bool:
+    turn = abs(wrap_angle(a.theta - b.theta))
+    return math.dist(a[:2], b[:2]) > _TOLERANCE or turn > _TOLERANCE
+
+
+def _differ_in_space(a: Pose3, b: Pose3) -> bool:
+    cosine = 0.5 * (float(np.trace(a.rotation.T @ b.rotation)) - 1.0)
+    turn = math.acos(min(max(cosine, -1.0), 1.0))
+    return math.dist(a.position, b.position) > _TOLERANCE or turn > _TOLERANCE
+
+
+def _text(pose: Pose3) -> str:
+    body = pose.compose(Pose3((0.0, 0.0, 0.0), OPTICAL).inverse())
+    values = (*pose.position, *roll_pitch_yaw(body.rotation))
+    return '(' + ', '.join(f'{value:.3f}' for value in values) + ')'

@@ -1,0 +1,36 @@
+"""The transforms of a recording: /tf_static, and the frames that only /tf holds."""
+
+import itertools
+from collections.abc import Iterable
+
+from explore_slam.errors import RecordingError
+from explore_slam.messages.topics import GlobalTopic
+from explore_slam.messages.transforms import TransformTree
+from explore_slam.recording.bag import BagReader
+
+# messages of /tf that are read: several seconds of all broadcasters
+_DYNAMIC = 500
+
+
+def recorded_transforms(bag: BagReader, vehicles: Iterable[str]) -> dict[str, TransformTree]:
+    """Return vehicle -> transforms: those of all, and those on topics in its namespace.
+
+    A frame that is both in /tf and in /tf_static has its static parent.
+    """
+    return {name: _tree(bag, name) for name in vehicles}
+
+
+def _tree(bag: BagReader, vehicle: str) -> TransformTree:
+    tree = TransformTree()
+    for topic, most in ((GlobalTopic.TF, _DYNAMIC), (GlobalTopic.TF_STATIC, None)):
+        names = [
+            name
+            for name in (topic.value, f'/{vehicle}{topic.value}')
+            if bag.topics.get(name) == topic.message_type
+        ]
+        for message in itertools.islice(bag.messages(names) if names else (), most):
+            try:
+                tree.add(bag.decode(message))
+            except RecordingError as error:
+                bag.warn(str(error))
+    return tree
