@@ -31,7 +31,7 @@ from explore_slam.data import OdometryReading, VehicleState, VehicleStatus
 from explore_slam.errors import AgentError
 from explore_slam.geometry import Array, Pose2
 from explore_slam.mapping import LaserMap, OccupancyGrid, save_map
-from explore_slam.slam import Landmarks, TeamBelief, rotated
+from explore_slam.slam import Landmarks, OdometryCalibration, TeamBelief, rotated
 
 
 class Agent:
@@ -202,6 +202,13 @@ class Agent:
         return {
             name: {**track.counts, 'odometry_resets': track.odometry.resets}
             for name, track in self.tracks.items()
+        }
+
+    def odometry_calibrations(self) -> dict[str, OdometryCalibration]:
+        """Return what was found out about the wheel odometry of every vehicle."""
+        return {
+            name: OdometryCalibration.of(*self.belief.odometry_calibration(name))
+            for name in self.tracks
         }
 
     def _status(self, track: VehicleTrack) -> VehicleStatus:

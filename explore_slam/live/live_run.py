@@ -35,6 +35,7 @@ from explore_slam.results.run_data import RunData, RunRecorder
 from explore_slam.results.run_folder import RunFolder
 from explore_slam.settings import load_settings, save_settings, with_values
 from explore_slam.simulation import load_world, world_path
+from explore_slam.slam import OdometryCalibration
 
 ENDS = ('exploration_complete', 'returned_to_origin')
 SETTLE = 3.0  # wall s to wait for the last results
@@ -291,6 +292,14 @@ class LiveRun:
             'real_time_factor': float(clock.get('real_time_factor', 'nan')),
             'collisions': collisions,
             'agent': {name: float(agent[name]) for name in AGENT_METRICS if name in agent},
+            'odometry_calibration': {
+                name: {
+                    key: float(found[f'odometry_{key}'])
+                    for key in OdometryCalibration._fields
+                    if f'odometry_{key}' in found
+                }
+                for name, found in health.items()
+            },
             'dropped_frames': {
                 name: int(found.get('dropped_frames', 0)) for name, found in health.items()
             },

@@ -328,6 +328,17 @@ class AgentNode(Node):
                         'odom_time_offset, scan_time_offset or camera_time_offset'
                     )
 
+    def _vehicle_figures(self) -> dict[str, dict[str, float]]:
+        """Return counts and odometry calibration per vehicle."""
+        counts = self.agent.summary()
+        return {
+            name: {
+                **counts[name],
+                **{f'odometry_{key}': value for key, value in calibration._asdict().items()},
+            }
+            for name, calibration in self.agent.odometry_calibrations().items()
+        }
+
     def _publish_diagnostics(self) -> None:
         if time.monotonic() < self._reported + REPORT_PERIOD:
             return
@@ -335,7 +346,7 @@ class AgentNode(Node):
         self._explain_clocks()
         parts = self.statistics.parts(
             self.agent.statuses(),
-            self.agent.summary(),
+            self._vehicle_figures(),
             self._inputs.values(),
             self.inbox,
             self.planner.result,

@@ -66,18 +66,21 @@ class AgentStatistics:
     def parts(
         self,
         statuses: Iterable[VehicleStatus],
-        counts: Mapping[str, Mapping[str, int]],
+        figures: Mapping[str, Mapping[str, float]],
         inputs: Iterable[VehicleInputs],
         inbox: Inbox,
         planning: PlanningResult,
     ) -> dict[str, Part]:
-        """Return name -> (level, message, values) for the agent and for every vehicle."""
+        """Return name -> (level, message, values) for the agent and for every vehicle.
+
+        figures: further values by vehicle.
+        """
         by_vehicle = {one.vehicle: one for one in inputs}
         parts = {'agent': self._agent(inbox, planning)}
         for status in statuses:
             name = status.vehicle
             values = self._vehicle(status, by_vehicle[name], inbox)
-            values.update(counts.get(name, {}))
+            values.update(figures.get(name, {}))
             bad = status.state in (VehicleState.LOST, VehicleState.SILENT, VehicleState.BLOCKED)
             reason = planning.waiting.get(name, '')
             text = status.state.value + (f': {reason}' if reason else '')

@@ -162,7 +162,7 @@ def replay_bag(
         collector.tick(agent.now)
         wall = time.perf_counter() - begin
     recorded = collector.last - (collector.first or collector.last)
-    for warning in (*replay.warnings, *_mount_notes(replay), *_warn_without_landmarks(replay)):
+    for warning in (*replay.warnings, *_mount_notes(replay), *_warn_without_sensors(replay)):
         recorder.add_note(warning)
     return recorder.finish(
         {vehicle: agent.trajectory(vehicle) for vehicle in poses},
@@ -174,6 +174,9 @@ def replay_bag(
             'records': dict(sorted(tally.fed.items())),
             'refused': dict(sorted(tally.refused.items())),
             'agent': agent.summary(),
+            'odometry_calibration': {
+                name: found._asdict() for name, found in agent.odometry_calibrations().items()
+            },
             'mounts': {name: dict(item.report()) for name, item in replay.mounts.items()},
             'unusable': [*replay.unusable(), *_lost_in_agent(agent, tally)],
             'timing': {
@@ -210,14 +213,19 @@ def _lost_in_agent(agent: Agent, tally: Tally) -> list[str]:
     return found
 
 
-def _warn_without_landmarks(replay: Replay) -> list[str]:
-    """Return a warning for each vehicle without images or landmark observations."""
-    visual = {TopicKind.COLOR, TopicKind.COLOR_COMPRESSED, TopicKind.LANDMARKS}
+def _warn_without_sensors(replay: Replay) -> list[str]:
+    """Return a warning for each vehicle that measures nothing but its odometry."""
+    sensors = {
+        TopicKind.COLOR,
+        TopicKind.COLOR_COMPRESSED,
+        TopicKind.LANDMARKS,
+        TopicKind.SCAN,
+    }
     return [
-        f'{vehicle} has neither images nor landmark observations: its loops are not closed, '
-        'its pose follows odometry and scan matching'
+        f'{vehicle} has neither scans nor images nor landmark observations: its pose follows its '
+        'odometry'
         for vehicle in replay.vehicles
-        if not replay.kinds(vehicle) & visual
+        if not replay.kinds(vehicle) & sensors
     ]
 
 

@@ -83,6 +83,7 @@ def render_report(data: RunData) -> str:
         figures=figures(data),
         error_columns=ERROR_COLUMNS,
         error_rows=_error_rows(data.metrics.get('vehicles', {})),
+        calibration_rows=_calibration_rows(data.metrics.get('odometry_calibration', {})),
         notes=data.notes,
         metrics=_other_metrics(data.metrics),
         settings=_setting_rows(data),
@@ -178,12 +179,27 @@ def _cells(values: Iterable[float | None]) -> list[str]:
     ]
 
 
+def _calibration_rows(vehicles: dict[str, dict[str, float]]) -> list[tuple[str, ...]]:
+    """Return name, scales of turns and distances, and heading drift (° per m), with deviations."""
+    return [
+        (
+            name,
+            f'{found["turn_scale"]:.3f} ± {found["turn_scale_deviation"]:.3f}',
+            f'{found["distance_scale"]:.3f} ± {found["distance_scale_deviation"]:.3f}',
+            f'{DEGREES * found["heading_drift_rad_per_m"]:.2f} ± '
+            f'{DEGREES * found["heading_drift_deviation_rad_per_m"]:.2f}',
+        )
+        for name, found in vehicles.items()
+        if found
+    ]
+
+
 def _other_metrics(metrics: dict[str, Any]) -> list[tuple[str, str]]:
     """Return names and values of the metrics that are neither in the tiles nor in the table."""
     return [
         (name, _text(value))
         for name, value in _flatten(metrics)
-        if not name.startswith(('vehicles.', 'mean_'))
+        if not name.startswith(('vehicles.', 'mean_', 'odometry_calibration.'))
     ]
 
 

@@ -4,7 +4,13 @@ from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.fast_slam import FastSlam
 from explore_slam.slam.joint_posterior import RelativePose
 from explore_slam.slam.landmarks.landmark_map import Landmarks
-from explore_slam.slam.particles.motion import OdometryNoise, calibrated, compound, rotated
+from explore_slam.slam.particles.motion import (
+    OdometryCalibration,
+    OdometryNoise,
+    calibrated,
+    compound,
+    rotated,
+)
 from explore_slam.slam.summary import UpdateSummary
 from explore_slam.slam.team_belief import TeamBelief
 
@@ -12,6 +18,7 @@ __all__ = [
     'FastSlam',
     'FastSlamConfig',
     'Landmarks',
+    'OdometryCalibration',
     'OdometryNoise',
     'RelativePose',
     'TeamBelief',

@@ -146,6 +146,10 @@ class ClosedLoop:
                 'collisions': self.simulator.collisions,
                 'status': self.planner.result.status.value,
                 'counts': self.agent.summary(),
+                'odometry_calibration': {
+                    name: found._asdict()
+                    for name, found in self.agent.odometry_calibrations().items()
+                },
             },
         )
 

@@ -236,6 +236,8 @@ def test_diagnostics_tell_rates_and_drops(live):
     team.wait_for(lambda: int(team.parts.get('agent: agent', {}).get('odometry_count', 0)) >= 270)
     values = team.parts['agent: vehicle robot1']
     assert float(values['effective_particles']) > 10.0
+    assert 0.8 < float(values['odometry_turn_scale']) < 1.2
+    assert float(values['odometry_turn_scale_deviation']) > 0.0
     assert values['shares_landmarks_with'] in ('none', 'robot2')
     assert values['dropped_frames'] == '0'
     assert int(values['associated']) > 5

@@ -340,5 +340,8 @@ def test_it_can_stop_early_and_tells_how_far_it_is(team_bag):
     shares: list[float] = []
     data = replay_bag(team_bag, options={'particles': 10}, until=3.0, progress=shares.append)
     assert 55 <= data.metrics['records']['robot1/odom'] <= 62
+    calibration = data.metrics['odometry_calibration']['robot1']
+    assert calibration['turn_scale'] == pytest.approx(1.0, abs=0.3)
+    assert calibration['turn_scale_deviation'] > 0.0
     assert shares == sorted(shares)
     assert 0.2 < shares[-1] < 0.5

@@ -1,5 +1,6 @@
 """The report: a self-contained page with the data of the run."""
 
+import dataclasses
 import re
 from html.parser import HTMLParser
 
@@ -17,6 +18,7 @@ from explore_slam.results.plots import (
 )
 from explore_slam.results.report import render_report
 from explore_slam.results.trajectory import Trajectory
+from explore_slam.slam import OdometryCalibration
 
 
 class Page(HTMLParser):
@@ -108,3 +110,15 @@ def test_long_runs_stay_small_and_keep_their_peaks(count):
     assert len(svg) < 200_000
     run = VehicleRun('a', online=Trajectory.of(stamps, np.column_stack([stamps] * 3) * 1e-3))
     assert len(map_figure(RunData('long', (run,), {}))) < 200_000
+
+
+def test_the_calibration_of_the_wheels_has_a_table(some_run):
+    data = some_run()
+    assert 'Wheel odometry' not in render_report(data)
+    found = OdometryCalibration.of(np.array([-0.2, 0.05, 0.1]), np.diag([0.01, 0.02, 0.03]) ** 2)
+    metrics = {**data.metrics, 'odometry_calibration': {'robot1': found._asdict(), 'robot2': {}}}
+    page = Page(render_report(dataclasses.replace(data, metrics=metrics)))
+    text = ' '.join(page.texts)
+    for expected in ('Wheel odometry', '0.800 ± 0.010', '1.050 ± 0.020', '5.73 ± 1.72'):
+        assert expected in text
+    assert 'odometry_calibration.robot1' not in text

@@ -139,6 +139,28 @@ def calibrated(increment: Pose2, calibration: Array) -> CalibratedStep:
     return CalibratedStep(corrected, sensitivity)
 
 
+class OdometryCalibration(NamedTuple):
+    """What was found out about a vehicle's wheel odometry, with deviations; see `calibrated`.
+
+    The scales are the factors that turns and distances as measured are multiplied by; the drift of
+    the heading, per metre driven, is added.
+    """
+
+    turn_scale: float
+    turn_scale_deviation: float
+    distance_scale: float
+    distance_scale_deviation: float
+    heading_drift_rad_per_m: float
+    heading_drift_deviation_rad_per_m: float
+
+    @classmethod
+    def of(cls, mean: Array, covariance: Array) -> 'OdometryCalibration':
+        """Return the calibration whose errors have a mean (3,) and a covariance (3, 3)."""
+        turn, distance, drift = mean.tolist()
+        deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
+        return cls(1.0 + turn, deviations[0], 1.0 + distance, deviations[1], drift, deviations[2])
+
+
 class Segment(NamedTuple):
     """A part of a motion: mean and covariance (3, 3) in the vehicle frame before it.
 
