@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from explore_slam.errors import EvaluationError
 from explore_slam.geometry import Array, wrap_angles
-from explore_slam.results.trajectory import MAX_GAP, Trajectory
+from explore_slam.results.trajectory import Trajectory
 
 # 95 % quantile of the chi-square distribution with two degrees of freedom.
 CHI_SQUARE_95_2D = 5.991
@@ -82,12 +82,12 @@ class EstimationErrors:
 
 
 def estimation_errors(
-    estimates: PoseEstimates, truth: Trajectory, max_gap: float = MAX_GAP
+    estimates: PoseEstimates, truth: Trajectory, max_gap: float | None = None
 ) -> EstimationErrors:
     """Compare published estimates with ground truth interpolated to their stamps.
 
-    Left out are estimates outside the ground truth or in a gap of more than max_gap (s), and
-    those before the first with a variance above zero: until then, the vehicle stands at its given
+    Left out are estimates outside the ground truth or in a gap of more than max_gap (s), as
+    in Trajectory.at, and those before the first with a variance above zero: until then, the vehicle stands at its given
     start pose and nothing is estimated.
     """
     poses, valid = truth.at(estimates.stamps, max_gap)
@@ -129,7 +129,7 @@ def _correlation(covariances: Array, deviations: Array) -> Array:
 
 
 def consistency_metrics(
-    estimates: PoseEstimates, truth: Trajectory, max_gap: float = MAX_GAP
+    estimates: PoseEstimates, truth: Trajectory, max_gap: float | None = None
 ) -> dict[str, float]:
     """Return mean and median NEES, and the fraction of positions within the 95 % ellipse.
 

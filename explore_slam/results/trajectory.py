@@ -26,8 +26,9 @@ from explore_slam.geometry import (
 )
 from explore_slam.recording.tum_format import SpatialPoses, read_poses, write_poses
 
-# Ground truth is not interpolated over a longer gap (s); the slowest data set has it at 10 Hz.
-MAX_GAP = 1.0
+# Ground truth is not interpolated over a gap (s) that is longer than this and than so many of its
+# usual periods: logs of it are sometimes thinned to less than 1 Hz.
+MAX_GAP, MAX_PERIODS = 1.0, 2.5
 
 
 @dataclass(frozen=True)
@@ -73,12 +74,23 @@ class Trajectory:
         """Time from the first to the last pose (s)."""
         return float(self.stamps[-1] - self.stamps[0]) if len(self) else 0.0
 
-    def at(self, stamps: ArrayLike, max_gap: float = MAX_GAP) -> tuple[Array, NDArray[np.bool_]]:
+    @property
+    def largest_gap(self) -> float:
+        """Time (s) between two poses up to which the path between them counts as known."""
+        if len(self) < 2:
+            return MAX_GAP
+        return max(MAX_GAP, MAX_PERIODS * float(np.median(np.diff(self.stamps))))
+
+    def at(
+        self, stamps: ArrayLike, max_gap: float | None = None
+    ) -> tuple[Array, NDArray[np.bool_]]:
         """Interpolate linearly, headings along the shorter arc; return poses (N, 3), valid (N,).
 
-        Stamps outside the trajectory, or in a gap of more than max_gap (s), are not valid.
+        Stamps outside the trajectory, or in a gap of more than max_gap (s; default: largest_gap),
+        are not valid.
         """
         times = np.asarray(stamps, dtype=np.float64)
+        largest = self.largest_gap if max_gap is None else max_gap
         if not len(self):
             return np.zeros((times.size, 3)), np.zeros(times.size, bool)
         if len(self) == 1:
@@ -92,7 +104,7 @@ class Trajectory:
         poses[:, 2] = wrap_angles(poses[:, 2])
         inside = (times >= self.stamps[0]) & (times <= self.stamps[-1])
         on_sample = (fraction == 0.0) | (fraction == 1.0)
-        return poses, inside & (on_sample | (span <= max_gap))
+        return poses, inside & (on_sample | (span <= largest))
 
     def from_start(self, start: Pose2) -> 'Trajectory':
         """Return this trajectory transformed so that its first pose is the given one."""
@@ -104,7 +116,7 @@ class Trajectory:
 
 
 def pairs(
-    estimated: Trajectory, truth: Trajectory, max_gap: float = MAX_GAP
+    estimated: Trajectory, truth: Trajectory, max_gap: float | None = None
 ) -> tuple[Array, Array, Array]:
     """Associate an estimate with ground truth: stamps (N,), estimated and true poses (N, 3).
 
@@ -188,7 +200,7 @@ def relative_errors(poses: Array, truth: Array, length: float = 1.0) -> tuple[Ar
 
 
 def trajectory_metrics(
-    estimated: Trajectory, truth: Trajectory, max_gap: float = MAX_GAP
+    estimated: Trajectory, truth: Trajectory, max_gap: float | None = None
 ) -> dict[str, float]:
     """Return the errors of one trajectory by name (m, rad), and the number of poses compared."""
     _, poses, true = pairs(estimated, truth, max_gap)

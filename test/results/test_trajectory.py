@@ -120,6 +120,17 @@ def test_interpolates_and_leaves_gaps_out():
     assert len(true) == 1
 
 
+def test_ground_truth_that_is_slow_throughout_has_no_gaps():
+    stamps = np.r_[0.0:60.0:1.2, 90.0:100.0:1.2]
+    truth = Trajectory(stamps, np.column_stack([stamps, 0.0 * stamps, 0.0 * stamps]))
+    assert truth.largest_gap == pytest.approx(3.0)
+    poses, valid = truth.at([30.6, 75.0, 90.5])
+    assert valid.tolist() == [True, False, True]
+    assert poses[0, 0] == pytest.approx(30.6)
+    fast = Trajectory(stamps / 120.0, truth.poses)
+    assert fast.largest_gap == 1.0
+
+
 def test_relative_errors_ignore_a_common_offset():
     truth = wander(2)
     moved = compose(np.array([3.0, -1.0, 0.7]), truth.poses)
