@@ -86,9 +86,9 @@ def estimation_errors(
 ) -> EstimationErrors:
     """Compare published estimates with ground truth interpolated to their stamps.
 
-    Left out are estimates outside the ground truth or in a gap of more than max_gap (s), as
-    in Trajectory.at, and those before the first with a variance above zero: until then, the vehicle stands at its given
-    start pose and nothing is estimated.
+    Left out are estimates outside the ground truth or in a gap of more than max_gap (s), as in
+    Trajectory.at, and those before the first with a variance above zero: until then, the vehicle
+    stands at its given start pose and nothing is estimated.
     """
     poses, valid = truth.at(estimates.stamps, max_gap)
     variances = np.diagonal(estimates.covariances, axis1=1, axis2=2)
