@@ -26,12 +26,12 @@ from explore_slam.agent.measurement_queue import Stamped
 from explore_slam.agent.measurements import kind_of
 from explore_slam.agent.scan_odometry import refine_by_scan
 from explore_slam.agent.team import KeyframeEvent, Team
-from explore_slam.agent.vehicle_track import VehicleTrack, compound_steps
+from explore_slam.agent.vehicle_track import VehicleTrack
 from explore_slam.data import OdometryReading, VehicleState, VehicleStatus
 from explore_slam.errors import AgentError
 from explore_slam.geometry import Array, Pose2
 from explore_slam.mapping import LaserMap, OccupancyGrid, save_map
-from explore_slam.slam import Landmarks, OdometryCalibration, TeamBelief, rotated
+from explore_slam.slam import Landmarks, OdometryCalibration, TeamBelief, compound, rotated
 
 
 class Agent:
@@ -169,10 +169,8 @@ class Agent:
     def estimate(self, vehicle: str) -> tuple[Pose2, Array]:
         """Return mean pose and covariance (3, 3) of a vehicle at its newest odometry."""
         track = self.track(vehicle)
-        steps = track.steps_since_keyframe(track.odometry.last)
-        pose, covariance = compound_steps(
-            *self.belief.estimate(vehicle), steps, self.config.slam.odometry_noise
-        )
+        motion = self._team.motion_since_keyframe(track, track.odometry.last)
+        pose, covariance = compound(*self.belief.estimate(vehicle), *motion)
         white = track.odometry.white_at(track.odometry.last)
         if white is not None and track.keyframe and track.odometry.last > track.keyframe.stamp:
             covariance = covariance + rotated(white, -pose.theta)
@@ -181,8 +179,7 @@ class Agent:
     def map_pose(self, vehicle: str) -> Pose2:
         """Return the pose of a vehicle relative to the grid: on the best particle's path."""
         track = self.track(vehicle)
-        moved = track.moved_since_keyframe(track.odometry.last)
-        return self.belief.best_pose(vehicle).compose(moved)
+        return self._team.pose_at(track, track.odometry.last)
 
     def trajectory(self, vehicle: str) -> tuple[Array, Array]:
         """Return stamps (T,) and poses (T, 3) of the keyframes on the best particle's path."""

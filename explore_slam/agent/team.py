@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from explore_slam.agent.config import AgentConfig
 from explore_slam.agent.loop_closing import LoopClosing
 from explore_slam.agent.odometry import OdometryBuffer
-from explore_slam.agent.vehicle_track import Keyframe, VehicleTrack
+from explore_slam.agent.vehicle_track import Keyframe, VehicleTrack, merged_steps
 from explore_slam.data import LandmarkObservations
 from explore_slam.errors import AgentError
 from explore_slam.geometry import Array, Pose2
@@ -17,6 +17,10 @@ from explore_slam.mapping import LaserMap
 from explore_slam.registration import ScanMatcher
 from explore_slam.slam import TeamBelief, UpdateSummary
 from explore_slam.vision import FeatureExtractor, KeyframeSelector
+
+# Steps that the motion since the newest keyframe is compounded of: joining those of long drives
+# without keyframes keeps the poses between them cheap.
+_MERGED_STEPS = 40
 
 
 @dataclass(frozen=True)
@@ -100,7 +104,16 @@ class Team:
 
     def pose_at(self, track: VehicleTrack, stamp: float) -> Pose2:
         """Return the estimated pose of a vehicle at a stamp (s) after its newest keyframe."""
-        return self.belief.best_pose(track.name).compose(track.moved_since_keyframe(stamp))
+        moved, _ = self.motion_since_keyframe(track, stamp)
+        return self.belief.best_pose(track.name).compose(moved)
+
+    def motion_since_keyframe(self, track: VehicleTrack, stamp: float) -> tuple[Pose2, Array]:
+        """Return mean and covariance (3, 3) of the motion from the newest keyframe to a stamp (s).
+
+        Wheel odometry is corrected by its calibration.
+        """
+        steps = merged_steps(track.steps_since_keyframe(stamp), _MERGED_STEPS)
+        return self.belief.motion(track.name, steps)
 
     def add_keyframe(
         self, track: VehicleTrack, stamp: float, update: UpdateSummary | None = None

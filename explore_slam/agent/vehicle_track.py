@@ -135,6 +135,24 @@ class VehicleTrack:
         return steps
 
 
+def merged_steps(steps: list[Step], most: int) -> list[Step]:
+    """Join steps of wheel odometry so that about as many as asked for are left."""
+    size = -(-len(steps) // most)
+    if size <= 1:
+        return steps
+    merged: list[Step] = []
+    joined = 0  # steps in the last of the merged
+    for step in steps:
+        wheels = step.covariance is None and bool(merged) and merged[-1].covariance is None
+        if wheels and joined < size:
+            merged[-1] = Step(merged[-1].increment.compose(step.increment), None)
+            joined += 1
+        else:
+            merged.append(step)
+            joined = 1
+    return merged
+
+
 def compound_steps(
     pose: Pose2, covariance: Array, steps: Iterable[Step], noise: OdometryNoise
 ) -> tuple[Pose2, Array]:

@@ -267,12 +267,18 @@ class LiveRun:
             config = with_values(self.config.agent.mapping, {'resolution': round(resolution, 6)})
             probability = np.where(cells >= 0, cells / 100.0, 0.5)
             grid = OccupancyGrid.from_probability(probability, cells >= 0, origin, config)
+        extra = self._extra(state)
         data = self.recorder.finish(
             state.trajectories,
+            calibrations={
+                name: OdometryCalibration(**found)
+                for name, found in extra['odometry_calibration'].items()
+                if found
+            },
             grid=grid,
             landmarks=state.landmarks,
             settings=self.config,
-            extra=self._extra(state),
+            extra=extra,
         )
         self.folder.write_run(data)
         return data

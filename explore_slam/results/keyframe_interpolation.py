@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from explore_slam.geometry import Array, between, compose, wrap_angles
 from explore_slam.results.trajectory import Trajectory
+from explore_slam.slam import OdometryCalibration
 
 # Sampling period (s) between keyframes: at 0.5 m/s a sample every 10 cm.
 PERIOD = 0.2
@@ -44,6 +45,21 @@ def interpolate(keyframes: Trajectory, odometry: Trajectory, period: float = PER
     poses = poses + fraction[:, None] * closure[last]
     poses[:, 2] = wrap_angles(poses[:, 2])
     return Trajectory(stamps, poses)
+
+
+def calibrated_path(odometry: Trajectory, calibration: OdometryCalibration) -> Trajectory:
+    """Return the path of wheel odometry with its systematic errors corrected."""
+    if len(odometry) < 2:
+        return odometry
+    steps = between(odometry.poses[:-1], odometry.poses[1:])
+    turns = calibration.turn_scale * steps[:, 2]
+    turns += calibration.heading_drift_rad_per_m * steps[:, 0]
+    headings = odometry.poses[0, 2] + np.concatenate([[0.0], np.cumsum(turns)])
+    c, s = np.cos(headings[:-1]), np.sin(headings[:-1])
+    dx, dy = calibration.distance_scale * steps[:, :2].T
+    moves = np.column_stack([c * dx - s * dy, s * dx + c * dy])
+    positions = odometry.poses[0, :2] + np.vstack([np.zeros(2), np.cumsum(moves, axis=0)])
+    return Trajectory(odometry.stamps, np.column_stack([positions, wrap_angles(headings)]))
 
 
 def _sample_stamps(

@@ -29,6 +29,7 @@ logger = logging.getLogger(__name__)
 
 # Time (s) between two samples of the mapped area: 300 samples in a recording of 25 minutes.
 COVERAGE_PERIOD = 5.0
+POSE_PERIOD = 0.2  # s between samples of the pose online: at 0.5 m/s one every 10 cm
 _RECORDED = {TopicKind.ODOMETRY, TopicKind.GROUND_TRUTH}
 
 
@@ -75,7 +76,7 @@ class _Collector:
     def __init__(self, agent: Agent, recorder: RunRecorder) -> None:
         self._agent = agent
         self._recorder = recorder
-        self._next_coverage = -np.inf
+        self._next_coverage = self._next_pose = -np.inf
         self._scans = False
         self.first: float | None = None
         self.last = 0.0
@@ -96,6 +97,12 @@ class _Collector:
         """Record the keyframes since the last call, and periodically the mapped area."""
         for event in self._agent.take_events():
             self._recorder.add_keyframe(event)
+        for name in self._agent.vehicles if stamp >= self._next_pose else ():
+            odometry = self._agent.track(name).odometry
+            if len(odometry):
+                pose, _ = self._agent.estimate(name)
+                self._recorder.add_pose(name, odometry.last, pose)
+        self._next_pose = max(self._next_pose, stamp + POSE_PERIOD)
         if self._scans and stamp >= self._next_coverage:
             self._next_coverage = stamp + COVERAGE_PERIOD
             self._recorder.add_coverage(stamp, known_area(self._agent.grid))
@@ -164,8 +171,10 @@ def replay_bag(
     recorded = collector.last - (collector.first or collector.last)
     for warning in (*replay.warnings, *_mount_notes(replay), *_warn_without_sensors(replay)):
         recorder.add_note(warning)
+    calibrations = agent.odometry_calibrations()
     return recorder.finish(
         {vehicle: agent.trajectory(vehicle) for vehicle in poses},
+        calibrations=calibrations,
         grid=grid if grid.known().any() else None,
         landmarks=agent.landmarks(),
         settings=effective,
@@ -175,7 +184,7 @@ def replay_bag(
             'refused': dict(sorted(tally.refused.items())),
             'agent': agent.summary(),
             'odometry_calibration': {
-                name: found._asdict() for name, found in agent.odometry_calibrations().items()
+                name: found._asdict() for name, found in calibrations.items()
             },
             'mounts': {name: dict(item.report()) for name, item in replay.mounts.items()},
             'unusable': [*replay.unusable(), *_lost_in_agent(agent, tally)],

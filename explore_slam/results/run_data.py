@@ -1,5 +1,6 @@
 """Data of a run, live or offline: how they are recorded, and the metrics computed from them."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -11,7 +12,11 @@ from explore_slam.errors import EvaluationError
 from explore_slam.geometry import Array, Pose2
 from explore_slam.mapping import OccupancyGrid
 from explore_slam.results.consistency import PoseEstimates, consistency_metrics
-from explore_slam.results.keyframe_interpolation import extrapolate, interpolate
+from explore_slam.results.keyframe_interpolation import (
+    calibrated_path,
+    extrapolate,
+    interpolate,
+)
 from explore_slam.results.trajectory import (
     Trajectory,
     heading_errors,
@@ -20,6 +25,7 @@ from explore_slam.results.trajectory import (
     trajectory_metrics,
 )
 from explore_slam.settings import Section
+from explore_slam.slam import OdometryCalibration
 
 
 def _empty() -> Trajectory:
@@ -238,6 +244,7 @@ class RunRecorder:
         self,
         trajectories: dict[str, tuple[Array, Array]],
         *,
+        calibrations: Mapping[str, OdometryCalibration] | None = None,
         grid: OccupancyGrid | None = None,
         landmarks: LandmarkCloud | None = None,
         settings: Section | None = None,
@@ -246,9 +253,14 @@ class RunRecorder:
         """Return the data of the run.
 
         trajectories: vehicle -> stamps (T,) and keyframe poses (T, 3) of the best particle.
+        calibrations: of the wheel odometry, which leads from keyframe to keyframe.
         extra: further metrics (collisions, duration, counts of dropped records).
         """
-        runs = tuple(self._vehicle_run(name, trajectories.get(name)) for name in self.vehicles)
+        known = calibrations or {}
+        runs = tuple(
+            self._vehicle_run(name, trajectories.get(name), known.get(name))
+            for name in self.vehicles
+        )
         metrics = run_metrics(runs)
         if self._coverage:
             metrics['coverage'] = self._coverage[-1][1]
@@ -272,7 +284,12 @@ class RunRecorder:
             notes=tuple(self._notes),
         )
 
-    def _vehicle_run(self, name: str, estimated: tuple[Array, Array] | None) -> VehicleRun:
+    def _vehicle_run(
+        self,
+        name: str,
+        estimated: tuple[Array, Array] | None,
+        calibration: OdometryCalibration | None,
+    ) -> VehicleRun:
         truth, odometry = _trajectory(self._truth.get(name)), _trajectory(self._odometry.get(name))
         online = _trajectory(self._online.get(name))
         if not len(online):
@@ -281,7 +298,8 @@ class RunRecorder:
             odometry = odometry.from_start(self._starts[name])
         path = Trajectory.of(*estimated) if estimated is not None else _empty()
         estimates = _pose_estimates(self._estimates.get(name))
-        return VehicleRun(name, interpolate(path, odometry), online, truth, odometry, estimates)
+        between = odometry if calibration is None else calibrated_path(odometry, calibration)
+        return VehicleRun(name, interpolate(path, between), online, truth, odometry, estimates)
 
 
 def _trajectory(samples: list[tuple[float, Pose2]] | None) -> Trajectory:

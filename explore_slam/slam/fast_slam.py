@@ -1,7 +1,7 @@
 """The filter of one team: FastSLAM over the poses of all vehicles and one landmark map."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Self
@@ -779,6 +779,21 @@ class FastSlam(Checkpointed):
         mean, spread = mean_and_covariance(poses, weights)
         spread += rotated(pending.end_covariance(), -mean.theta)
         return mean, 0.5 * (spread + spread.T)
+
+    def motion(
+        self, vehicle: str, steps: Iterable[tuple[Pose2, Array | None]]
+    ) -> tuple[Pose2, Array]:
+        """Return mean and covariance (3, 3) of a motion that is not predicted yet.
+
+        They are in the frame of the vehicle before it. steps: increments and their covariances as
+        for `predict`, so that those of the wheels are corrected by the calibration.
+        """
+        number, total = self._number(vehicle), Segment.empty()
+        for increment, covariance in steps:
+            total = total.extended(self._step(number, increment, covariance))
+        mean, spread = self.odometry_calibration(vehicle)
+        covariance = total.covariance + total.sensitivity @ spread @ total.sensitivity.T
+        return Pose2.from_array(total.moves(mean[None])[0]), covariance
 
     def odometry_calibration(self, vehicle: str) -> tuple[Array, Array]:
         """Return mean (3,) and covariance (3, 3) of a vehicle's odometry calibration.

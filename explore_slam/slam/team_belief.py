@@ -1,6 +1,6 @@
 """One interface for common and dedicated maps: a joint filter, or a filter per vehicle."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Self
 
 import numpy as np
@@ -79,6 +79,12 @@ class TeamBelief(Checkpointed):
     def estimate(self, vehicle: str) -> tuple[Pose2, Array]:
         """See FastSlam.estimate."""
         return self.filter_of(vehicle).estimate(vehicle)
+
+    def motion(
+        self, vehicle: str, steps: Iterable[tuple[Pose2, Array | None]]
+    ) -> tuple[Pose2, Array]:
+        """See FastSlam.motion."""
+        return self.filter_of(vehicle).motion(vehicle, steps)
 
     def odometry_calibration(self, vehicle: str) -> tuple[Array, Array]:
         """See FastSlam.odometry_calibration."""

@@ -136,8 +136,10 @@ class ClosedLoop:
         while not self.ended:
             self.step()
         self.simulator.close()
+        calibrations = self.agent.odometry_calibrations()
         return self.recorder.finish(
             {name: self.agent.trajectory(name) for name in self.agent.vehicles},
+            calibrations=calibrations,
             grid=self.agent.grid,
             landmarks=self.agent.landmarks(),
             settings=self.config,
@@ -147,8 +149,7 @@ class ClosedLoop:
                 'status': self.planner.result.status.value,
                 'counts': self.agent.summary(),
                 'odometry_calibration': {
-                    name: found._asdict()
-                    for name, found in self.agent.odometry_calibrations().items()
+                    name: found._asdict() for name, found in calibrations.items()
                 },
             },
         )

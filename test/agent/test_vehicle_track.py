@@ -1,12 +1,13 @@
 """The track of a vehicle: what is ready when, clocks that jump, motion since the keyframe."""
 
+import functools
 import math
 
 import numpy as np
 import pytest
 
 from explore_slam.agent.odometry import OdometryBuffer, Step
-from explore_slam.agent.vehicle_track import Keyframe, VehicleTrack, compound_steps
+from explore_slam.agent.vehicle_track import Keyframe, VehicleTrack, compound_steps, merged_steps
 from explore_slam.data import LandmarkObservations, LaserScan, OdometryReading
 from explore_slam.geometry import IDENTITY, Pose2
 from explore_slam.registration import ScanMatcher, ScanMatchingConfig
@@ -114,6 +115,21 @@ def test_readings_that_have_left_the_buffer_are_one_step(track):
     steps = track.steps_since_keyframe(0.3)
     assert steps[0] == Step(Pose2(2.0, 0.0, 0.0), None)
     assert sum(step.increment.x for step in steps) == pytest.approx(2.15)
+
+
+def test_merged_steps_are_few_and_the_same_motion():
+    turn = Step(Pose2(0.01, 0.0, 0.02), None)
+    matched = Step(Pose2(0.1, 0.0, 0.0), np.eye(3))
+    steps = [turn] * 95 + [matched] * 2 + [turn] * 103
+    merged = merged_steps(steps, 20)
+    assert len(merged) <= 24
+    assert sum(step is matched for step in merged) == 2
+    ends = [
+        functools.reduce(Pose2.compose, [s.increment for s in many]) for many in (steps, merged)
+    ]
+    np.testing.assert_allclose(*ends, atol=1e-12)
+    assert merged_steps(steps[:20], 20) == steps[:20]
+    assert merged_steps([], 20) == []
 
 
 def test_compounded_steps_have_their_own_covariance_or_that_of_the_noise_model():

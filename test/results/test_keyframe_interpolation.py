@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from explore_slam.geometry import compose
-from explore_slam.results.keyframe_interpolation import extrapolate, interpolate
+from explore_slam.geometry import between, compose
+from explore_slam.results.keyframe_interpolation import calibrated_path, extrapolate, interpolate
 from explore_slam.results.trajectory import Trajectory
+from explore_slam.slam import OdometryCalibration
 
 STAMPS = np.arange(0.0, 10.01, 0.05)
 
@@ -30,6 +31,19 @@ def test_with_true_odometry_and_keyframes_everything_is_true():
         assert np.diff(made.stamps).max() <= 0.4
         assert set(keyframes.stamps) <= set(made.stamps)
         np.testing.assert_allclose(made.poses[:, :2], circle(made.stamps)[:, :2], atol=1e-3)
+
+
+def test_wheels_that_are_calibrated_lead_to_the_true_path():
+    true = odometry()
+    steps = between(true.poses[:-1], true.poses[1:])
+    poses = [true.poses[0]]
+    for dx, dy, turn in steps:  # as measured by wheels that turn too far and drift
+        wrong = [dx / 1.1, dy / 1.1, (turn - 0.2 * dx / 1.1) / 0.7]
+        poses.append(compose(poses[-1], np.array(wrong)))
+    wheels = Trajectory.of(STAMPS, np.array(poses))
+    found = calibrated_path(wheels, OdometryCalibration(0.7, 0.01, 1.1, 0.01, 0.2, 0.01))
+    np.testing.assert_allclose(found.poses[:, :2], true.poses[:, :2], atol=1e-9)
+    assert np.abs(wheels.poses[:, :2] - true.poses[:, :2]).max() > 0.5
 
 
 def test_a_correction_shows_at_its_keyframe_online_and_is_shared_out_afterwards():

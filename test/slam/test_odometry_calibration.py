@@ -5,7 +5,7 @@ import pytest
 
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Pose2
-from explore_slam.slam import OdometryNoise
+from explore_slam.slam import OdometryNoise, compound
 
 START = {'a': Pose2(1.0, 1.0, 0.0)}
 
@@ -103,3 +103,23 @@ def test_uncertain_calibration_makes_the_predicted_pose_uncertain(make_slam):
 def test_unknown_vehicles_are_refused(make_slam):
     with pytest.raises(SlamError, match="no vehicle 'x'"):
         make_slam(START).odometry_calibration('x')
+
+
+def test_a_motion_that_is_not_predicted_yet_is_calibrated_as_well(make_world, make_slam):
+    world = make_world(0)
+    slam = make_slam(world.start(**START), 0)
+    drive_wheels(slam, world, 100, turn=1.3)
+    steps = [(Pose2(0.1, 0.0, 0.1), None)] * 20
+    motion, spread = slam.motion('a', steps)
+    assert motion.theta == pytest.approx(2.0 / 1.3, abs=0.1)
+    before = slam.estimate('a')
+    expected, covariance = compound(*before, motion, spread)
+    for increment, _ in steps:
+        slam.predict('a', increment)
+    found, predicted = slam.estimate('a')
+    np.testing.assert_allclose(found, expected, atol=0.02)
+    np.testing.assert_allclose(np.sqrt(np.diag(predicted)), np.sqrt(np.diag(covariance)), rtol=0.2)
+    # steps of known covariance are not of wheels
+    known, spread = slam.motion('a', [(Pose2(0.1, 0.0, 0.1), 1e-6 * np.eye(3))])
+    np.testing.assert_allclose(known, (0.1, 0.0, 0.1), atol=1e-12)
+    np.testing.assert_allclose(spread, 1e-6 * np.eye(3), atol=1e-12)

@@ -189,7 +189,7 @@ class Effect(NamedTuple):
 
 
 OUTLIERS = partial(drive, outliers=3)
-LIFTED = partial(drive, steps=24, lift_at=12)
+LIFTED = partial(drive, steps=40, lift_at=12)
 SHAKEN = {'frame_position_deviation': 0.02, 'frame_heading_deviation': 0.02}
 REGIONS = {'region_size': 4.0}
 
@@ -250,6 +250,8 @@ EFFECTS: dict[str, Effect] = {
     'maximum_observations': Effect(1, sift_is_accepted),
     'existence_miss': Effect(1.0, ghosts_left),
     'existence_limit': Effect(2.0, ghosts_left),
+    'landmark_cell': Effect(4.0, crowded),
+    'landmarks_per_cell': Effect(1, crowded),
     'relocalization': Effect(False, LIFTED),
     'relocalization_matches': Effect(100, LIFTED),
     'relocalization_window': Effect(3, LIFTED),
