@@ -131,6 +131,18 @@ def yaw_from_quaternion(x: float, y: float, z: float, w: float) -> float:
     return math.atan2(2 * (w * z + x * y), w**2 + x**2 - y**2 - z**2)
 
 
+def rotation_from_quaternion(x: float, y: float, z: float, w: float) -> Array:
+    """Return the rotation (3, 3) of a quaternion of any length but 0."""
+    x, y, z, w = np.array([x, y, z, w]) / np.linalg.norm([x, y, z, w])
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )
+
+
 def quaternion_from_rotation(rotation: ArrayLike) -> Quaternion:
     """Return the unit quaternion, w >= 0, of a rotation (3, 3).
 

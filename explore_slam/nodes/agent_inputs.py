@@ -22,7 +22,6 @@ from explore_slam.messages.topics import (
     DEPTH_TOPICS,
     Topic,
     TopicKind,
-    VehicleTopic,
 )
 from explore_slam.messages.transforms import frame_name
 from explore_slam.messages.vehicle_settings import VehicleConfig

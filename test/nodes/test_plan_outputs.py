@@ -7,6 +7,7 @@ import pytest
 import rclpy
 from nav_msgs.msg import Path
 from rclpy.executors import SingleThreadedExecutor
+from ros_domain import own_domain
 from std_msgs.msg import String
 
 from explore_slam.data import Plan
@@ -17,7 +18,7 @@ from explore_slam.nodes.navigators import NAVIGATORS
 from explore_slam.nodes.plan_outputs import PlanOutputs
 from explore_slam.settings import with_values
 
-DOMAIN = 87
+DOMAIN = own_domain(96)
 
 
 @pytest.fixture
