@@ -9,7 +9,6 @@ from functools import partial
 from typing import Any
 
 from rclpy.node import Node
-from std_msgs.msg import String
 
 from explore_slam.errors import DataError, ExploreSlamError
 from explore_slam.geometry import Array, Pose2
@@ -23,7 +22,6 @@ from explore_slam.messages.topics import (
     DEPTH_TOPICS,
     Topic,
     TopicKind,
-    VehicleTopic,
 )
 from explore_slam.messages.transforms import frame_name
 from explore_slam.messages.vehicle_settings import VehicleConfig
@@ -36,12 +34,11 @@ from explore_slam.nodes.transform_listener import TransformListener
 # records per vehicle that may wait for the worker
 LIMITS: Mapping[str, int] = {
     **{kind.name: kind.queue_limit for kind in MEASUREMENT_KINDS},
-    'follower': 100,
+    'navigator': 100,
 }
 MOUNT_WAIT = 2.0  # s for which messages wait for the transform of their sensor
 _HELD = 100  # messages per vehicle that wait for a transform
 _MOUNTED = (TopicKind.SCAN, *COLOR_TOPICS, *DEPTH_TOPICS)  # topics whose sensor has a mount
-_UNCHECKED = (TopicKind.INITIAL_POSE, VehicleTopic.FOLLOWER_STATUS)  # not measured at a stamp
 
 type Take = Callable[[tuple[str, Any]], None]
 
@@ -81,8 +78,7 @@ class VehicleInputs:
     the transforms do not hold yet waits for it for a while; then the settings apply.
 
     sink: the agent, which takes measurements.
-    set_pose, report_follower: take (vehicle, OperatorPose) and (vehicle, (status, stamp)) of the
-    path follower.
+    set_pose: takes (vehicle, OperatorPose).
     mounts: of the vehicle's sensors; also its base and odometry frames.
     """
 
@@ -94,7 +90,6 @@ class VehicleInputs:
         inbox: Inbox,
         sink: MeasurementSink,
         set_pose: Take,
-        report_follower: Take,
         transforms: TransformListener,
         map_frame: str,
     ) -> None:
@@ -105,7 +100,6 @@ class VehicleInputs:
         self._inbox = inbox
         self._sink = sink
         self._set_pose = set_pose
-        self._report_follower = report_follower
         self._transforms = transforms
         self._map_frame = map_frame
         self._reader = VehicleReader(MEASUREMENT_KINDS, mounts)
@@ -124,7 +118,6 @@ class VehicleInputs:
             if expected:
                 self._expected += kind.expected
         self._subscribe(TopicKind.INITIAL_POSE, self.take_pose)
-        self._subscribe(VehicleTopic.FOLLOWER_STATUS, self._on_follower)
 
     @property
     def config(self) -> VehicleConfig:
@@ -169,7 +162,7 @@ class VehicleInputs:
 
     def _check_stamp(self, topic: Topic, message: Any) -> None:
         """Compare a stamp with the clock; replace a stamp of zero by the time of receipt."""
-        if topic in _UNCHECKED or not isinstance(topic, TopicKind):
+        if topic is TopicKind.INITIAL_POSE or not isinstance(topic, TopicKind):
             return
         now = now_seconds(self._node)
         offset = float(getattr(self.config, KIND_OF_TOPIC[topic].clock))
@@ -223,10 +216,6 @@ class VehicleInputs:
             f'yaw {yaw:.2f} rad'
         )
         self._inbox.put('pose', self.vehicle, self._set_pose, (self.vehicle, given))
-
-    def _on_follower(self, message: String) -> None:
-        record = (message.data, now_seconds(self._node))
-        self._inbox.put('follower', self.vehicle, self._report_follower, (self.vehicle, record))
 
     def losses(self) -> dict[str, int]:
         """Return the numbers of messages that could not be used so far, by reason."""

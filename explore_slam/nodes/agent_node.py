@@ -45,6 +45,7 @@ from explore_slam.nodes.node_support import (
     now_seconds,
     run_node,
 )
+from explore_slam.nodes.plan_outputs import PlanOutputs
 from explore_slam.nodes.transform_listener import TransformListener
 from explore_slam.settings import values_of
 
@@ -52,7 +53,7 @@ POLL_PERIOD = 0.05  # s that the worker waits for an item before it does periodi
 _RELEASE_PERIOD = 0.2  # s between looks at messages that wait for transforms
 # parameters that other nodes rely on, or that the agent is built from: fixed after the start
 FIXED = {
-    'vehicles', 'start_poses', 'seed', 'frame_queue', 'map_frame', 'run_directory',
+    'vehicles', 'start_poses', 'seed', 'frame_queue', 'map_frame', 'run_directory', 'navigator',
     *values_of(VehicleConfig()),
 }  # fmt: skip
 
@@ -75,6 +76,7 @@ class AgentNode(Node):
         self.planner.pause(not self.config.explore)
         self.inbox = Inbox({**LIMITS, FRAME.name: self.config.frame_queue})
         self.outputs = AgentOutputs(self, self.config)
+        self.plans = PlanOutputs(self, self.config, self._on_navigator)
         self.statistics = AgentStatistics()
         self.outputs.status('exploration_started' if self.config.explore else 'exploration_paused')
         self._transforms = TransformListener(self, self.config.vehicles)
@@ -114,7 +116,6 @@ class AgentNode(Node):
                 self.inbox,
                 sink=self.agent,
                 set_pose=self._place,
-                report_follower=lambda item: self.planner.report_follower(item[0], *item[1]),
                 transforms=self._transforms,
                 map_frame=self.config.map_frame,
             )
@@ -190,6 +191,14 @@ class AgentNode(Node):
 
         self.inbox.put('request', action.__name__, run, None)
         return future
+
+    def _on_navigator(self, vehicle: str, report: str) -> None:
+        now = now_seconds(self)
+
+        def take(_: Any) -> None:
+            self.planner.report_follower(vehicle, report, now)
+
+        self.inbox.put('navigator', vehicle, take, None)
 
     def _on_resume(self, message: Bool) -> None:
         resume = bool(message.data)
@@ -292,7 +301,7 @@ class AgentNode(Node):
     def _plan(self, now: float) -> None:
         with self.statistics.timed('plan'):
             result = self.planner.plan(now)
-        self.outputs.plans(now, result.plans)
+        self.plans.send(now, result.plans)
         self.outputs.frontiers(now, result.frontiers)
         if self.outputs.status(result.status.value):
             self.outputs.grid(now, self.agent.grid)
@@ -358,7 +367,7 @@ class AgentNode(Node):
         self._heartbeat.stop()
         self.inbox.close()
         self._worker.join(timeout=5.0)
-        self.outputs.plans(now_seconds(self), {})
+        self.plans.send(now_seconds(self), {})
         logging.getLogger('explore_slam').removeHandler(self._log_handler)
 
 

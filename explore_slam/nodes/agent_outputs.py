@@ -1,4 +1,4 @@
-"""Publishers of the agent: poses, plans, maps, landmarks, frontiers, status, transforms."""
+"""Publishers of the agent: poses, maps, landmarks, frontiers, status, transforms."""
 
 from typing import Any
 
@@ -9,7 +9,6 @@ from rclpy.node import Node
 from std_msgs.msg import ColorRGBA, String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from explore_slam.data import Plan
 from explore_slam.exploration import Frontier
 from explore_slam.geometry import Array, Pose2
 from explore_slam.mapping import OccupancyGrid
@@ -28,9 +27,7 @@ from explore_slam.nodes.map_outputs import MapOutputs
 from explore_slam.nodes.ros_types import MESSAGES
 from explore_slam.slam import Landmarks
 
-_RESULTS = (
-    VehicleTopic.POSE, VehicleTopic.PLAN, VehicleTopic.TRAJECTORY, VehicleTopic.PARTICLES,
-)  # fmt: skip
+_RESULTS = (VehicleTopic.POSE, VehicleTopic.TRAJECTORY, VehicleTopic.PARTICLES)
 # what RViz shows: side of a cube (m), colours (red, green, blue) and opacity
 _MARKER_SIZE = 0.15
 _FRONTIER_COLOR = (0.2, 0.5, 1.0)
@@ -54,7 +51,6 @@ class AgentOutputs:
         self._frontiers = publisher(node, TeamTopic.FRONTIERS)
         self._status = publisher(node, TeamTopic.STATUS)
         self._last_status = ''
-        self._last_plans: dict[str, Plan | None] = {}
         self._transforms = TransformBroadcaster(node)
 
     def pose(self, vehicle: str, stamp: float, pose: Pose2, covariance: Array) -> None:
@@ -85,18 +81,6 @@ class AgentOutputs:
             return
         step = max(1, -(-len(poses) // most))
         output.publish(pose_array_message(MESSAGES, stamp, self._config.map_frame, poses[::step]))
-
-    def plans(self, stamp: float, plans: dict[str, Plan]) -> None:
-        """Publish the plans that changed; a vehicle without a plan gets an empty path, once."""
-        for vehicle in self._config.vehicles:
-            plan = plans.get(vehicle)
-            if vehicle in self._last_plans and plan is self._last_plans[vehicle]:
-                continue
-            self._last_plans[vehicle] = plan
-            points = np.empty((0, 2)) if plan is None else plan.waypoints
-            self._vehicle[vehicle, VehicleTopic.PLAN].publish(
-                path_message(MESSAGES, stamp, self._config.map_frame, points)
-            )
 
     def configure(self, config: AgentNodeConfig) -> None:
         """Replace the settings."""

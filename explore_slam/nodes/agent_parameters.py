@@ -13,6 +13,7 @@ from explore_slam.messages.vehicle_settings import (
     split_vehicle_values,
 )
 from explore_slam.nodes import shared_parameters
+from explore_slam.nodes.navigators import NAVIGATORS
 from explore_slam.settings import (
     Section,
     read_parameters,
@@ -33,6 +34,9 @@ class AgentNodeConfig(Section):
         tier='basic',
     )
     seed: int = setting(0, 'Seed of all random numbers', low=0)
+    navigator: str = setting(
+        'follower', 'What drives the vehicles along their plans', choices=tuple(NAVIGATORS)
+    )
     explore: bool = setting(True, 'Start exploring at once', tier='basic')
     planner_frequency: float = setting(
         0.5, 'Planning cycles per second', unit='Hz', low=0.01, high=20.0

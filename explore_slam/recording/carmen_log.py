@@ -27,6 +27,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from explore_slam.data import LaserScan
 from explore_slam.errors import RecordingError
 from explore_slam.geometry import IDENTITY, Array, Pose2, between
 from explore_slam.recording.carmen_stamps import NAMED_LINES, regular_stamps
@@ -61,6 +62,11 @@ class LaserLine(NamedTuple):
     laser: Pose2
     robot: Pose2
     time: float
+
+    def record(self, stamp: float) -> LaserScan:
+        """Return the scan at a stamp (s); a reading at or above the maximum is no return."""
+        ranges = np.where(self.ranges >= self.range_max, np.float32(np.inf), self.ranges)
+        return LaserScan(stamp, self.fov_start, self.step, ranges, RANGE_MIN, self.range_max)
 
 
 class OdometryLine(NamedTuple):

@@ -21,11 +21,6 @@ class DeadReckoning:
         self._pending: tuple[float, Pose2] | None = None
         self.pose_stamp = -math.inf
 
-    @property
-    def odometry_stamp(self) -> float:
-        """Stamp (s) of the newest odometry, -inf without any."""
-        return self._readings[-1].stamp if self._readings else -math.inf
-
     def add_odometry(self, reading: OdometryReading) -> None:
         """Add an odometry reading; a jump in time or position discards all earlier ones."""
         if self._readings:

@@ -105,7 +105,7 @@ class Lms200:
         self.config = config
         self.own = own or Lms200Config()
         self.device_type = ''
-        self.status = StatusByte(0, False, False)
+        self.status = StatusByte(0, False)
         self.configuration: ScannerConfiguration | None = None
         self.scans = 0
         self.unusable = 0  # scans that were partial, of another variant, or marked as invalid

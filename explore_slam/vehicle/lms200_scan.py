@@ -23,16 +23,15 @@ _NO_RETURN = (NO_ECHO, BEYOND)
 
 
 class StatusByte(NamedTuple):
-    """Last data byte of every reply: severity 0 (fine) to 4 (fatal), warnings."""
+    """Last data byte of every reply: severity 0 (fine) to 4 (fatal), dirty front screen."""
 
     severity: int
-    implausible: bool
     polluted: bool
 
 
 def parse_status_byte(value: int) -> StatusByte:
     """Parse the status byte of a reply."""
-    return StatusByte(value & 0b111, bool(value & 1 << 6), bool(value & 1 << 7))
+    return StatusByte(value & 0b111, bool(value & 1 << 7))
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Vision: RGB-D frames to landmark observations, keyframe selection, compressed images."""
 
 from explore_slam.vision.camera_mount import CameraMount
-from explore_slam.vision.compression import decode_compressed, encode_depth, encode_rgb
+from explore_slam.vision.compression import decode_compressed
 from explore_slam.vision.config import VisionConfig
 from explore_slam.vision.detectors import DETECTORS, Features
 from explore_slam.vision.features import FeatureExtractor
@@ -15,6 +15,4 @@ __all__ = [
     'KeyframeSelector',
     'VisionConfig',
     'decode_compressed',
-    'encode_depth',
-    'encode_rgb',
 ]

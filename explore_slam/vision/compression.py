@@ -1,4 +1,4 @@
-"""Compressed images: JPEG colour and 16-bit PNG depth, as image_transport writes them."""
+"""Reading of compressed images: JPEG colour and 16-bit PNG depth, as image_transport writes."""
 
 import struct
 from typing import Any
@@ -8,43 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.errors import VisionError
-from explore_slam.vision.depth import depth_in_metres
 
 _PNG = b'\x89PNG\r\n\x1a\n'  # the first bytes of every PNG file
 _DEPTH_HEADER = struct.Struct('<iff')  # of compressed_depth_image_transport: format, a, b
-_LARGEST_DEPTH = 65535.0  # mm in 16 bits
-_FASTEST = 1  # PNG compression level: frames have to be encoded at the rate of the camera
-
-
-def encode_rgb(image: NDArray[np.uint8], quality: int = 90) -> bytes:
-    """Return an RGB image (H, W, 3) or grey image (H, W) as JPEG; quality 1 to 100."""
-    if image.dtype != np.uint8 or image.ndim not in (2, 3) or image.size == 0:
-        raise VisionError(
-            f'image of type {image.dtype} and shape {image.shape} cannot be encoded as JPEG, '
-            'expected uint8 (H, W, 3) or (H, W)'
-        )
-    bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image
-    return _encode('.jpg', bgr, [cv2.IMWRITE_JPEG_QUALITY, int(quality)])
-
-
-def encode_depth(depth: NDArray[np.uint16] | NDArray[np.float32]) -> bytes:
-    """Return depth (H, W) as 16-bit PNG in mm; missing and beyond 65.535 m become 0."""
-    if depth.ndim != 2 or depth.size == 0 or depth.dtype not in (np.uint16, np.float32):
-        raise VisionError(
-            f'depth of type {depth.dtype} and shape {depth.shape} cannot be encoded as PNG, '
-            'expected uint16 mm or float32 m (H, W)'
-        )
-    if depth.dtype != np.uint16:
-        millimetres = np.rint(depth_in_metres(depth) * np.float32(1000.0))
-        depth = np.where(millimetres <= _LARGEST_DEPTH, millimetres, 0.0).astype(np.uint16)
-    return _encode('.png', depth, [cv2.IMWRITE_PNG_COMPRESSION, _FASTEST])
-
-
-def _encode(suffix: str, image: NDArray[Any], options: list[int]) -> bytes:
-    done, data = cv2.imencode(suffix, image, options)
-    if not done:
-        raise VisionError(f'image of shape {image.shape} could not be encoded as {suffix}')
-    return bytes(data.tobytes())
 
 
 def decode_compressed(data: bytes) -> NDArray[Any]:

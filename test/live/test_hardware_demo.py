@@ -3,6 +3,7 @@
 import math
 
 import pytest
+from ros_domain import own_domain
 
 from explore_slam.live.live_run import LiveRun, LiveRunOptions
 
@@ -10,7 +11,7 @@ from explore_slam.live.live_run import LiveRun, LiveRunOptions
 @pytest.mark.timeout(240)
 def test_the_demo_runs_through_the_serial_drivers(tmp_path, monkeypatch):
     pytest.importorskip('mujoco', reason='the simulator needs mujoco')
-    monkeypatch.setenv('ROS_DOMAIN_ID', '78')
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(own_domain(78)))
     options = LiveRunOptions(
         world='small', vehicles=1, hardware=True, settings={'particles': 200}, time_limit=150.0
     )

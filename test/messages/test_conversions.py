@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
+from scipy.spatial.transform import Rotation
 
 from explore_slam import messages
 from explore_slam.data import (
@@ -15,7 +16,7 @@ from explore_slam.data import (
     OdometryReading,
 )
 from explore_slam.errors import DataError
-from explore_slam.geometry import Pose2, rotation_from_quaternion
+from explore_slam.geometry import Pose2
 from explore_slam.messages.frame_pairing import FramePairing
 from explore_slam.mounts import CameraMountConfig
 from explore_slam.nodes.ros_types import MESSAGES
@@ -181,6 +182,6 @@ def test_the_camera_transform_is_the_mount_that_vision_uses():
     assert (back.header.frame_id, back.child_frame_id) == ('r/base_link', 'r/camera')
     turn, move = back.transform.rotation, back.transform.translation
     mount = CameraMount.from_config(config)
-    rotation = rotation_from_quaternion(turn.x, turn.y, turn.z, turn.w)
+    rotation = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix()
     np.testing.assert_allclose(rotation, mount.rotation, atol=1e-12)
     np.testing.assert_allclose([move.x, move.y, move.z], mount.translation)

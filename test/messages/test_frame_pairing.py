@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from compressed_images import jpeg, png
 
 from explore_slam import messages
 from explore_slam.data import Intrinsics
 from explore_slam.errors import DataError
 from explore_slam.messages.frame_pairing import FramePairing
 from explore_slam.recording.rosbags_types import MESSAGES
-from explore_slam.vision import encode_depth, encode_rgb
 
 CAMERA = Intrinsics(8, 6, 10.0, 10.0, 4.0, 3.0)
 RGB = np.full((6, 8, 3), (10, 120, 240), np.uint8)
@@ -59,8 +59,8 @@ def test_bgr_and_metres_come_out_as_rgb_and_metres(pairer):
 
 
 def test_compressed_images_pair_like_plain_ones(pairer):
-    pairer.add_color(compressed(1.0, encode_rgb(RGB, quality=100)))
-    frame = pairer.add_depth(compressed(1.0, encode_depth(DEPTH)))
+    pairer.add_color(compressed(1.0, jpeg(RGB, 100)))
+    frame = pairer.add_depth(compressed(1.0, png(DEPTH)))
     np.testing.assert_array_equal(frame.depth, DEPTH)
     assert np.abs(frame.rgb.astype(int) - RGB).max() < 12
 

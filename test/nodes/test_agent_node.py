@@ -15,6 +15,7 @@ from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from ros_domain import own_domain
 from sensor_msgs.msg import CameraInfo, Image, LaserScan, PointCloud2
 from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
@@ -28,7 +29,7 @@ from explore_slam.live.processes import NodeProcess, NodeProcesses, one_machine_
 from explore_slam.mapping import load_map
 from explore_slam.nodes.ros_types import MESSAGES
 
-DOMAIN = 93
+DOMAIN = own_domain(93)
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 STARTS = {'robot1': Pose2(-1.0, -1.5, 0.0), 'robot2': Pose2(1.0, 1.5, math.pi)}
 NEWEST = {

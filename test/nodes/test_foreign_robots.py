@@ -13,12 +13,13 @@ import yaml
 from foreign_robots import HALF_HEIGHT, HALF_WIDTH, LATCHED, Robot, Robots
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
+from ros_domain import own_domain
 
 from explore_slam import messages
 from explore_slam.geometry import Pose2, yaw_from_quaternion
 from explore_slam.live.processes import NodeProcess, NodeProcesses, one_machine_environment
 
-DOMAIN = 95
+DOMAIN = own_domain(95)
 NAMES = ('robot1', 'robot2', 'robot3')
 SUBSCRIPTIONS = {
     'map': (OccupancyGrid, LATCHED),

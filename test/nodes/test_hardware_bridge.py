@@ -11,12 +11,13 @@ import pytest
 import rclpy
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
+from ros_domain import own_domain
 from sensor_msgs.msg import LaserScan
 
 from explore_slam.messages import odometry_record, scan_record, seconds, twist_message
 from explore_slam.nodes.ros_types import MESSAGES
 
-DOMAIN = '73'
+DOMAIN = str(own_domain(73))
 VEHICLES = ('robot1', 'robot2')
 
 

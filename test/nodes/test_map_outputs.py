@@ -8,6 +8,7 @@ import rclpy
 from nav_msgs.msg import OccupancyGrid as GridMessage
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+from ros_domain import own_domain
 
 from explore_slam.data import LaserScan
 from explore_slam.geometry import Pose2
@@ -15,7 +16,7 @@ from explore_slam.mapping import OccupancyGrid
 from explore_slam.messages.maps import changed_rectangle, grid_arrays
 from explore_slam.nodes.map_outputs import MapOutputs
 
-DOMAIN = 94
+DOMAIN = own_domain(94)
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 FREE_SPACE, LETHAL_OBSTACLE, NO_INFORMATION = 0, 254, 255  # costs of nav2_costmap_2d
 

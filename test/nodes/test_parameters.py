@@ -4,6 +4,7 @@ import pytest
 import rclpy
 import yaml
 from rclpy.parameter import Parameter
+from ros_domain import own_domain
 
 from explore_slam.errors import ConfigError
 from explore_slam.nodes.agent_parameters import AgentNodeConfig
@@ -63,7 +64,7 @@ def test_the_nodes_of_a_vehicle_take_their_sections_of_the_file(tmp_path):
     text = CONFIG.read_text().replace('follow_speed: 0.4', 'follow_speed: 0.3')
     file.write_text(text)
     context = rclpy.Context()
-    context.init(domain_id=76)
+    context.init(domain_id=own_domain(77))
     node = PathFollowerNode(
         namespace='/robot9', context=context, cli_args=['--ros-args', '--params-file', str(file)]
     )

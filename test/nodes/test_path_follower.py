@@ -14,6 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Path
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+from ros_domain import own_domain
 from std_msgs.msg import String
 
 from explore_slam import messages
@@ -21,7 +22,7 @@ from explore_slam.data import LaserScan, OdometryReading
 from explore_slam.geometry import Pose2
 from explore_slam.nodes.ros_types import MESSAGES, message_class
 
-DOMAIN = '71'
+DOMAIN = str(own_domain(71))
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
 

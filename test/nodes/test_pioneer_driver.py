@@ -12,6 +12,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
+from ros_domain import own_domain
 from sensor_msgs.msg import BatteryState, LaserScan, PointCloud2
 from std_srvs.srv import SetBool
 
@@ -20,7 +21,7 @@ from explore_slam.nodes.ros_types import MESSAGES
 from explore_slam.simulation.emulators.kinematic_body import KinematicBody
 from explore_slam.simulation.emulators.vehicle_emulator import VehicleEmulator
 
-DOMAIN = '72'
+DOMAIN = str(own_domain(72))
 PACKET = 0.1  # s between status packets
 
 

@@ -8,6 +8,7 @@ import rclpy
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
+from ros_domain import own_domain
 
 from explore_slam.data import LandmarkObservations
 from explore_slam.geometry import Pose2
@@ -18,7 +19,7 @@ from explore_slam.recording import BagReader, BagWriter, Event, TopicKind
 from explore_slam.recording.events import odometry_event, start_event, truth_event, write_event
 from explore_slam.results.replay_run import replay_bag
 
-DOMAIN = 88
+DOMAIN = own_domain(88)
 START = Pose2(0.5, -0.5, 0.2)
 
 

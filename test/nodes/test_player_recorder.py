@@ -14,6 +14,7 @@ import pytest
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from ros_domain import own_domain
 from rosgraph_msgs.msg import Clock
 
 from explore_slam.data import Intrinsics, LandmarkObservations, LaserScan, RgbdFrame
@@ -24,7 +25,7 @@ from explore_slam.nodes.recorder import Recorder, WriterThread
 from explore_slam.recording import BagReader, BagWriter, Event, TopicKind
 from explore_slam.recording.events import odometry_event, start_event, write_event
 
-DOMAIN = 87
+DOMAIN = own_domain(87)
 
 
 @pytest.fixture(scope='module', autouse=True)

@@ -15,6 +15,7 @@ from nav_msgs.msg import Odometry
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
+from ros_domain import own_domain
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, LaserScan
 
@@ -24,7 +25,7 @@ from explore_slam.messages.base import OPTICAL, transform_message
 from explore_slam.messages.frame_pairing import FramePairing
 from explore_slam.nodes.ros_types import MESSAGES
 
-DOMAIN = 76
+DOMAIN = own_domain(76)
 TOPICS = {
     'odom': Odometry,
     'ground_truth': Odometry,

@@ -54,10 +54,10 @@ def test_invalid_codes_become_what_rep_117_wants(bits):
 def test_centimetres_and_status_byte():
     raw = RawScan(np.array([250], np.uint16), 0, False)
     assert scan_ranges(raw, 13)[0] == pytest.approx(2.5)
-    assert parse_status_byte(0x10) == (0, False, False)
-    assert parse_status_byte(0xC3) == (3, True, True)
-    assert parse_status_byte(0x44) == (4, True, False)
-    assert parse_status_byte(0x81) == (1, False, True)
+    assert parse_status_byte(0x10) == (0, False)
+    assert parse_status_byte(0xC3) == (3, True)
+    assert parse_status_byte(0x44) == (4, False)
+    assert parse_status_byte(0x81) == (1, True)
 
 
 @pytest.mark.data

@@ -8,13 +8,10 @@ import logging
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import numpy as np
-
-from explore_slam.data import LaserScan
 from explore_slam.errors import RecordingError
 from explore_slam.geometry import Pose2
 from explore_slam.messages.topics import TopicKind
-from explore_slam.recording.carmen_log import RANGE_MIN, CarmenLog, read_carmen
+from explore_slam.recording.carmen_log import CarmenLog, read_carmen
 from explore_slam.recording.events import Event, odometry_event, start_event, truth_event
 from explore_slam.recording.importers.importing import write_bag
 from explore_slam.recording.importers.registry import importer
@@ -105,7 +102,10 @@ def _streams(log: CarmenLog, vehicle: str, start: Pose2, shift: float) -> list[I
             odometry_event(vehicle, stamp, Pose2(*pose))
             for stamp, pose in zip(stamps.tolist(), log.odometry.tolist(), strict=True)
         ),
-        _scans(log, vehicle, at_scans),
+        (
+            Event(stamp, vehicle, TopicKind.SCAN, scan.record(stamp))
+            for stamp, scan in zip(at_scans, log.scans, strict=True)
+        ),
     ]
     if log.corrected:
         streams.append(
@@ -113,11 +113,3 @@ def _streams(log: CarmenLog, vehicle: str, start: Pose2, shift: float) -> list[I
             for stamp, scan in zip(at_scans, log.scans, strict=True)
         )
     return streams
-
-
-def _scans(log: CarmenLog, vehicle: str, stamps: list[float]) -> Iterator[Event]:
-    for stamp, scan in zip(stamps, log.scans, strict=True):
-        # REP-117: a reading at or above the maximum is no return
-        ranges = np.where(scan.ranges >= scan.range_max, np.float32(np.inf), scan.ranges)
-        record = LaserScan(stamp, scan.fov_start, scan.step, ranges, RANGE_MIN, scan.range_max)
-        yield Event(stamp, vehicle, TopicKind.SCAN, record)

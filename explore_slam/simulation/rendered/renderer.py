@@ -1,6 +1,5 @@
 """Render the image of a simulated camera: one pass gives colour and depth."""
 
-import math
 from typing import Any
 
 import numpy as np
@@ -51,22 +50,6 @@ class Renderer:
         x, y, _ = data.cam_xpos[camera]
         self._world.show_near(float(x), float(y), VIEW)
         return self._draw(data)
-
-    def render_from_above(
-        self, data: Any, center: tuple[float, float], width: float
-    ) -> NDArray[np.uint8]:
-        """Return a view from above (H, W, 3), about width (m) wide; row 0 at the top."""
-        self._camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-        self._camera.lookat[:] = (*center, 0.0)
-        self._camera.azimuth, self._camera.elevation = 90.0, -89.9
-        half_angle = math.radians(float(self._model.vis.global_.fovy)) / 2
-        self._camera.distance = 0.5 * width * self.height / self.width / math.tan(half_angle)
-        self._world.show_near(*center, math.inf)
-        depth_range = self._model.vis.map
-        depth_range.zfar = max(Z_FAR, 2.0 * self._camera.distance)
-        picture = self._draw(data)[0][::-1]
-        depth_range.zfar = Z_FAR
-        return picture
 
     def _draw(self, data: Any) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
         if self._gl is None:

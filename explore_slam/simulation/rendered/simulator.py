@@ -6,7 +6,6 @@ from pathlib import Path
 from types import TracebackType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from explore_slam.data import Intrinsics, OdometryReading
 from explore_slam.errors import SimulationError
@@ -170,18 +169,6 @@ class Simulator:
                 placed = True
             events += [SimEvent(self.time, vehicle.name, r) for r in self._measure(vehicle, due)]
         return events
-
-    def picture_from_above(self, width: float | None = None) -> NDArray[np.uint8]:
-        """Return a view from above (H, W, 3) uint8, width (m) wide; default: the whole world."""
-        if self._renderer is None:
-            raise SimulationError(
-                'simulated_camera_rate is 0, expected > 0: without a camera nothing is rendered'
-            )
-        self._place_bodies()
-        x0, y0, x1, y1 = self.world.bounds
-        ratio = self._renderer.width / self._renderer.height
-        wide = width or 1.15 * max(x1 - x0, (y1 - y0) * ratio)
-        return self._renderer.render_from_above(self._data, ((x0 + x1) / 2, (y0 + y1) / 2), wide)
 
     def close(self) -> None:
         """Free the renderer; further calls have no effect."""

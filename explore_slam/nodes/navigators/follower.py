@@ -1,0 +1,30 @@
+"""The path follower of this package, or any other node on its topics `plan`, `follower_status`."""
+
+import numpy as np
+from rclpy.node import Node
+
+from explore_slam.data import Plan
+from explore_slam.messages import path_message
+from explore_slam.messages.topics import VehicleTopic
+from explore_slam.nodes.endpoints import publisher, subscribe
+from explore_slam.nodes.navigators.navigator import Report
+from explore_slam.nodes.ros_types import MESSAGES
+
+
+class FollowerNavigator:
+    """Publishes plans, and passes on the status of the follower; see Navigator."""
+
+    def __init__(self, node: Node, vehicle: str, map_frame: str, report: Report) -> None:
+        self._map_frame = map_frame
+        self._plan = publisher(node, VehicleTopic.PLAN, vehicle)
+        subscribe(
+            node, VehicleTopic.FOLLOWER_STATUS, lambda message: report(message.data), vehicle
+        )
+
+    def follow(self, stamp: float, plan: Plan | None) -> None:
+        """Publish the path of the plan; an empty one stops the vehicle."""
+        points = np.empty((0, 2)) if plan is None else plan.waypoints
+        self._plan.publish(path_message(MESSAGES, stamp, self._map_frame, points))
+
+
+make = FollowerNavigator

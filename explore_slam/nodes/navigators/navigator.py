@@ -1,0 +1,29 @@
+"""What the agent needs of a navigator: plans go out, reports come back."""
+
+from collections.abc import Callable
+from typing import Protocol
+
+from rclpy.node import Node
+
+from explore_slam.data import Plan
+
+#: Called with each report: 'driving', 'arrived', 'waiting: REASON' or 'blocked: REASON'.
+type Report = Callable[[str], None]
+
+
+class Navigator(Protocol):
+    """Drives one vehicle along the plans of the agent."""
+
+    def follow(self, stamp: float, plan: Plan | None) -> None:
+        """Replace the plan in force at a time (s); None: the vehicle stays where it is."""
+
+
+class MakeNavigator(Protocol):
+    """Makes the navigator of a vehicle."""
+
+    def __call__(self, node: Node, vehicle: str, map_frame: str, report: Report, /) -> Navigator:
+        """Make a navigator.
+
+        node: of the agent, for publishers, subscriptions and action clients. map_frame: frame of
+        the plans. report: to be called from the executor of the node.
+        """

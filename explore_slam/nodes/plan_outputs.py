@@ -1,0 +1,35 @@
+"""The plans of the team on their way to the navigators of the vehicles."""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+
+from rclpy.node import Node
+
+from explore_slam.data import Plan
+from explore_slam.nodes.agent_parameters import AgentNodeConfig
+from explore_slam.nodes.navigators import maker
+
+
+class PlanOutputs:
+    """The navigator of each vehicle, and the plan that it has been sent last.
+
+    report: called with (vehicle, report) for every report of a navigator.
+    """
+
+    def __init__(
+        self, node: Node, config: AgentNodeConfig, report: Callable[[str, str], None]
+    ) -> None:
+        make = maker(config.navigator)
+        self._navigators = {
+            vehicle: make(node, vehicle, config.map_frame, partial(report, vehicle))
+            for vehicle in config.vehicles
+        }
+        self._last: dict[str, Plan | None] = {}
+
+    def send(self, stamp: float, plans: Mapping[str, Plan]) -> None:
+        """Send the plans that changed; a vehicle without a plan is stopped, once."""
+        for vehicle, navigator in self._navigators.items():
+            plan = plans.get(vehicle)
+            if vehicle not in self._last or plan is not self._last[vehicle]:
+                self._last[vehicle] = plan
+                navigator.follow(stamp, plan)
