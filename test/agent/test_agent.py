@@ -377,9 +377,10 @@ def test_the_estimate_follows_odometry_between_keyframes():
     for _ in range(3):
         agent.add('robot1', vehicle.advance())
     moved = last.between(agent.track('robot1').odometry.pose)
+    # its odometry is corrected by a calibration of about a percent
     pose, later = agent.estimate('robot1')
-    np.testing.assert_allclose(pose, before.compose(moved), atol=1e-9)
-    np.testing.assert_allclose(agent.map_pose('robot1'), place.compose(moved), atol=1e-9)
+    np.testing.assert_allclose(pose, before.compose(moved), atol=0.01)
+    np.testing.assert_allclose(agent.map_pose('robot1'), place.compose(moved), atol=0.01)
     assert np.linalg.det(later) > np.linalg.det(covariance)
 
 
