@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.errors import EvaluationError
-from explore_slam.geometry import Array, wrap_angles
+from explore_slam.geometry import Array, between, wrap_angles
 from explore_slam.results.trajectory import Trajectory
 
 # 95 % quantile of the chi-square distribution with two degrees of freedom.
@@ -22,6 +22,9 @@ SINGULAR_RATIO = 1e-12
 # Variance (m², rad²) that counts as zero: the mean over particles of an exact pose has rounding
 # errors of 1e-16 m, any sensor an error above a micrometer.
 ZERO_VARIANCE = 1e-18
+# A vehicle stands at its start until all variances exceed that of a micrometre (wheels that stand
+# still report motions of nanometres), or until the truth has moved by a centimetre or 0.01 rad.
+STARTED_VARIANCE, STARTED_MOTION = 1e-12, (0.01, 0.01)
 
 
 @dataclass(frozen=True)
@@ -87,12 +90,12 @@ def estimation_errors(
     """Compare published estimates with ground truth interpolated to their stamps.
 
     Left out are estimates outside the ground truth or in a gap of more than max_gap (s), as in
-    Trajectory.at, and those before the first with a variance above zero: until then, the vehicle
-    stands at its given start pose and nothing is estimated.
+    Trajectory.at, and those until the vehicle has left its given start pose, at which nothing is
+    estimated.
     """
     poses, valid = truth.at(estimates.stamps, max_gap)
     variances = np.diagonal(estimates.covariances, axis1=1, axis2=2)
-    moved = np.any(variances > ZERO_VARIANCE, axis=1)
+    moved = (variances > STARTED_VARIANCE).all(axis=1) | _has_moved(poses, valid)
     valid = valid & (np.cumsum(moved) > 0)
     errors = estimates.poses[valid] - poses[valid]
     errors[:, 2] = wrap_angles(errors[:, 2])
@@ -126,6 +129,15 @@ def _regular(covariances: Array) -> tuple[NDArray[np.bool_], Array]:
 def _correlation(covariances: Array, deviations: Array) -> Array:
     correlation: Array = covariances / (deviations[:, :, None] * deviations[:, None, :])
     return correlation
+
+
+def _has_moved(poses: Array, valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return (N,) whether true poses (N, 3), where they are valid, have left the first of them."""
+    if not valid.any():
+        return valid
+    along, across, turn = between(poses[np.argmax(valid)], poses).T
+    distance, heading = STARTED_MOTION
+    return valid & ((np.hypot(along, across) > distance) | (np.abs(turn) > heading))
 
 
 def consistency_metrics(

@@ -99,6 +99,18 @@ def test_the_given_start_pose_and_times_without_truth_are_left_out():
     assert consistency_metrics(PoseEstimates.empty(), TRUTH) == {}
 
 
+def test_a_vehicle_has_started_once_it_is_uncertain_or_has_moved():
+    standing = 1e-16 * np.eye(3)  # wheels that stand still report nanometres
+    stamps = np.array([1.0, 2.0, 3.0, 4.0])
+    published = np.stack([standing, standing, standing, COVARIANCE])
+    still = Trajectory(stamps, np.zeros((4, 3)))
+    found = estimation_errors(PoseEstimates(stamps, np.zeros((4, 3)), published), still)
+    assert found.stamps.tolist() == [4.0]
+    moving = Trajectory(stamps, np.array([[0.0] * 3, [0.005, 0, 0], [0.5, 0, 0], [1.0, 0, 0]]))
+    found = estimation_errors(PoseEstimates(stamps, np.zeros((4, 3)), published), moving)
+    assert found.stamps.tolist() == [3.0, 4.0]
+
+
 def test_wrong_shapes_are_refused():
     with pytest.raises(EvaluationError, match=r'expected \(T,\), \(T, 3\) and \(T, 3, 3\)'):
         PoseEstimates(np.zeros(2), np.zeros((2, 3)), np.zeros((2, 2, 2)))

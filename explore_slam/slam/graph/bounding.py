@@ -127,7 +127,8 @@ def hang_dropped(storage: Storage, rows: Integers, chains: Array, poses: Array) 
         motion.hang_between(
             chains[previous[end]],
             chains[end],
-            keyframes['increment'][between],
+            keyframes['increment'][between]
+            + keyframes['sensitivity'][between] @ storage.calibration_of(end),
             keyframes['covariance'][between],
             checks.EXACT_DEVIATION**2,
             hung,

@@ -195,10 +195,11 @@ class JointGraph:
         store.append_keyframe(
             vehicle,
             number=keyframe,
-            increment=expected,
+            increment=u,
             covariance=P,
             motion=u,
             motion_covariance=P,
+            sensitivity=C,
             motion_sensitivity=C,
             motion_information=W,
             has_white=white is not None,

@@ -38,6 +38,7 @@ class Storage:
             before=(np.int64, ()),  # row of the vehicle's keyframe before; −1: none
             increment=(np.float64, (3,)),  # raw motion since the vehicle's keyframe before
             covariance=(np.float64, (3, 3)),
+            sensitivity=(np.float64, (3, 3)),  # Jacobian of the increment in the calibration
             previous=(np.int64, ()),  # row of the vehicle's live keyframe before; −1: none
             motion=(np.float64, (3,)),  # raw motion since that one
             motion_covariance=(np.float64, (3, 3)),

@@ -291,6 +291,29 @@ def test_keyframes_dropped_at_a_known_calibration_are_compounded_exactly(bounded
         )
 
 
+def test_dropped_keyframes_hang_by_the_calibrated_motion(bounded_world):
+    """Wheels that turn 1.1 times too far: straight legs and turns, and nothing seen between."""
+    graph = bounded_world().graph
+    graph.add_start(0, 0, [0.0, 0.0, 0.0])
+    graph.add_calibration(0, [0.3, 0.05, 0.05])
+    true = np.array([0.0, 0.0, 0.0])
+    path = [true]
+    for k in range(1, 61):
+        turn = 0.5 if k % 10 < 4 else 0.0
+        wheel = Pose2(0.4, 0.0, 1.1 * turn)
+        graph.add_keyframe(
+            0, k, wheel, 1e-2 * NOISE, sensitivity=calibrated(wheel, np.zeros(3))[1]
+        )
+        true = compose(true, np.array([0.4, 0.0, turn]))
+        path.append(true)
+        if (k % 6 == 0 and k < 20) or k == 60:
+            graph.add_prior(k, true, 1e-6 * np.eye(3))
+            graph.optimize()
+    assert graph.calibration(0)[0] == pytest.approx(1.0 / 1.1 - 1.0, abs=0.01)
+    assert len(graph.live_keyframes()) < 15
+    np.testing.assert_allclose(graph.path()[:, :2], np.array(path)[:, :2], atol=0.02)
+
+
 def test_calibrations_are_drawn_jointly_with_the_path(bounded_world):
     graph = bounded_world().graph
     graph.add_start(0, 0, [0.0, 0.0, 0.0])
