@@ -3,6 +3,7 @@
 The measurement kinds (explore_slam.agent.measurements) work on this object.
 """
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -21,6 +22,8 @@ from explore_slam.vision import FeatureExtractor, KeyframeSelector
 # Steps that the motion since the newest keyframe is compounded of: joining those of long drives
 # without keyframes keeps the poses between them cheap.
 _MERGED_STEPS = 40
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -139,6 +142,8 @@ class Team:
         summary = None
         if len(observations):
             summary = self.belief.update(track.name, observations)
+            if summary.joined:
+                logger.info('%s joined the map by the landmarks that it observes', track.name)
         else:
             track.count('frames_without_landmarks')
         self.add_keyframe(track, observations.stamp, summary)

@@ -189,12 +189,13 @@ def _run_endurance(arguments: argparse.Namespace) -> int:
         named_settings(arguments, ()),
     )
     print(
-        f'{"t (s)":>8s}{"memory (MiB)":>14s}{"landmarks":>11s}{"update (ms)":>13s}{"anchors":>9s}'
+        f'{"t (s)":>8s}{"memory (MiB)":>14s}{"landmarks":>11s}{"update (ms)":>13s}'
+        f'{"anchors":>9s}{"keyframes":>11s}'
     )
     for sample in run_study(study, arguments.output):
         print(
             f'{sample.t:8.0f}{sample.memory_mb:14.0f}{sample.landmarks:11d}'
-            f'{sample.update_ms:13.1f}{sample.anchors:9d}',
+            f'{sample.update_ms:13.1f}{sample.anchors:9d}{sample.keyframes:11d}',
             flush=True,
         )
     print(f'written: {arguments.output / "endurance.json"}', file=sys.stderr)

@@ -31,7 +31,8 @@ class AgentNodeConfig(Section):
     start_poses: tuple[float, ...] = setting(
         (0.0, 0.0, 0.0, 0.0, 1.0, 0.0),
         'Start poses of the vehicles in the map: x (m), y (m), heading (rad) of each, or three '
-        'times nan where it is unknown: the vehicle joins the map when its scans are found there',
+        'times nan where it is unknown: the vehicle joins the map when its scans or landmarks are '
+        'found there',
         tier='basic',
     )
     seed: int = setting(0, 'Seed of all random numbers', low=0)

@@ -20,6 +20,7 @@ from explore_slam.slam.checkpoint import Checkpointed, State, part, text_array, 
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.descriptors.kinds import kind_named
 from explore_slam.slam.joint_posterior import JointPosterior, Redraw, RelativePose
+from explore_slam.slam.landmark_join import LandmarkJoin
 from explore_slam.slam.landmarks.landmark_map import LandmarkMap, Landmarks, make_index
 from explore_slam.slam.particles.group import Group, Groups
 from explore_slam.slam.particles.motion import PendingMotion, Segment, calibrated, rotated
@@ -93,6 +94,7 @@ class FastSlam(Checkpointed):
         if len(self._apart) == len(starts):
             self._apart.remove(0)
         self._check_unknown_starts()
+        self._finders = {n: LandmarkJoin(self.config.relocalization) for n in sorted(self._apart)}
         self.groups = Groups(len(starts), particles, joint=self._engine.joint)
         kind = kind_named(association.descriptor_kind)
         self.map = LandmarkMap(particles, kind, make_index(association))
@@ -151,6 +153,8 @@ class FastSlam(Checkpointed):
             self._pending[number].white = error
         self._pending[number].append(step, self.config.linearizable_heading)
         self._relocalizers[number].predict(step.mean)
+        if number in self._apart:
+            self._finders[number].predict(step.mean)
         self._correlation.predict(number, step.mean)
         if self.joint is not None:
             self.joint.predict(number, step, error)
@@ -256,6 +260,7 @@ class FastSlam(Checkpointed):
         agreed = support.sum(axis=1) > MAJORITY
         lost, relocated = self._relocalize(number, found, agreed)
         redrawn = self._redraw_if_due(group)
+        joined = self._join_by_landmarks(number, observations)
         return UpdateSummary(
             stamp=observations.stamp,
             vehicle=vehicle,
@@ -269,8 +274,9 @@ class FastSlam(Checkpointed):
             redrawn=redrawn,
             lost=lost,
             relocated=relocated,
+            joined=joined,
             matches=matches,
-            together=tuple(self.vehicles[member] for member in group.vehicles),
+            together=tuple(self.vehicles[v] for v in self.groups.of(number).vehicles),
         )
 
     def _associate(
@@ -722,6 +728,31 @@ class FastSlam(Checkpointed):
             self._apart.add(number)
             raise
 
+    def _join_by_landmarks(self, number: int, observations: LandmarkObservations) -> bool:
+        """Join a vehicle where the landmarks that it observes lie in the map, if they agree."""
+        if number not in self._apart or not self.config.relocalization.relocalization:
+            return False
+        hidden = self._hidden_landmarks(number)
+        estimate, P = self.estimate(self.vehicles[number])
+        own = None if hidden is None else ~hidden
+        found = find_candidates(
+            self.map, observations, self.config.association, estimate, P, math.inf, own
+        )
+        finder, R = self._finders[number], found.measured.R
+        deviations = np.sqrt(0.5 * (R[:, 0] + R[:, 3]))
+        similar = np.where(found.is_distinctive[:, None], found.similar_ids, -1)
+        finder.add(found.observed.z, deviations, similar)
+        positions = self.map.positions(finder.similar_ids(), self._best_particles(), self.groups)
+        pose = finder.search(positions, estimate, self._random)
+        if pose is None:
+            return False
+        deviation = np.array([pose.position_deviation] * 2 + [pose.heading_deviation])
+        try:
+            self._join_at(number, pose.pose, np.diag(deviation**2))
+        except SlamError:
+            return False
+        return True
+
     def _join_at(self, number: int, pose: Pose2, covariance: Array) -> None:
         """Take a vehicle into the map whose present pose there is known, covariance (3, 3)."""
         joint = self._joint()
@@ -1004,6 +1035,8 @@ class FastSlam(Checkpointed):
             state |= under(f'motion{number}', pending.state_dict())
         for number, relocalizer in enumerate(self._relocalizers):
             state |= under(f'relocalizer{number}', relocalizer.state_dict())
+        for number in self._apart:
+            state |= under(f'finder{number}', self._finders[number].state_dict())
         return {name: np.array(value) for name, value in state.items()}
 
     @classmethod
@@ -1042,6 +1075,9 @@ class FastSlam(Checkpointed):
             pending.restore(part(f'motion{number}', state))
         for number, relocalizer in enumerate(self._relocalizers):
             relocalizer.restore(part(f'relocalizer{number}', state))
+        for number in self._apart:
+            self._finders[number] = LandmarkJoin(self.config.relocalization)
+            self._finders[number].restore(part(f'finder{number}', state))
 
     def _group(self, vehicle: str | None) -> Group:
         return self.groups.of(0 if vehicle is None else self._number(vehicle))

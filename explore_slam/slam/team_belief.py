@@ -178,6 +178,11 @@ class TeamBelief(Checkpointed):
         """See FastSlam.is_in_map."""
         return self.filter_of(vehicle).is_in_map(vehicle)
 
+    def graph_keyframes(self) -> int:
+        """Return how many keyframes are variables of the joint graphs; 0 without these."""
+        graphs = [item.joint.graph for item in self.filters if item.joint is not None]
+        return sum(len(graph.live_keyframes()) for graph in graphs)
+
     def keyframes_of(self, vehicle: str) -> Places:
         """Return the numbers of a vehicle's keyframes, ascending."""
         number = self._filter_of[vehicle]

@@ -27,6 +27,7 @@ from explore_slam.studies.mapping_log import MappingTask, VehicleLog, odometry_o
 # A join that is off by more than this is false. Slides along a corridor are 0.5 m and more; the
 # references themselves are off by up to 0.3 m between two visits of a place (ACES).
 WRONG_JOIN = (0.6, 0.1)  # m, rad
+SAME_PLACE = 2.0  # m between the poses of vehicles that have been at the same place
 GRID_PERIOD = 2.0  # s between grids, as the live agent publishes them
 MEGABYTE = 2**20
 FIGURES = (
@@ -39,6 +40,7 @@ FIGURES = (
     ('reference_rms_m', 'RMS to reference (m)', '.3f'),
     ('closures', 'closures', 'd'),
     ('joined_after_m', 'joined after (m)', '.1f'),
+    ('met_after_m', 'met after (m)', '.1f'),
     ('join_error_m', 'join error (m)', '.3f'),
     ('false_joins', 'false joins', 'd'),
     ('seconds', 'seconds', '.1f'),
@@ -136,16 +138,20 @@ def _replay(task: MappingTask, seed: int) -> _Replayed:
 def join_figures(logs: Mapping[str, VehicleLog], joins: Sequence[Join]) -> dict[str, float | None]:
     """Return when the last of several vehicles was joined to the others, and how rightly.
 
-    joined_after_m: way that it had driven, null if not all were joined; join_error_m: the largest
-    error of the relative poses that were found, by the reference; false_joins: how many of them
-    are wrong. All are null for a single vehicle.
+    joined_after_m: way that it had driven, null if not all were joined; met_after_m: way after
+    which the last of them came to a place where another one had been before; join_error_m: the
+    largest error of the relative poses that were found, by the reference; false_joins: how many of
+    them are wrong. All are null for a single vehicle.
     """
     names = list(logs)
     figures: dict[str, float | None] = dict.fromkeys(
-        ('joined_after_m', 'join_error_m', 'false_joins')
+        ('joined_after_m', 'met_after_m', 'join_error_m', 'false_joins')
     )
     if len(names) < 2:
         return figures
+    met = [_met_after(logs, name) for name in names[1:]]
+    if None not in met:
+        figures['met_after_m'] = max(way for way in met if way is not None)
     first = {join.vehicle: join for join in reversed(joins)}
     if set(first) >= set(names[1:]):
         figures['joined_after_m'] = max(join.way for join in first.values())
@@ -163,6 +169,23 @@ def join_figures(logs: Mapping[str, VehicleLog], joins: Sequence[Join]) -> dict[
     wrong = [error for error in errors if error[0] > WRONG_JOIN[0] or error[1] > WRONG_JOIN[1]]
     figures['false_joins'] = len(wrong)
     return figures
+
+
+def _met_after(logs: Mapping[str, VehicleLog], name: str) -> float | None:
+    """Return the way (m) of a vehicle to where another one had been, None if it led nowhere so."""
+    log = logs[name]
+    if log.reference is None:
+        return None
+    steps = np.hypot(*np.diff(log.reference[:, :2], axis=0).T)
+    ways = np.concatenate([[0.0], np.cumsum(steps)])
+    for stamp, pose, way in zip(log.scan_stamps, log.reference, ways, strict=True):
+        for other in logs.values():
+            if other is log or other.reference is None:
+                continue
+            before = other.reference[other.scan_stamps <= stamp]
+            if (np.hypot(*(before[:, :2] - pose[:2]).T) < SAME_PLACE).any():
+                return float(way)
+    return None
 
 
 def _reference_at(log: VehicleLog, stamp: float) -> Pose2 | None:

@@ -43,8 +43,48 @@ def closures(driven, *pairs):
 def apart(make_world, make_slam):
     world = make_world(3)
     world.start(**STARTS)
-    slam = make_slam(UNKNOWN, 1)
+    slam = make_slam(UNKNOWN, 1, relocalization=False)
     return slam, world, drive(slam, world, 12)
+
+
+@pytest.mark.parametrize('seed', [0, 1, 2])
+def test_landmarks_in_common_join_too(make_world, make_slam, seed):
+    world = make_world(seed)
+    world.start(**STARTS)
+    slam = make_slam(UNKNOWN, seed)
+    rounds = 0
+    while not slam.is_in_map('b') and rounds < 40:
+        drive(slam, world, 1, first=rounds)
+        rounds += 1
+        if rounds == 3:  # the search survives a checkpoint
+            slam = FastSlam.from_state(slam.state_dict())
+    assert 3 < rounds < 40
+    drive(slam, world, 8, first=rounds)
+    assert slam.groups.of(0) is slam.groups.of(1)
+    for name in 'ab':
+        pose, P = slam.estimate(name)
+        error = world.error(name, pose)
+        assert np.abs(error).max() < 0.35
+        assert error @ np.linalg.solve(P, error) < 20.0
+    path, first = slam.best_path(), slam.path.of_vehicle(1)[0]
+    off = STARTS['b'].compose(STEP).between(Pose2.from_array(path[first]))
+    assert math.hypot(off.x, off.y) < 0.6
+
+
+@pytest.mark.parametrize('seed', [0, 1, 2])
+def test_a_vehicle_among_other_landmarks_does_not_join(make_world, make_slam, seed):
+    """Nothing in its world is in the map, though half of the descriptors are alike."""
+    world, elsewhere = make_world(seed), make_world(seed + 100)
+    elsewhere.descriptors[::2] = world.descriptors[::2]
+    world.start(a=STARTS['a'])
+    elsewhere.start(b=STARTS['b'])
+    slam = make_slam(UNKNOWN, seed)
+    for k in range(25):
+        for name, around in (('a', world), ('b', elsewhere)):
+            around.drive(name, STEP)
+            slam.predict(name, STEP)
+            slam.update(name, around.see(name, float(k)))
+    assert not slam.is_in_map('b')
 
 
 def test_landmarks_of_another_frame_are_not_observed(apart):

@@ -3,6 +3,7 @@
 import itertools
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -28,7 +29,8 @@ PARTICLES = {'particles': 30}
 KEYS = {
     'seed', 'translation_mean_m', 'translation_std_m', 'rotation_mean_deg', 'near_m', 'loops_m',
     'reference_translation_mean_m', 'reference_rms_m', 'closures', 'seconds', 'recorded_seconds',
-    'peak_memory_mb', 'longest_step_s', 'joined_after_m', 'join_error_m', 'false_joins',
+    'peak_memory_mb', 'longest_step_s', 'joined_after_m', 'met_after_m', 'join_error_m',
+    'false_joins',
 }  # fmt: skip
 
 
@@ -123,6 +125,7 @@ def test_joins_are_judged_by_the_reference():
     right = Join('robot2', 11.0, 9.0, 'robot1', 3.0, Pose2(-3.0, 11.1, 0.0))
     figures = join_figures(logs, [right])
     assert figures['joined_after_m'] == 9.0
+    assert figures['met_after_m'] == 0.0
     assert figures['join_error_m'] == pytest.approx(0.1)
     assert figures['false_joins'] == 0
     wrong = right._replace(relative=Pose2(-3.0, 13.0, 0.0))
@@ -131,6 +134,11 @@ def test_joins_are_judged_by_the_reference():
     assert join_figures(logs, [turned])['false_joins'] == 1
     assert join_figures(logs, [])['joined_after_m'] is None
     assert join_figures(logs, [])['false_joins'] == 0
+    later = logs['robot2']
+    away = replace(later, reference=later.reference + np.array([0.0, 6.0, 0.0]))
+    assert join_figures({'robot1': logs['robot1'], 'robot2': away}, [])['met_after_m'] is None
+    back = replace(later, reference=np.array([6.0, 6.0, 0.0]) - later.reference)
+    assert join_figures({'robot1': logs['robot1'], 'robot2': back}, [])['met_after_m'] == 6.0
     alone = join_figures({'robot1': logs['robot1']}, [])
     assert set(alone.values()) == {None}
 
@@ -194,7 +202,7 @@ def test_the_table_shows_what_is_missing():
     run.update(seed=3, seconds=1.25, closures=2)
     row = markdown_table([run]).splitlines()[-1]
     assert row.startswith('| 3 | - |')
-    assert '| 2 | - | - | - | 1.2 | - | - |' in row
+    assert '| 2 | - | - | - | - | 1.2 | - | - |' in row
 
 
 def test_the_evaluation_of_the_slam_benchmark(recordings):
