@@ -40,8 +40,8 @@ class Agent:
 
     A vehicle whose start pose is unknown (None) maps in a frame of its own. Its scans and its
     landmarks are searched in the map; when enough of them agree on where it is, it joins: all of
-    them enter the common map. Until then it is unlocalized, its poses are not in the map, and it gets no
-    target. If all start poses are unknown, the map begins where the first vehicle starts.
+    them enter the common map. Until then it is unlocalized, its poses are not in the map, and it
+    gets no target. If all start poses are unknown, the map begins where the first vehicle starts.
 
     `add` takes records; estimates, grid and landmarks can be read at any time. TeamPlanner plans.
 

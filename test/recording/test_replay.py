@@ -154,10 +154,11 @@ def _write_at(writer: BagWriter, event: Event, log_time: float) -> None:
     write_event(Shifted(), event)
 
 
-def feed(path: Path, **options) -> tuple[Replay, Agent]:
+def feed(path: Path, values: dict | None = None, **options) -> tuple[Replay, Agent]:
     bag = BagReader(path)
     replay = Replay(bag, **options)
-    agent = Agent(configuration(path, None, {'particles': 10}), replay.start_poses())
+    settings = configuration(path, None, {'particles': 10, **(values or {})})
+    agent = Agent(settings, replay.start_poses())
     replay.feed(agent)
     bag.close()
     return replay, agent
@@ -188,9 +189,10 @@ def test_start_poses_come_from_options_then_initialpose_then_truth(tmp_path):
 
 
 def test_a_start_that_is_given_as_unknown_is_not_taken_from_the_bag(team_bag, tmp_path):
+    apart = {'relocalization': False}  # no join by landmarks
     replay = Replay(BagReader(team_bag), starts={'robot2': None})
     assert replay.start_poses()['robot2'] is None
-    _, agent = feed(team_bag, starts={'robot2': None})
+    _, agent = feed(team_bag, apart, starts={'robot2': None})
     assert agent.is_in_map('robot1')
     assert not agent.is_in_map('robot2')
     # a pose that an operator sets later is used
@@ -199,12 +201,17 @@ def test_a_start_that_is_given_as_unknown_is_not_taken_from_the_bag(team_bag, tm
     reading = OdometryReading(stamp, Pose2(0.5, -2.0, 0.3), 1e-4 * np.eye(3))
     later = Event(stamp, 'robot2', TopicKind.INITIAL_POSE, reading)
     bag = write(tmp_path / 'set', sorted([*events, later], key=lambda event: event.stamp))
-    _, agent = feed(bag, starts={'robot2': None})
+    _, agent = feed(bag, apart, starts={'robot2': None})
     assert agent.is_in_map('robot2')
 
 
 def test_a_vehicle_that_was_not_found_is_left_out_of_the_results(team_bag):
-    data = replay_bag(team_bag, starts={'robot2': None}, options={'particles': 10}, until=3.0)
+    data = replay_bag(
+        team_bag,
+        starts={'robot2': None},
+        options={'particles': 10, 'relocalization': False},
+        until=3.0,
+    )
     by_name = {vehicle.name: vehicle for vehicle in data.vehicles}
     assert len(by_name['robot1'].estimated) > 5
     assert len(by_name['robot2'].estimated) == len(by_name['robot2'].online) == 0
