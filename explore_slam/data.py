@@ -240,12 +240,16 @@ class Plan:
 
 
 class VehicleState(Enum):
-    """Activity of a vehicle as known to the agent."""
+    """Activity of a vehicle as known to the agent.
+
+    UNLOCALIZED: its start pose is unknown, and nothing tells yet where it is in the map.
+    """
 
     WAITING = 'waiting'
     DRIVING = 'driving'
     BLOCKED = 'blocked'
     LOST = 'lost'
+    UNLOCALIZED = 'unlocalized'
     SILENT = 'silent'
     RETURNING = 'returning'
     HOME = 'home'
@@ -254,7 +258,10 @@ class VehicleState(Enum):
 
 @dataclass(frozen=True)
 class VehicleStatus:
-    """State of one vehicle: pose and covariance (3, 3) in the map, activity, goal."""
+    """State of one vehicle: pose and covariance (3, 3) in the map, activity, goal.
+
+    The pose of an unlocalized vehicle is in a frame of its own, where it started at the origin.
+    """
 
     stamp: float
     vehicle: str

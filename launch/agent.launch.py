@@ -43,7 +43,7 @@ def generate_launch_description():
         ),
         'start_poses': (
             '0,0,0,0,1,0',
-            'start pose of each vehicle in the map: x, y (m), heading (rad)',
+            'start pose of each vehicle in the map: x, y (m), heading (rad); nan,nan,nan: unknown',
         ),
         'vision': ('agent', 'where features are extracted: agent or vehicle'),
         'run_directory': ('.', 'folder into which save_map and save_state write'),

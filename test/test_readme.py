@@ -198,7 +198,14 @@ def test_the_recordings_block_runs_when_pasted(workspace):
     (block,) = (block for block in blocks(DOCUMENTS[0], 'sh') if 'RUN=' in block)
     lines = block.splitlines()
     # the others need other processes or a data set; tests of their own run them
-    assert [line.split()[1] for line in lines[4:]] == ['play', 'record', 'import', 'benchmark']
+    assert [line.split()[1] for line in lines[4:]] == [
+        'play',
+        'record',
+        'import',
+        'benchmark',
+        'benchmark',
+        'benchmark',
+    ]
     printed = shell('\n'.join(lines[:4]), workspace)
     runs = [path for path in (workspace / 'runs').iterdir() if not path.is_symlink()]
     assert len(runs) == 3  # the first one and two replays

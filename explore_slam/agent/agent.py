@@ -22,6 +22,7 @@ import numpy as np
 
 from explore_slam.agent import checkpoint
 from explore_slam.agent.config import AgentConfig
+from explore_slam.agent.loop_closing import Join, LoopClosing
 from explore_slam.agent.measurement_queue import Stamped
 from explore_slam.agent.measurements import kind_of
 from explore_slam.agent.scan_odometry import refine_by_scan
@@ -29,13 +30,18 @@ from explore_slam.agent.team import KeyframeEvent, Team
 from explore_slam.agent.vehicle_track import VehicleTrack
 from explore_slam.data import OdometryReading, VehicleState, VehicleStatus
 from explore_slam.errors import AgentError
-from explore_slam.geometry import Array, Pose2
+from explore_slam.geometry import IDENTITY, Array, Pose2
 from explore_slam.mapping import LaserMap, OccupancyGrid, save_map
 from explore_slam.slam import Landmarks, OdometryCalibration, TeamBelief, compound, rotated
 
 
 class Agent:
-    """Localization and mapping for a team of vehicles with known start poses.
+    """Localization and mapping for a team of vehicles.
+
+    A vehicle whose start pose is unknown (None) maps in a frame of its own. Its scans and its
+    landmarks are searched in the map; when enough of them agree on where it is, it joins: all of
+    them enter the common map. Until then it is unlocalized, its poses are not in the map, and it
+    gets no target. If all start poses are unknown, the map begins where the first vehicle starts.
 
     `add` takes records; estimates, grid and landmarks can be read at any time. TeamPlanner plans.
 
@@ -44,7 +50,7 @@ class Agent:
     """
 
     def __init__(
-        self, config: AgentConfig, start_poses: Mapping[str, Pose2], seed: int = 0
+        self, config: AgentConfig, start_poses: Mapping[str, Pose2 | None], seed: int = 0
     ) -> None:
         if not start_poses:
             raise AgentError('start_poses is empty, expected a pose for every vehicle')
@@ -151,6 +157,11 @@ class Agent:
         return self._team.belief
 
     @property
+    def loops(self) -> LoopClosing:
+        """Scans that hang on keyframes, and the closures found with them."""
+        return self._team.loops
+
+    @property
     def laser_map(self) -> LaserMap:
         """All mapped scans, and the grid as it was drawn last."""
         return self._team.laser_map
@@ -158,13 +169,30 @@ class Agent:
     @property
     def grid(self) -> OccupancyGrid:
         """The occupancy grid, redrawn along the most likely path."""
-        self.laser_map.redraw(self.belief.best_path())
+        self.laser_map.redraw(self.belief.best_path(), self.belief.keyframes_in_map())
         return self.laser_map.grid
 
     def take_events(self) -> list[KeyframeEvent]:
         """Return the keyframes since the last call."""
         events, self._team.events = self._team.events, []
         return events
+
+    def take_joins(self) -> list[Join]:
+        """Return the vehicles that have been joined to the map since the last call."""
+        return self._team.loops.take_joins()
+
+    def is_in_map(self, vehicle: str) -> bool:
+        """Return whether the poses of a vehicle are in the map, not in a frame of its own."""
+        self.track(vehicle)
+        return self.belief.is_in_map(vehicle)
+
+    def home(self, vehicle: str) -> Pose2:
+        """Return the pose in the map where a vehicle started, as known now."""
+        known = self.start_poses[vehicle]
+        if known is not None:
+            return known
+        _, poses = self.trajectory(vehicle)
+        return Pose2.from_array(poses[0]) if len(poses) else IDENTITY
 
     def estimate(self, vehicle: str) -> tuple[Pose2, Array]:
         """Return mean pose and covariance (3, 3) of a vehicle at its newest odometry."""
@@ -214,6 +242,8 @@ class Agent:
         state = track.state
         if track.last_heard < self.now - self.config.inputs.silent_timeout:
             state = VehicleState.SILENT
+        elif not self.belief.is_in_map(track.name):
+            state = VehicleState.UNLOCALIZED
         elif deviation > self.config.inputs.lost_deviation:
             state = VehicleState.LOST
         goal = track.plan.goal if track.plan is not None and len(track.plan.waypoints) else None

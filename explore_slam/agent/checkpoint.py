@@ -19,7 +19,7 @@ from explore_slam.mapping import Body, GridConfig, LaserMap
 from explore_slam.slam import TeamBelief, checkpoint
 
 State = dict[str, NDArray[Any]]
-VERSION = 2
+VERSION = 3
 
 
 def save(path: Path, belief: TeamBelief, laser_map: LaserMap, loops: LoopClosing) -> None:

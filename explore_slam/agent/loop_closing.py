@@ -1,25 +1,46 @@
 """Loops closed by laser: scans hang on the filter's keyframes, later scans are searched on them.
 
+Vehicles of unknown start are searched in the whole map, every few metres. That takes up to a
+second; it is done in slices, some regions of the map with every scan that arrives, so that no
+scan waits for it and the result depends on the records alone.
+
 The filter knows nothing of scans and the search nothing of particles: keyframes, their poses and
 relative covariances go to the search, relative poses of keyframes come back and become part of the
 belief. Both are tied together here, in the agent, which knows the two.
 """
 
+import logging
 import math
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple, Self
 
 import numpy as np
 
 from explore_slam.agent.vehicle_track import Keyframe
-from explore_slam.geometry import Pose2, moved_enough
+from explore_slam.errors import SlamError
+from explore_slam.geometry import Pose2, between, moved_enough
 from explore_slam.registration import PointCloud
 from explore_slam.slam import RelativePose, TeamBelief
 from explore_slam.slam.checkpoint import State, part, under
-from explore_slam.slam.closures import Closure, ClosureConfig, LoopSearch, Thinning
+from explore_slam.slam.closures import (
+    Closure,
+    ClosureConfig,
+    GlobalSearch,
+    LoopSearch,
+    Thinning,
+    join_transform,
+)
+
+logger = logging.getLogger(__name__)
 
 # Keyframes of a vehicle that rests follow each other in time: they show the same.
 _ANCHOR_DISTANCE, _ANCHOR_HEADING = 0.1, 0.1  # m, rad
 _THINNING_SPACING = 10  # anchors between two searches for redundant ones
+# Global searches of a vehicle of unknown start: the way between two of them, and how many regions
+# are searched per scan of the team (20 to 30 ms each on a notebook of 2020; a map of 300 m of way
+# has about 40 of them).
+_QUERY_SPACING = 1.0  # m
+_REGIONS_PER_SCAN = 4
 
 
 class _Last(NamedTuple):
@@ -36,12 +57,32 @@ class ClosureCounts(NamedTuple):
     taken_back: int = 0
 
 
+class Join(NamedTuple):
+    """A vehicle whose map was tied to that of others by closures for the first time.
+
+    way (m): driven until then. relative: pose, right afterwards, of its keyframe at stamp (s) in
+    the frame of the other's keyframe at other_stamp (s); one of the closures measured it.
+    """
+
+    vehicle: str
+    stamp: float
+    way: float
+    other: str
+    other_stamp: float
+    relative: Pose2
+
+
 class LoopClosing:
     """Anchors of all vehicles, the search for closures, and what the belief was told of them."""
 
     def __init__(self, config: ClosureConfig) -> None:
         self.search = LoopSearch(config)
         self.thinning = Thinning(self.search.anchors)
+        self.global_search = GlobalSearch(config, self.search.anchors)
+        self._searching: tuple[str, Iterator[list[Closure]]] | None = None
+        self._searched: dict[int, float] = {}  # way (m) at a vehicle's newest global search
+        self._tied: set[tuple[int, int]] = set()  # pairs of vehicles that closures have tied
+        self._joins: list[Join] = []
         self._last: dict[int, _Last] = {}
         self._ways: dict[int, float] = {}
         self._numbers: dict[tuple[int, int], int] = {}  # of closures in the belief
@@ -87,10 +128,78 @@ class LoopClosing:
         if found:
             numbers = belief.close_loops([_relative_pose(closure) for closure in found])
             self._numbers |= dict(zip(map(_key, found), numbers, strict=True))
+            self._note_ties(belief, found)
+        if not belief.is_in_map(vehicle):
+            self._begin_global_search(belief, number, keyframe.number)
         taken_back = self._take_back(belief)
         if self.search.anchors.number_added(number) % _THINNING_SPACING == 0:
             self._thin(belief)
         return ClosureCounts(len(found), taken_back)
+
+    def take_joins(self) -> list[Join]:
+        """Return the joins since the last call."""
+        joins, self._joins = self._joins, []
+        return joins
+
+    def search_joins(self, belief: TeamBelief) -> None:
+        """Go on searching for a vehicle of unknown start; join it to the map when it is found."""
+        if self._searching is None:
+            return
+        vehicle, steps = self._searching
+        for _ in range(_REGIONS_PER_SCAN):
+            found = next(steps, None)
+            if found is None or belief.is_in_map(vehicle):
+                self._searching = None
+                return
+            if found:
+                self._searching = None
+                self._join(belief, vehicle, found)
+                return
+
+    def _begin_global_search(self, belief: TeamBelief, number: int, keyframe: int) -> None:
+        """Search for a vehicle in the map, at the anchor of a keyframe, if that is due."""
+        way = self._ways[number]
+        if self._searching or way - self._searched.get(number, -math.inf) < _QUERY_SPACING:
+            return
+        self._searched[number] = way
+        settled = [n for n, name in enumerate(belief.vehicles) if belief.is_in_map(name)]
+        steps = self.global_search.search(keyframe, belief.best_path(), settled)
+        self._searching = belief.vehicles[number], steps
+
+    def _join(self, belief: TeamBelief, vehicle: str, found: Sequence[Closure]) -> None:
+        """Take a vehicle into the map by closures that agree on where it is."""
+        frame = join_transform(found, belief.best_path())
+        try:
+            numbers = belief.join(vehicle, frame, [_relative_pose(closure) for closure in found])
+        except SlamError as error:
+            logger.warning('%s cannot join the map: %s', vehicle, error)
+            return
+        self._numbers |= dict(zip(map(_key, found), numbers, strict=True))
+        self.search.adopt(found)
+        self._note_ties(belief, found)
+        way = self._ways[belief.vehicles.index(vehicle)]
+        logger.info('%s joined the map after driving %.1f m', vehicle, way)
+
+    def _note_ties(self, belief: TeamBelief, found: Sequence[Closure]) -> None:
+        """Note the vehicles that closures tie together for the first time."""
+        anchors, path = self.search.anchors, belief.best_path()
+        for closure in reversed(found):
+            ends = [anchors.of_keyframe(k) for k in (closure.keyframe_a, closure.keyframe_b)]
+            other, newcomer = sorted(ends, key=lambda end: end.vehicle)
+            pair = other.vehicle, newcomer.vehicle
+            if pair[0] == pair[1] or pair in self._tied:
+                continue
+            self._tied.add(pair)
+            self._joins.append(
+                Join(
+                    belief.vehicles[newcomer.vehicle],
+                    belief.stamp_of(newcomer.keyframe),
+                    self._ways[newcomer.vehicle],
+                    belief.vehicles[other.vehicle],
+                    belief.stamp_of(other.keyframe),
+                    Pose2.from_array(between(path[other.keyframe], path[newcomer.keyframe])),
+                )
+            )
 
     def _take_back(self, belief: TeamBelief) -> int:
         """Remove the closures that contradict the path since it was drawn anew."""
@@ -108,17 +217,26 @@ class LoopClosing:
 
     def _thin(self, belief: TeamBelief) -> None:
         """Remove the anchors that show nothing new, so that the area bounds them."""
-        covariance = belief.relative_covariance
-        for keyframe in self.thinning.redundant(belief.best_path(), covariance):
+        frames = [-1 if belief.is_in_map(v) else n for n, v in enumerate(belief.vehicles)]
+        redundant = self.thinning.redundant(belief.best_path(), belief.relative_covariance, frames)
+        for keyframe in redundant:
+            self.global_search.remove_anchor(keyframe)
             self.search.remove_anchor(keyframe)
             belief.unpin(keyframe)
 
     # ---- state
 
     def state_dict(self) -> State:
-        """Return everything but the odometry, whose frame does not survive a restart."""
+        """Return everything but the odometry, whose frame does not survive a restart.
+
+        A global search that is going on is given up, here as in what is restored.
+        """
+        self._searching = None
         return {
             **under('search', self.search.state_dict()),
+            **under('global_search', self.global_search.state_dict()),
+            'searched': np.array(list(self._searched.items()), np.float64).reshape(-1, 2),
+            'tied': np.array(sorted(self._tied), np.int64).reshape(-1, 2),
             'judged': np.array(sorted(self.thinning.judged), np.int64),
             'ways': np.array(list(self._ways.items()), np.float64).reshape(-1, 2),
             'numbers': np.array(
@@ -134,6 +252,11 @@ class LoopClosing:
         made.search = LoopSearch.from_state(part('search', state), config)
         made.thinning = Thinning(made.search.anchors)
         made.thinning.judged = set(state['judged'].tolist())
+        anchors = made.search.anchors
+        pending = part('global_search', state)
+        made.global_search = GlobalSearch.from_state(pending, config, anchors)
+        made._searched = {int(vehicle): way for vehicle, way in state['searched'].tolist()}
+        made._tied = {(a, b) for a, b in state['tied'].tolist()}
         made._ways = {int(vehicle): way for vehicle, way in state['ways'].tolist()}
         made._numbers = {(a, b): number for a, b, number in state['numbers'].tolist()}
         made._redraws = int(state['redraws'])

@@ -3,6 +3,7 @@
 The measurement kinds (explore_slam.agent.measurements) work on this object.
 """
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -22,12 +23,15 @@ from explore_slam.vision import FeatureExtractor, KeyframeSelector
 # without keyframes keeps the poses between them cheap.
 _MERGED_STEPS = 40
 
+logger = logging.getLogger(__name__)
+
 
 @dataclass(frozen=True)
 class KeyframeEvent:
     """A keyframe that entered the filter: the estimate right after it and the update's summary.
 
-    update None: a keyframe without landmarks, from odometry alone.
+    update None: a keyframe without landmarks, from odometry alone. in_map: whether the pose is in
+    the map, not in a frame of the vehicle's own because its start pose is unknown.
     """
 
     vehicle: str
@@ -35,12 +39,15 @@ class KeyframeEvent:
     pose: Pose2
     covariance: Array
     update: UpdateSummary | None
+    in_map: bool = True
 
 
 class Team:
     """Filter, laser map and tracks of all vehicles; `configure` replaces the settings."""
 
-    def __init__(self, config: AgentConfig, start_poses: Mapping[str, Pose2], seed: int) -> None:
+    def __init__(
+        self, config: AgentConfig, start_poses: Mapping[str, Pose2 | None], seed: int
+    ) -> None:
         inputs = config.inputs
         self.config = config
         self.start_poses = dict(start_poses)
@@ -99,7 +106,11 @@ class Team:
             return []
         radius = self.config.exploration.paths.planning_radius + self.config.scans.body_margin
         own = self.pose_at(track, stamp)
-        others = [self.pose_at(other, stamp) for other in self.tracks.values() if other != track]
+        others = [
+            self.pose_at(other, stamp)
+            for name, other in self.tracks.items()
+            if other is not track and self.belief.are_in_one_frame(track.name, name)
+        ]
         return [(*own.between(pose)[:2], radius) for pose in others]
 
     def pose_at(self, track: VehicleTrack, stamp: float) -> Pose2:
@@ -122,7 +133,8 @@ class Team:
         number = self.belief.add_keyframe(track.name, stamp)
         track.keyframe = Keyframe(number, stamp, track.odometry.at(stamp))
         pose, covariance = self.belief.estimate(track.name)
-        self.events.append(KeyframeEvent(track.name, stamp, pose, covariance, update))
+        in_map = self.belief.is_in_map(track.name)
+        self.events.append(KeyframeEvent(track.name, stamp, pose, covariance, update, in_map))
 
     def update(self, track: VehicleTrack, observations: LandmarkObservations) -> None:
         """Update the filter with landmark observations, which become a keyframe."""
@@ -130,6 +142,8 @@ class Team:
         summary = None
         if len(observations):
             summary = self.belief.update(track.name, observations)
+            if summary.joined:
+                logger.info('%s joined the map by the landmarks that it observes', track.name)
         else:
             track.count('frames_without_landmarks')
         self.add_keyframe(track, observations.stamp, summary)

@@ -61,7 +61,11 @@ class TeamPlanner:
 
     def plan(self, now: float) -> PlanningResult:
         """Run one planning cycle at a time (s) and store plan and state in the agent's tracks."""
-        vehicles = {status.vehicle: self._snapshot(status) for status in self._agent.statuses()}
+        vehicles = {
+            status.vehicle: self._snapshot(status)
+            for status in self._agent.statuses()
+            if self._agent.is_in_map(status.vehicle)
+        }
         result = self._planner.plan(self._agent.grid, now, vehicles, self.mode)
         if not result.searched and not self._searched and self.mode is not PlanningMode.PAUSED:
             # without a map the exploration has not begun, which is not a pause
@@ -75,8 +79,8 @@ class TeamPlanner:
 
     def _snapshot(self, status: VehicleStatus) -> VehicleSnapshot:
         active = status.state not in (VehicleState.SILENT, VehicleState.LOST)
-        home = self._agent.start_poses[status.vehicle]
-        return VehicleSnapshot(self._agent.map_pose(status.vehicle), active, home)
+        vehicle = status.vehicle
+        return VehicleSnapshot(self._agent.map_pose(vehicle), active, self._agent.home(vehicle))
 
     def _state(self, vehicle: str, result: PlanningResult) -> VehicleState:
         if self._agent.track(vehicle).follower.startswith(_BLOCKED):

@@ -30,6 +30,7 @@ class Keyframe:
 class VehicleTrack:
     """Odometry, newest keyframe, waiting measurements and plan of one vehicle.
 
+    start: its pose in the map, None: unknown.
     last_scan: stamp (s) and odometry pose of the newest scan that entered the map.
     matched_until: stamp (s) up to which scan matching has refined the odometry.
     clouds: stamps (s) and point clouds of the newest scans that were placed by matching.
@@ -41,7 +42,7 @@ class VehicleTrack:
     """
 
     name: str
-    start: Pose2
+    start: Pose2 | None
     odometry: OdometryBuffer
     selector: KeyframeSelector
     matcher: ScanMatcher

@@ -189,15 +189,61 @@ def _run_endurance(arguments: argparse.Namespace) -> int:
         named_settings(arguments, ()),
     )
     print(
-        f'{"t (s)":>8s}{"memory (MiB)":>14s}{"landmarks":>11s}{"update (ms)":>13s}{"anchors":>9s}'
+        f'{"t (s)":>8s}{"memory (MiB)":>14s}{"landmarks":>11s}{"update (ms)":>13s}'
+        f'{"anchors":>9s}{"keyframes":>11s}'
     )
     for sample in run_study(study, arguments.output):
         print(
             f'{sample.t:8.0f}{sample.memory_mb:14.0f}{sample.landmarks:11d}'
-            f'{sample.update_ms:13.1f}{sample.anchors:9d}',
+            f'{sample.update_ms:13.1f}{sample.anchors:9d}{sample.keyframes:11d}',
             flush=True,
         )
     print(f'written: {arguments.output / "endurance.json"}', file=sys.stderr)
+    return 0
+
+
+def _configure_twins(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        '--worlds',
+        type=whole_numbers,
+        default=list(range(12)),
+        help='such as 0..11 or 3,5; one run each (default 0..11)',
+    )
+    parser.add_argument('--vehicles', type=int, default=1, help='1 or 2 (default 1)')
+    parser.add_argument(
+        '--starts',
+        choices=('known', 'unknown'),
+        default='known',
+        help='whether the start pose of the second vehicle is given (default known)',
+    )
+    parser.add_argument(
+        '--workers', type=int, default=2, help='number of parallel processes (default 2)'
+    )
+    parser.add_argument('--output', type=Path, help='folder for twins.json')
+    _add_set(parser)
+
+
+def _run_twins(arguments: argparse.Namespace) -> int:
+    """Make the runs, print their table, save it with --output."""
+    from explore_slam.studies.twin_study import TwinStudy, markdown_table, run_study, save_study
+
+    study = TwinStudy(
+        arguments.worlds, arguments.vehicles, arguments.starts, named_settings(arguments, ())
+    )
+    runs = []
+    for run in run_study(study, arguments.workers):
+        runs.append(run)
+        print(
+            f'[{len(runs)}/{len(study.worlds)}] world {run.world}: {run.false_closures} of '
+            f'{run.closures} closures false, {run.false_joins} joins false, {run.seconds:.1f} s',
+            file=sys.stderr,
+            flush=True,
+        )
+        if arguments.output is not None:
+            save_study(study, runs, arguments.output)
+    print(markdown_table(runs), end='')
+    if arguments.output is not None:
+        print(f'written: {arguments.output / "twins.json"}', file=sys.stderr)
     return 0
 
 
@@ -218,6 +264,11 @@ KINDS: dict[str, tuple[str, Declare, Run]] = {
         'measure memory, landmarks and update time of a team that patrols after exploring',
         _configure_endurance,
         _run_endurance,
+    ),
+    'twins': (
+        'count false closures and false joins in corridors of equal rooms',
+        _configure_twins,
+        _run_twins,
     ),
     'mapping': (benchmark_mapping.HELP, benchmark_mapping.configure, benchmark_mapping.run),
 }

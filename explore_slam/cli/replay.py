@@ -46,7 +46,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         action='append',
         default=[],
         metavar='VEHICLE=X,Y,THETA',
-        help='start pose in the map (m, rad) where the bag has none',
+        help='start pose in the map (m, rad) where the bag has none; VEHICLE=unknown: the vehicle '
+        'joins the map when its scans are found there',
     )
     add_topic_option(parser)
     parser.add_argument(
@@ -107,16 +108,20 @@ def _limit_threads(count: int | None) -> None:
         os.environ[name] = str(count)
 
 
-def _start(text: str) -> tuple[str, 'Pose2']:
+def _start(text: str) -> tuple[str, 'Pose2 | None']:
     from explore_slam.errors import ConfigError
     from explore_slam.geometry import Pose2
 
     name, _, values = text.partition('=')
+    if name and values == 'unknown':
+        return name, None
     try:
         x, y, theta = (float(value) for value in values.split(','))
     except ValueError:
-        raise ConfigError(f'--start is {text!r}, expected VEHICLE=X,Y,THETA') from None
+        raise ConfigError(
+            f'--start is {text!r}, expected VEHICLE=X,Y,THETA or VEHICLE=unknown'
+        ) from None
     pose = Pose2(x, y, theta)
     if not name or not pose.is_finite():
-        raise ConfigError(f'--start is {text!r}, expected VEHICLE=X,Y,THETA')
+        raise ConfigError(f'--start is {text!r}, expected VEHICLE=X,Y,THETA or VEHICLE=unknown')
     return name, pose

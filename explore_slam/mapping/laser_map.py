@@ -86,6 +86,7 @@ class LaserMap:
         self._scans: list[KeyframeScan] = []
         self._drawn = 0
         self._path: Array = np.empty((0, 3))
+        self._in_map: NDArray[np.bool_] = np.empty(0, np.bool_)  # which of these keyframes
         self._snapshots: dict[int, OccupancyGrid] = {}
 
     @property
@@ -106,24 +107,31 @@ class LaserMap:
             raise MappingError(f'keyframe is {keyframe}, expected the number of a keyframe, >= 0')
         self._scans.append(KeyframeScan(keyframe, vehicle, scan, laser_in_keyframe, tuple(bodies)))
 
-    def redraw(self, path: ArrayLike) -> RedrawSummary:
+    def redraw(self, path: ArrayLike, in_map: NDArray[np.bool_] | None = None) -> RedrawSummary:
         """Redraw the grid along the path (K, 3) of all keyframes.
 
-        A path that is not finite is a MappingError and changes nothing; a scan that the grid
-        refuses because it lies too far out is skipped, logged and counted.
+        in_map (K,): keyframes whose poses are in the map; scans and vehicles at others are not
+        drawn as long as that is so. Default: all. A path that is not finite is a MappingError and
+        changes nothing; a scan that the grid refuses because it lies too far out is skipped,
+        logged and counted.
         """
         poses = np.array(path, np.float64)
         if poses.ndim != 2 or poses.shape[1] != 3 or not np.isfinite(poses).all():
             raise MappingError(
                 f'path has shape {poses.shape} or values that are not finite, expected (K, 3)'
             )
+        placed = np.ones(len(poses), np.bool_) if in_map is None else np.array(in_map, np.bool_)
+        if placed.shape != (len(poses),):
+            raise MappingError(f'in_map has shape {placed.shape}, expected ({len(poses)},)')
         moved = self._moved(poses)
+        common = len(moved)
+        moved |= placed[:common] != self._in_map[:common]
         kept = self._count_unchanged(moved)
         if kept < self._drawn:
             self._restore_snapshot(kept)
         start, refused = self._drawn, 0
         poses[: len(moved)][~moved] = self._path[: len(moved)][~moved]
-        self._path = poses
+        self._path, self._in_map = poses, placed
         while self._drawn < len(self._scans) and self._can_draw(self._scans[self._drawn], poses):
             try:
                 self._draw(self._scans[self._drawn], poses)
@@ -176,16 +184,21 @@ class LaserMap:
         return newest < len(poses)
 
     def _draw(self, item: KeyframeScan, poses: Array) -> None:
+        if not self._in_map[item.keyframe]:
+            return
         keyframe = Pose2(*poses[item.keyframe].tolist())
         ignore = NO_BODIES
         if item.bodies:
             rows = []
             for body in item.bodies:
-                in_map = body.keyframe == MAP_FRAME
-                base = IDENTITY if in_map else Pose2(*poses[body.keyframe].tolist())
+                base = IDENTITY
+                if body.keyframe != MAP_FRAME:
+                    if not self._in_map[body.keyframe]:
+                        continue
+                    base = Pose2(*poses[body.keyframe].tolist())
                 pose = base.compose(body.offset)
                 rows.append((pose.x, pose.y, body.radius))
-            ignore = np.array(rows)
+            ignore = np.array(rows).reshape(-1, 3)
         self.grid.insert_scan(keyframe.compose(item.laser_in_keyframe), item.scan, ignore)
 
     def _keep_snapshot(self) -> None:

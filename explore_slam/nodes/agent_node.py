@@ -248,9 +248,10 @@ class AgentNode(Node):
         received = item.received if item is not None and item.kind == FRAME.name else None
         for event in self.agent.take_events():
             self._publish_pose(event.vehicle)
-            self.outputs.particles(
-                event.vehicle, event.stamp, self.agent.belief.particle_poses(event.vehicle)
-            )
+            if self.agent.is_in_map(event.vehicle):
+                self.outputs.particles(
+                    event.vehicle, event.stamp, self.agent.belief.particle_poses(event.vehicle)
+                )
             self.statistics.add_keyframe(event, now, received)
 
     def _publish_newer_poses(self, idle: bool) -> None:
@@ -267,7 +268,7 @@ class AgentNode(Node):
     def _publish_pose(self, vehicle: str) -> None:
         track = self.agent.tracks[vehicle]
         stamp = track.odometry.last
-        if not np.isfinite(stamp):
+        if not np.isfinite(stamp) or not self.agent.is_in_map(vehicle):
             return
         self._posed[vehicle] = stamp
         pose, covariance = self.agent.estimate(vehicle)
@@ -310,7 +311,7 @@ class AgentNode(Node):
     def publish_results(self, now: float) -> None:
         """Publish landmarks and trajectories."""
         self.outputs.landmarks(now, self.agent.landmarks())
-        for vehicle in self.agent.vehicles:
+        for vehicle in filter(self.agent.is_in_map, self.agent.vehicles):
             self.outputs.trajectory(vehicle, now, *self.agent.trajectory(vehicle))
 
     # -- health ----------------------------------------------------------------------------------

@@ -30,7 +30,9 @@ class AgentNodeConfig(Section):
     vehicles: tuple[str, ...] = shared_parameters.vehicles()
     start_poses: tuple[float, ...] = setting(
         (0.0, 0.0, 0.0, 0.0, 1.0, 0.0),
-        'Start poses of the vehicles in the map: x (m), y (m), heading (rad) of each',
+        'Start poses of the vehicles in the map: x (m), y (m), heading (rad) of each, or three '
+        'times nan where it is unknown: the vehicle joins the map when its scans or landmarks are '
+        'found there',
         tier='basic',
     )
     seed: int = setting(0, 'Seed of all random numbers', low=0)
@@ -83,8 +85,8 @@ class AgentNodeConfig(Section):
     team: VehicleConfig = section(VehicleConfig)
     agent: AgentConfig = section(AgentConfig)
 
-    def poses(self) -> dict[str, Pose2]:
-        """Return vehicle -> start pose; ConfigError when the numbers do not fit the names."""
+    def poses(self) -> dict[str, Pose2 | None]:
+        """Return vehicle -> start pose, None: unknown; ConfigError for wrong numbers."""
         return shared_parameters.start_poses(self.vehicles, self.start_poses)
 
 

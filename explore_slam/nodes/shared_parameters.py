@@ -1,5 +1,6 @@
 """Settings that several nodes declare, and the start poses of a team."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -30,8 +31,8 @@ def robot_base_frame() -> Any:
     return setting('base_link', "Base frame, prefixed with the vehicle's name and a slash")
 
 
-def start_poses(names: Sequence[str], values: Sequence[float]) -> dict[str, Pose2]:
-    """Return vehicle -> start pose from x (m), y (m), heading (rad) of each.
+def start_poses(names: Sequence[str], values: Sequence[float]) -> dict[str, Pose2 | None]:
+    """Return vehicle -> start pose from x (m), y (m), heading (rad) of each; None where it is nan.
 
     ConfigError unless the names are different and the numbers fit them.
     """
@@ -41,7 +42,19 @@ def start_poses(names: Sequence[str], values: Sequence[float]) -> dict[str, Pose
             f'start_poses has {len(values)} numbers, expected {3 * len(names)}: '
             f'x, y and heading of each of {list(names)}'
         )
-    return {name: Pose2(*map(float, values[3 * i : 3 * i + 3])) for i, name in enumerate(names)}
+    poses: dict[str, Pose2 | None] = {}
+    for i, name in enumerate(names):
+        numbers = [float(value) for value in values[3 * i : 3 * i + 3]]
+        if any(math.isnan(value) for value in numbers):
+            if not all(math.isnan(value) for value in numbers):
+                raise ConfigError(
+                    f'the start pose of {name} is {numbers}, expected three numbers, or nan three '
+                    'times where it is unknown'
+                )
+            poses[name] = None
+        else:
+            poses[name] = Pose2(*numbers)
+    return poses
 
 
 def check_names(names: Sequence[str]) -> None:

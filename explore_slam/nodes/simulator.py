@@ -97,7 +97,11 @@ class SimulatorNodeConfig(Section):
                     f'{missing}: set start_poses'
                 )
             return {name: world.starts[name] for name in names}
-        return shared_parameters.start_poses(names, values)
+        poses = shared_parameters.start_poses(names, values)
+        known = {name: pose for name, pose in poses.items() if pose is not None}
+        if len(known) < len(poses):
+            raise ConfigError(f'start_poses has nan for {sorted(set(poses) - set(known))}')
+        return known
 
     def frames(self, vehicle: str) -> FrameNames:
         """Return the frames of a vehicle."""

@@ -73,7 +73,8 @@ class Tally:
 class Replay:
     """One bag, the vehicles in it, and their start poses.
 
-    starts, recorded_starts: start poses in the map by vehicle; the former take precedence.
+    starts, recorded_starts: start poses in the map by vehicle, None: unknown, although the bag
+    may hold one; the former take precedence.
     vision: 'agent' or 'vehicle', see topic_selection.frames_or_landmarks.
     choices: topics that the user has chosen by hand.
     settings: of the team and of single vehicles by name (messages.vehicle_settings).
@@ -84,8 +85,8 @@ class Replay:
         self,
         bag: BagReader,
         vehicles: Iterable[str] = (),
-        starts: Mapping[str, Pose2] | None = None,
-        recorded_starts: Mapping[str, Pose2] | None = None,
+        starts: Mapping[str, Pose2 | None] | None = None,
+        recorded_starts: Mapping[str, Pose2 | None] | None = None,
         vision: str | None = None,
         choices: Iterable[TopicChoice] = (),
         settings: Mapping[str, Any] | None = None,
@@ -152,7 +153,7 @@ class Replay:
         """Return the kinds of topics that the recording holds of a vehicle."""
         return {topic.kind for topic in self._topics if topic.vehicle == vehicle}
 
-    def start_poses(self) -> dict[str, Pose2]:
+    def start_poses(self) -> dict[str, Pose2 | None]:
         """Return the start pose of each vehicle: as given, of the live run, or from the bag.
 
         In the bag the first initialpose counts, else the first ground truth. The start pose of a
@@ -161,8 +162,11 @@ class Replay:
         starts at the origin.
         """
         first = self._first_poses(set(self.vehicles) - set(self._given))
-        found = dict(self._given)
+        found: dict[str, Pose2 | None] = dict(self._given)
         for vehicle in sorted(set(self.vehicles) - set(found)):
+            if vehicle in self._recorded and self._recorded[vehicle] is None:
+                found[vehicle] = None
+                continue
             truth = first.get((vehicle, TopicKind.GROUND_TRUTH))
             initial = first.get((vehicle, TopicKind.INITIAL_POSE))
             recorded = self._recorded.get(vehicle)
@@ -205,12 +209,13 @@ class Replay:
                 break
         return first
 
-    def _with_defaults(self, found: dict[str, Pose2]) -> dict[str, Pose2]:
+    def _with_defaults(self, found: dict[str, Pose2 | None]) -> dict[str, Pose2 | None]:
         missing = [vehicle for vehicle in self.vehicles if vehicle not in found]
         if missing and len(self.vehicles) > 1:
             topics = ', '.join(f'<vehicle>/{kind.value}' for kind in POSE_KINDS)
             raise RecordingError(
-                f'no start pose of {missing}: expected {topics}, or --start VEHICLE=X,Y,THETA'
+                f'no start pose of {missing}: expected {topics}, or --start VEHICLE=X,Y,THETA '
+                'or --start VEHICLE=unknown'
             )
         if missing:
             self._note(f'start pose of {missing[0]} is not recorded: (0, 0, 0) is used')
@@ -227,9 +232,12 @@ class Replay:
     def events(self, progress: Callable[[float], None] | None = None) -> Iterator[Event]:
         """Yield the records of the bag in the order of stamps.
 
+        The first pose that was set of a vehicle is its start, and left out where this is given as
+        unknown; of a live run with an unknown start, it was set by the operator.
         progress: called with the fraction of the bag that has been read.
         """
         span = max(self.bag.end - self.bag.start, 1)
+        unknown = {vehicle for vehicle, pose in self._given.items() if pose is None}
         for stamp, message in self._order.sort(self.bag.messages(set(self._by_name))):
             if progress is not None:
                 progress((message.log_time - self.bag.start) / span)
@@ -242,8 +250,12 @@ class Replay:
             except ExploreSlamError as error:
                 self.tally.refuse(topic.name, str(error))
                 continue
-            if event is not None:
-                yield event
+            if event is None:
+                continue
+            if event.kind is TopicKind.INITIAL_POSE and event.vehicle in unknown:
+                unknown.remove(event.vehicle)
+                continue
+            yield event
         self._report_losses()
 
     def feed(

@@ -43,15 +43,19 @@ def bag_settings(bag: Path) -> dict[str, Any]:
     return {} if file is None else read_parameters(file)
 
 
-def recorded_starts(bag: Path) -> dict[str, Pose2]:
-    """Return the start poses of the live run that recorded the bag; {} for other bags."""
+def recorded_starts(bag: Path) -> dict[str, Pose2 | None]:
+    """Return the start poses of the live run that recorded the bag; {} for other bags.
+
+    None: the start pose of a vehicle was unknown (nan).
+    """
     settings = bag_settings(bag)
     names, flat = settings.get('vehicles'), settings.get('start_poses')
     if not isinstance(names, list) or not isinstance(flat, list) or len(flat) != 3 * len(names):
         return {}
+    poses = [Pose2.from_array(flat[3 * index : 3 * index + 3]) for index in range(len(names))]
     return {
-        str(name): Pose2.from_array(flat[3 * index : 3 * index + 3])
-        for index, name in enumerate(names)
+        str(name): pose if pose.is_finite() else None
+        for name, pose in zip(names, poses, strict=True)
     }
 
 
@@ -96,16 +100,29 @@ class _Collector:
     def tick(self, stamp: float) -> None:
         """Record the keyframes since the last call, and periodically the mapped area."""
         for event in self._agent.take_events():
-            self._recorder.add_keyframe(event)
+            if event.in_map:
+                self._recorder.add_keyframe(event)
         for name in self._agent.vehicles if stamp >= self._next_pose else ():
             odometry = self._agent.track(name).odometry
-            if len(odometry):
+            if len(odometry) and self._agent.is_in_map(name):
                 pose, _ = self._agent.estimate(name)
                 self._recorder.add_pose(name, odometry.last, pose)
         self._next_pose = max(self._next_pose, stamp + POSE_PERIOD)
         if self._scans and stamp >= self._next_coverage:
             self._next_coverage = stamp + COVERAGE_PERIOD
             self._recorder.add_coverage(stamp, known_area(self._agent.grid))
+
+
+def _join_notes(
+    agent: Agent, starts: Mapping[str, Pose2 | None], apart: Iterable[str]
+) -> list[str]:
+    """Return what became of the vehicles of unknown start; apart: those not in the map."""
+    joined = [
+        f'{join.vehicle} joined the map of {join.other} after driving {join.way:.1f} m'
+        for join in agent.take_joins()
+        if starts[join.vehicle] is None
+    ]
+    return joined + [f'{vehicle} was not found in the map: it is left out' for vehicle in apart]
 
 
 def known_area(grid: OccupancyGrid) -> float:
@@ -120,7 +137,7 @@ def replay_bag(
     options: Mapping[str, Any] | None = None,
     seed: int = 0,
     vehicles: Iterable[str] = (),
-    starts: Mapping[str, Pose2] | None = None,
+    starts: Mapping[str, Pose2 | None] | None = None,
     until: float | None = None,
     progress: Callable[[float], None] | None = None,
     topics: Iterable[str] = (),
@@ -128,11 +145,11 @@ def replay_bag(
 ) -> RunData:
     """Replay a bag through the agent and return the data of the run.
 
-    config, options: see `configuration`. starts: start poses that the bag does not hold. until:
-    time (s) after the first record at which to stop. progress: called with the fraction done.
-    topics: chosen by hand, 'VEHICLE.KIND=/TOPIC'. vehicle_values: settings of the vehicles by
-    name, of the team ('vision') or of one ('robot1.laser_mount'), instead of those in the bag;
-    options may hold them too.
+    config, options: see `configuration`. starts: start poses that the bag does not hold, None:
+    unknown. until: time (s) after the first record at which to stop. progress: called with the
+    fraction done. topics: chosen by hand, 'VEHICLE.KIND=/TOPIC'. vehicle_values: settings of the
+    vehicles by name, of the team ('vision') or of one ('robot1.laser_mount'), instead of those in
+    the bag; options may hold them too.
     metrics['unusable']: reasons why most of what is needed could not be used; [] if all is well.
     The result depends on the bag, the settings and the seed alone (except metrics['timing']).
     A bag without odometry is evaluated frame by frame (`landmark_agreement`).
@@ -169,11 +186,17 @@ def replay_bag(
         collector.tick(agent.now)
         wall = time.perf_counter() - begin
     recorded = collector.last - (collector.first or collector.last)
-    for warning in (*replay.warnings, *_mount_notes(replay), *_warn_without_sensors(replay)):
+    apart = [vehicle for vehicle in poses if not agent.is_in_map(vehicle)]
+    for warning in (
+        *replay.warnings,
+        *_mount_notes(replay),
+        *_warn_without_sensors(replay),
+        *_join_notes(agent, poses, apart),
+    ):
         recorder.add_note(warning)
     calibrations = agent.odometry_calibrations()
     return recorder.finish(
-        {vehicle: agent.trajectory(vehicle) for vehicle in poses},
+        {vehicle: agent.trajectory(vehicle) for vehicle in poses if vehicle not in apart},
         calibrations=calibrations,
         grid=grid if grid.known().any() else None,
         landmarks=agent.landmarks(),

@@ -178,7 +178,7 @@ class RunRecorder:
     def __init__(
         self,
         title: str,
-        starts: dict[str, Pose2],
+        starts: Mapping[str, Pose2 | None],
         particles: int = 0,
         coverage_unit: str = '%',
     ) -> None:
@@ -294,8 +294,9 @@ class RunRecorder:
         online = _trajectory(self._online.get(name))
         if not len(online):
             online = extrapolate(_trajectory(self._keyframes.get(name)), odometry)
-        if name in self._starts:
-            odometry = odometry.from_start(self._starts[name])
+        start = self._starts.get(name)
+        if start is not None:
+            odometry = odometry.from_start(start)
         path = Trajectory.of(*estimated) if estimated is not None else _empty()
         estimates = _pose_estimates(self._estimates.get(name))
         between = odometry if calibration is None else calibrated_path(odometry, calibration)

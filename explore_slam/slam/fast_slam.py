@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from explore_slam.data import InterRobotObservation, LandmarkObservations
 from explore_slam.errors import SlamError
-from explore_slam.geometry import Array, Pose2, between, compose, wrap_angles
+from explore_slam.geometry import IDENTITY, Array, Pose2, between, compose, wrap_angles
 from explore_slam.settings import values_of, with_values
 from explore_slam.slam import checks
 from explore_slam.slam.association.candidates import find_candidates
@@ -20,6 +20,7 @@ from explore_slam.slam.checkpoint import Checkpointed, State, part, text_array, 
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.descriptors.kinds import kind_named
 from explore_slam.slam.joint_posterior import JointPosterior, Redraw, RelativePose
+from explore_slam.slam.landmark_join import LandmarkJoin
 from explore_slam.slam.landmarks.landmark_map import LandmarkMap, Landmarks, make_index
 from explore_slam.slam.particles.group import Group, Groups
 from explore_slam.slam.particles.motion import PendingMotion, Segment, calibrated, rotated
@@ -55,18 +56,23 @@ class FastSlam(Checkpointed):
 
     Each particle holds the poses of all vehicles and one landmark map. Vehicles whose maps do not
     overlap yet are filtered in separate groups; groups merge when one of their vehicles observes a
-    landmark of the other. Results depend only on the inputs and the seed.
+    landmark of the other. A vehicle whose start pose is unknown (None) is filtered in a frame of
+    its own, where it starts at the origin, until it joins the map; if all are unknown, the first
+    one starts at the origin of the map. Results depend only on the inputs and the seed.
     A call that raises SlamError leaves the filter unchanged.
     """
 
     def __init__(
-        self, start_poses: Mapping[str, Pose2], config: FastSlamConfig | None = None, seed: int = 0
+        self,
+        start_poses: Mapping[str, Pose2 | None],
+        config: FastSlamConfig | None = None,
+        seed: int = 0,
     ) -> None:
         if not start_poses:
             raise SlamError('start_poses is empty, expected one vehicle or more')
         self.config = config if config is not None else FastSlamConfig()
         starts = [
-            checks.check_pose(f'start pose of {name!r}', pose)
+            checks.check_pose(f'start pose of {name!r}', IDENTITY if pose is None else pose)
             for name, pose in start_poses.items()
         ]
         self.vehicles = tuple(start_poses)
@@ -83,6 +89,12 @@ class FastSlam(Checkpointed):
         self._stamps = [-math.inf] * len(starts)
         self._random = np.random.default_rng(seed)
         self._engine = make_engine(self.config)
+        # vehicles in a frame of their own, because nothing tells yet where they are in the map
+        self._apart = {n for n, pose in enumerate(start_poses.values()) if pose is None}
+        if len(self._apart) == len(starts):
+            self._apart.remove(0)
+        self._check_unknown_starts()
+        self._finders = {n: LandmarkJoin(self.config.relocalization) for n in sorted(self._apart)}
         self.groups = Groups(len(starts), particles, joint=self._engine.joint)
         kind = kind_named(association.descriptor_kind)
         self.map = LandmarkMap(particles, kind, make_index(association))
@@ -98,6 +110,18 @@ class FastSlam(Checkpointed):
         self._correlation = ObservationCorrelation(len(starts), self.config.correlation)
         self._manager = MapManager(self.map, self._engine, self.config)
         self._relocalizers = [Relocalizer(self.config.relocalization) for _ in starts]
+
+    def _check_unknown_starts(self) -> None:
+        if not self._apart:
+            return
+        needed = ''
+        if not self._engine.redraws:
+            needed = 'the setting joint_graph and engine fastslam2'
+        elif self.config.insertion_policy == 'unmapped_region':
+            needed = 'an insertion_policy that does not divide the map between vehicles'
+        if needed:
+            names = [self.vehicles[number] for number in sorted(self._apart)]
+            raise SlamError(f'the start poses of {names} are unknown, which needs {needed}')
 
     # -- motion ---------------------------------------------------------------------------------
 
@@ -129,6 +153,8 @@ class FastSlam(Checkpointed):
             self._pending[number].white = error
         self._pending[number].append(step, self.config.linearizable_heading)
         self._relocalizers[number].predict(step.mean)
+        if number in self._apart:
+            self._finders[number].predict(step.mean)
         self._correlation.predict(number, step.mean)
         if self.joint is not None:
             self.joint.predict(number, step, error)
@@ -155,10 +181,16 @@ class FastSlam(Checkpointed):
         return Segment(corrected, noise, sensitivity, sensitivity @ calibration)
 
     def set_pose(self, vehicle: str, pose: Pose2, covariance: Array) -> None:
-        """Give a vehicle a known pose; covariance (3, 3) in the map frame (m², rad²)."""
+        """Give a vehicle a known pose; covariance (3, 3) in the map frame (m², rad²).
+
+        A vehicle in a frame of its own joins the map with all that it has mapped.
+        """
         number = self._number(vehicle)
         known = checks.check_pose('pose', pose)
         spread = checks.check_motion_covariance('covariance', covariance)
+        if number in self._apart:
+            self._join_at(number, known, spread)
+            return
         self._poses[number] = np.asarray(known)
         self._pending[number] = PendingMotion.of(rotated(spread, known.theta))
         self._chain_covariances[number] = None
@@ -228,6 +260,7 @@ class FastSlam(Checkpointed):
         agreed = support.sum(axis=1) > MAJORITY
         lost, relocated = self._relocalize(number, found, agreed)
         redrawn = self._redraw_if_due(group)
+        joined = self._join_by_landmarks(number, observations)
         return UpdateSummary(
             stamp=observations.stamp,
             vehicle=vehicle,
@@ -241,8 +274,9 @@ class FastSlam(Checkpointed):
             redrawn=redrawn,
             lost=lost,
             relocated=relocated,
+            joined=joined,
             matches=matches,
-            together=tuple(self.vehicles[member] for member in group.vehicles),
+            together=tuple(self.vehicles[v] for v in self.groups.of(number).vehicles),
         )
 
     def _associate(
@@ -257,7 +291,9 @@ class FastSlam(Checkpointed):
         # 2.2 candidate landmarks: similar descriptor, near where the observation is expected
         estimate = self.estimate(self.vehicles[number])
         reach = self._relocalizers[number].reach
-        found = find_candidates(self.map, observations, self.config.association, *estimate, reach)
+        hidden = self._hidden_landmarks(number)
+        association = self.config.association
+        found = find_candidates(self.map, observations, association, *estimate, reach, hidden)
         found = self._with_correlated_noise(number, observations.stamp, found)
         fused = self.map.fuse(found.entries, self.groups)
         try:
@@ -276,6 +312,16 @@ class FastSlam(Checkpointed):
                 self.map.defer(entries, draw, self.map.reference[entries])
             raise
         return normals, state, proposal, P
+
+    def _hidden_landmarks(self, number: int) -> NDArray[np.bool_] | None:
+        """Return which entries of the map lie in other frames than a vehicle; None: no entry."""
+        if not self._apart:
+            return None
+        owners = self.map.owners[: self.map.size]
+        hidden: NDArray[np.bool_] = (
+            owners != number if number in self._apart else np.isin(owners, list(self._apart))
+        )
+        return hidden
 
     def _with_correlated_noise(
         self, number: int, stamp: float, found: CandidateSet
@@ -585,7 +631,7 @@ class FastSlam(Checkpointed):
         """Update with the positions at which a vehicle measured others of the team.
 
         The motion of all of them must have been predicted up to now. Without effect if the setting
-        inter_robot_observations is off.
+        inter_robot_observations is off, or if the frames of the two are not tied together yet.
         """
         number = self._number(vehicle)
         targets = [self._number(observation.vehicle) for observation in observations]
@@ -594,6 +640,8 @@ class FastSlam(Checkpointed):
         if not self.config.inter_robot_observations:
             return
         for target, observation in zip(targets, observations, strict=True):
+            if not self.are_in_one_frame(vehicle, self.vehicles[target]):
+                continue
             factor = 1.0
             if self.joint is not None:
                 factor = self._correlation.factor_between(number, target, observation.stamp)
@@ -643,6 +691,83 @@ class FastSlam(Checkpointed):
         if self._engine.resamples_before_sampling(group):
             self._resample(group, group.weights())
         self._redraw_if_due(group)
+
+    # -- unknown start poses --------------------------------------------------------------------
+
+    def is_in_map(self, vehicle: str) -> bool:
+        """Return whether the poses of a vehicle are in the map, not in a frame of its own."""
+        return self._number(vehicle) not in self._apart
+
+    def are_in_one_frame(self, one: str, other: str) -> bool:
+        """Return whether the poses of two vehicles can be compared."""
+        return one == other or (self.is_in_map(one) and self.is_in_map(other))
+
+    def join(self, vehicle: str, frame: Pose2, closures: Sequence[RelativePose]) -> list[int]:
+        """Take a vehicle that is in a frame of its own into the map, with all that it has mapped.
+
+        frame: pose of its frame in the map, from which the optimization starts. closures: relative
+        poses of its keyframes and those of vehicles in the map, which tie it from now on; see
+        `close_loops`.
+        """
+        number, joint = self._number(vehicle), self._joint()
+        if number not in self._apart:
+            raise SlamError(f'{vehicle!r} is in the map already')
+        at = checks.check_pose('frame', frame)
+        ends = [self._node(k) for c in closures for k in (c.reference, c.keyframe)]
+        tied = set(joint.graph.vehicles_of(ends).tolist()) if ends else set()
+        if number not in tied or tied & (self._apart - {number}) or len(tied) < 2:
+            names = [self.vehicles[other] for other in sorted(tied)]
+            raise SlamError(f'closures tie {names}, expected {vehicle!r} and vehicles in the map')
+        saved = {name: np.array(value) for name, value in joint.state_dict().items()}
+        joint.move([number], at)
+        self._apart.remove(number)
+        try:
+            return self.close_loops(closures)
+        except SlamError:
+            joint.restore(saved)
+            self._apart.add(number)
+            raise
+
+    def _join_by_landmarks(self, number: int, observations: LandmarkObservations) -> bool:
+        """Join a vehicle where the landmarks that it observes lie in the map, if they agree."""
+        if number not in self._apart or not self.config.relocalization.relocalization:
+            return False
+        hidden = self._hidden_landmarks(number)
+        estimate, P = self.estimate(self.vehicles[number])
+        own = None if hidden is None else ~hidden
+        found = find_candidates(
+            self.map, observations, self.config.association, estimate, P, math.inf, own
+        )
+        finder, R = self._finders[number], found.measured.R
+        deviations = np.sqrt(0.5 * (R[:, 0] + R[:, 3]))
+        similar = np.where(found.is_distinctive[:, None], found.similar_ids, -1)
+        finder.add(found.observed.z, deviations, similar)
+        positions = self.map.positions(finder.similar_ids(), self._best_particles(), self.groups)
+        pose = finder.search(positions, estimate, self._random)
+        if pose is None:
+            return False
+        deviation = np.array([pose.position_deviation] * 2 + [pose.heading_deviation])
+        try:
+            self._join_at(number, pose.pose, np.diag(deviation**2))
+        except SlamError:
+            return False
+        return True
+
+    def _join_at(self, number: int, pose: Pose2, covariance: Array) -> None:
+        """Take a vehicle into the map whose present pose there is known, covariance (3, 3)."""
+        joint = self._joint()
+        estimate = self.estimate(self.vehicles[number])[0]
+        saved = {name: np.array(value) for name, value in joint.state_dict().items()}
+        keyframe = joint.keyframe(number, estimate)
+        joint.move([number], pose.compose(estimate.inverse()))
+        joint.measure_pose(keyframe, pose, covariance)
+        redraw = self._draw([number])
+        if redraw is None:
+            joint.restore(saved)
+            raise SlamError(f'at {pose} the joint graph has no definite optimum')
+        self._apart.remove(number)
+        self._take(redraw)
+        self._predicted[number] = True
 
     # -- loop closures --------------------------------------------------------------------------
 
@@ -832,8 +957,9 @@ class FastSlam(Checkpointed):
         return min(group.effective_particles() for group in self.groups.all)
 
     def landmarks(self) -> Landmarks:
-        """Return the landmarks of the best particle."""
-        return self.map.of_particle(self._best_particles(), self.groups)
+        """Return the landmarks of the best particle that lie in the map."""
+        found = self.map.of_particle(self._best_particles(), self.groups)
+        return found.only(~np.isin(found.owners, list(self._apart))) if self._apart else found
 
     # -- path -----------------------------------------------------------------------------------
 
@@ -854,12 +980,22 @@ class FastSlam(Checkpointed):
     def best_path(self) -> Array:
         """Return the poses (K, 3) of all keyframes along the most likely path.
 
-        It is the optimum of the joint graph, the same bit by bit until the next redraw; without a
-        graph, the lineage of the best particle, the same as long as that continues.
+        Those of vehicles that are not in the map yet are in the frames of these; see
+        `keyframes_in_map`. The path is the optimum of the joint graph, the same bit by bit until
+        the next redraw; without a graph, the lineage of the best particle, the same as long as
+        that continues.
         """
         if self.joint is not None:
             return self.joint.path()[self.path.nodes]
         return self.path.of_particle(self._best_particles())
+
+    def keyframes_of(self, vehicle: str) -> Places:
+        """Return the numbers of a vehicle's keyframes, ascending."""
+        return self.path.of_vehicle(self._number(vehicle))
+
+    def keyframes_in_map(self) -> NDArray[np.bool_]:
+        """Return (K,) which keyframes are of vehicles whose poses are in the map."""
+        return ~np.isin(np.array(self.path.vehicles, np.int64), list(self._apart))
 
     def trajectory(self, vehicle: str) -> tuple[Array, Array]:
         """Return stamps (T,) and poses (T, 3) of the keyframes of a vehicle, best lineage."""
@@ -873,6 +1009,7 @@ class FastSlam(Checkpointed):
         about = {
             'settings': values_of(self.config),
             'vehicles': list(self.vehicles),
+            'apart': sorted(self._apart),
             'random': self._random.bit_generator.state,
         }
         stores = [self.map.rows, self.path.rows]
@@ -898,6 +1035,8 @@ class FastSlam(Checkpointed):
             state |= under(f'motion{number}', pending.state_dict())
         for number, relocalizer in enumerate(self._relocalizers):
             state |= under(f'relocalizer{number}', relocalizer.state_dict())
+        for number in self._apart:
+            state |= under(f'finder{number}', self._finders[number].state_dict())
         return {name: np.array(value) for name, value in state.items()}
 
     @classmethod
@@ -905,8 +1044,9 @@ class FastSlam(Checkpointed):
         """See Checkpointed."""
         try:
             about = text_value(state['about'])
-            starts = dict.fromkeys(about['vehicles'], Pose2(0.0, 0.0, 0.0))
+            starts = dict.fromkeys(about['vehicles'], IDENTITY)
             slam = cls(starts, with_values(FastSlamConfig(), about['settings']))
+            slam._apart = set(about['apart'])
             slam._restore(about['random'], state)
         except (KeyError, ValueError, IndexError, TypeError) as error:
             raise SlamError(f'the saved state of the filter is incomplete: {error!r}') from error
@@ -935,6 +1075,9 @@ class FastSlam(Checkpointed):
             pending.restore(part(f'motion{number}', state))
         for number, relocalizer in enumerate(self._relocalizers):
             relocalizer.restore(part(f'relocalizer{number}', state))
+        for number in self._apart:
+            self._finders[number] = LandmarkJoin(self.config.relocalization)
+            self._finders[number].restore(part(f'finder{number}', state))
 
     def _group(self, vehicle: str | None) -> Group:
         return self.groups.of(0 if vehicle is None else self._number(vehicle))

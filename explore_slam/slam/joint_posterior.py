@@ -31,6 +31,9 @@ from explore_slam.slam.storage.row_format import Places
 # odometry claims to be exact.
 _LEAST_DEVIATIONS = np.array([1e-4, 1e-4, 1e-4])
 
+# Deviations (m, m, rad) of a frame that is held by measurements alone: they weigh nothing beside
+# closures, and keep the graph definite.
+_LOOSE_DEVIATIONS = np.array([30.0, 30.0, 3.0])
 
 # Closures wait for others until the last redraw is this many keyframes ago (more redraws change
 # nothing: design study on the simulated office)
@@ -218,6 +221,18 @@ class JointPosterior:
         self.graph.restart(vehicle, self._next, np.asarray(pose), covariance)
         self._tails[vehicle] = _Tail(self._next)
         self._next += 1
+
+    def move(self, vehicles: Sequence[int], frame: Pose2) -> None:
+        """Move vehicles to the map, in which the frame that they have been in has this pose.
+
+        What ties them to the map is for the caller to record; their priors hold them loosely.
+        """
+        self.graph.move(vehicles, np.asarray(frame), _LOOSE_DEVIATIONS)
+        self.relative_covariance.forget()
+
+    def measure_pose(self, keyframe: int, pose: Pose2, covariance: Array) -> None:
+        """Record a pose in the map, with its covariance (3, 3) there, known from elsewhere."""
+        self.graph.add_prior(keyframe, np.asarray(pose), covariance)
 
     # -- drawing --------------------------------------------------------------------------------
 

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from explore_slam.data import InterRobotObservation, LandmarkObservations
 from explore_slam.errors import SlamError
@@ -21,10 +22,16 @@ class TeamBelief(Checkpointed):
     """The interface of FastSlam; with `maps: dedicated`, one filter and map per vehicle."""
 
     def __init__(
-        self, start_poses: Mapping[str, Pose2], config: FastSlamConfig | None = None, seed: int = 0
+        self,
+        start_poses: Mapping[str, Pose2 | None],
+        config: FastSlamConfig | None = None,
+        seed: int = 0,
     ) -> None:
         self.config = config if config is not None else FastSlamConfig()
         self.vehicles = tuple(start_poses)
+        unknown = [name for name, pose in start_poses.items() if pose is None]
+        if unknown and self.config.maps != 'common':
+            raise SlamError(f'the start poses of {unknown} are unknown, which needs maps: common')
         if self.config.maps == 'common':
             self.filters = [FastSlam(start_poses, self.config, seed)]
             self._filter_of = dict.fromkeys(self.vehicles, 0)
@@ -155,9 +162,47 @@ class TeamBelief(Checkpointed):
         return self.filters[0].joint is not None
 
     def in_one_map_with(self, vehicle: str) -> list[int]:
-        """Return the numbers of the vehicles, in their order, whose map is that of a vehicle."""
-        mine = self._filter_of[vehicle]
-        return [n for n, name in enumerate(self.vehicles) if self._filter_of[name] == mine]
+        """Return the numbers of the vehicles, in their order, whose frame is that of a vehicle."""
+        mine = self.filter_of(vehicle)
+        return [
+            n
+            for n, name in enumerate(self.vehicles)
+            if self.filter_of(name) is mine and self.are_in_one_frame(vehicle, name)
+        ]
+
+    def are_in_one_frame(self, one: str, other: str) -> bool:
+        """See FastSlam.are_in_one_frame; the frames of dedicated maps are the same."""
+        return one == other or (self.is_in_map(one) and self.is_in_map(other))
+
+    def is_in_map(self, vehicle: str) -> bool:
+        """See FastSlam.is_in_map."""
+        return self.filter_of(vehicle).is_in_map(vehicle)
+
+    def graph_keyframes(self) -> int:
+        """Return how many keyframes are variables of the joint graphs; 0 without these."""
+        graphs = [item.joint.graph for item in self.filters if item.joint is not None]
+        return sum(len(graph.live_keyframes()) for graph in graphs)
+
+    def keyframes_of(self, vehicle: str) -> Places:
+        """Return the numbers of a vehicle's keyframes, ascending."""
+        number = self._filter_of[vehicle]
+        own = self.filter_of(vehicle).keyframes_of(vehicle)
+        return np.flatnonzero(np.array(self._keyframes, np.int64) == number)[own]
+
+    def stamp_of(self, keyframe: int) -> float:
+        """Return the stamp (s) of a keyframe."""
+        number, own = self._own(keyframe)
+        return self.filters[number].path.stamps[own]
+
+    def keyframes_in_map(self) -> NDArray[np.bool_]:
+        """See FastSlam.keyframes_in_map; with dedicated maps, all are."""
+        if len(self.filters) == 1:
+            return self.filters[0].keyframes_in_map()
+        return np.ones(len(self._keyframes), np.bool_)
+
+    def join(self, vehicle: str, frame: Pose2, closures: Sequence[RelativePose]) -> list[int]:
+        """See FastSlam.join, which dedicated maps never need."""
+        return self.filter_of(vehicle).join(vehicle, frame, closures)
 
     def pin(self, keyframe: int) -> None:
         """See FastSlam.pin."""

@@ -27,7 +27,7 @@ class Sample(NamedTuple):
 
     memory_mb: resident memory of the process (MiB). landmarks: of the best particle. update_ms:
     median wall time of the updates since the last sample, NaN without any. anchors: keyframes
-    that the filter keeps.
+    with a scan that later ones are searched on. keyframes: variables of the joint graphs.
     """
 
     t: float
@@ -35,6 +35,7 @@ class Sample(NamedTuple):
     landmarks: int
     update_ms: float
     anchors: int
+    keyframes: int
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,8 @@ def take_sample(loop: ClosedLoop) -> Sample:
         resident_memory(),
         len(loop.agent.landmarks()),
         1e3 * float(np.median(seconds)) if seconds else math.nan,
-        len(loop.agent.belief.best_path()),
+        len(loop.agent.loops.search.anchors),
+        loop.agent.belief.graph_keyframes(),
     )
     loop.discard_records()
     return sample
@@ -126,9 +128,10 @@ def save_samples(samples: Sequence[Sample], content: Mapping[str, Any], output: 
 def plot_samples(samples: Sequence[Sample], path: Path) -> None:
     """Plot all series over time."""
     table = np.array(samples, dtype=np.float64)
-    labels = ('memory (MiB)', 'landmarks', 'update (ms)', 'keyframes kept')
-    figure, axes = new_figure(columns=2, rows=2, height=2.6)
-    for axis, values, label in zip(axes.flat, table[:, 1:].T, labels, strict=True):
+    labels = ('memory (MiB)', 'landmarks', 'update (ms)', 'anchors', 'keyframes in the graph')
+    figure, axes = new_figure(columns=3, rows=2, height=2.6)
+    axes.flat[-1].set_axis_off()
+    for axis, values, label in zip(axes.flat, table[:, 1:].T, labels, strict=False):
         axis.plot(table[:, 0] / 60.0, values, marker='.')
         axis.set(xlabel='time (min)', ylabel=label, xlim=(0.0, None), ylim=(0.0, None))
     figure.savefig(path, dpi=110)

@@ -49,7 +49,10 @@ class VehicleLog:
 
 @dataclass(frozen=True)
 class MappingTask:
-    """A log ready to be replayed: its bag, what it is evaluated against, and settings."""
+    """A log ready to be replayed: its bag, what it is evaluated against, and settings.
+
+    unknown_starts: vehicles whose start pose the agent is not given.
+    """
 
     name: str
     bag: Path
@@ -59,6 +62,7 @@ class MappingTask:
     offset: float
     settings: Mapping[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    unknown_starts: tuple[str, ...] = ()
     picture_folder: Path | None = None
 
 
@@ -74,25 +78,25 @@ def prepare(
 ) -> MappingTask:
     """Read a log, write its bag into a folder, and find the offset of the relations' times.
 
-    cut: seconds from the start after which the log becomes that of a second vehicle.
+    cut: seconds from the start after which the log becomes that of a second vehicle. starts: see
+    STARTS; with unknown ones, only the first vehicle's is given.
     """
     if starts not in STARTS:
         raise EvaluationError(f'starts is {starts!r}, expected one of {list(STARTS)}')
-    if starts == 'unknown':
-        raise EvaluationError('the agent cannot start vehicles at unknown poses yet')
     if path.is_dir() or path.suffix in ('.mcap', '.db3'):
         if cut is not None:
             raise EvaluationError('a bag cannot be cut, expected a CARMEN log')
         bag, laser, vehicles = path, _laser_of_bag(path), _vehicles_of_bag(path)
+        unknown = _unknown_starts(path, vehicles, starts)
         notes: tuple[str, ...] = ()
     else:
         log = read_carmen(path)
         notes = log.notes
         logs = [log] if cut is None else cut_log(log, cut)
-        bag = folder / 'bag'
-        write_carmen_bag(logs, bag, [start_pose(log) for log in logs])
         vehicles = {f'robot{i + 1}': _vehicle_log(log) for i, log in enumerate(logs)}
-        laser = logs[0].mount
+        unknown = _unknown_starts(path, vehicles, starts)
+        laser, bag = logs[0].mount, folder / 'bag'
+        write_carmen_bag(logs, bag, [start_pose(log) for log in logs])
     wanted = Relations.load(relations) if relations is not None else None
     if wanted is not None and offset is None:
         offset = find_offset(wanted, odometry_of(vehicles), laser)
@@ -101,8 +105,27 @@ def prepare(
             f'{path} has no corrected poses: expected relations to evaluate it with'
         )
     return MappingTask(
-        path.stem, bag, vehicles, laser, wanted, offset or 0.0, dict(settings or {}), notes
+        path.stem,
+        bag,
+        vehicles,
+        laser,
+        wanted,
+        offset or 0.0,
+        dict(settings or {}),
+        notes,
+        unknown,
     )
+
+
+def _unknown_starts(
+    path: Path, vehicles: Mapping[str, VehicleLog], starts: str
+) -> tuple[str, ...]:
+    """Return the vehicles whose start pose the agent is not given: all but the first, or none."""
+    if starts == 'known':
+        return ()
+    if len(vehicles) < 2:
+        raise EvaluationError(f'{path} is of one vehicle: expected --cut with --starts unknown')
+    return tuple(vehicles)[1:]
 
 
 def cut_log(log: CarmenLog, seconds: float) -> list[CarmenLog]:

@@ -1,6 +1,7 @@
 """Accuracy of maps from laser logs: replays with default settings, errors over relations."""
 
 import json
+import math
 import multiprocessing
 import resource
 import time
@@ -11,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from explore_slam.agent import Agent, warm_up
+from explore_slam.agent import Agent, Join, warm_up
 from explore_slam.errors import EvaluationError
 from explore_slam.files import write_text
 from explore_slam.geometry import Array, Pose2, compose
@@ -21,8 +22,12 @@ from explore_slam.results.relations import LoggedOdometry, poses_at, relation_er
 from explore_slam.results.replay_run import configuration
 from explore_slam.results.run_data import RunData, VehicleRun
 from explore_slam.results.trajectory import Trajectory, align, position_errors
-from explore_slam.studies.mapping_log import MappingTask, odometry_of
+from explore_slam.studies.mapping_log import MappingTask, VehicleLog, odometry_of
 
+# A join that is off by more than this is false. Slides along a corridor are 0.5 m and more; the
+# references themselves are off by up to 0.3 m between two visits of a place (ACES).
+WRONG_JOIN = (0.6, 0.1)  # m, rad
+SAME_PLACE = 2.0  # m between the poses of vehicles that have been at the same place
 GRID_PERIOD = 2.0  # s between grids, as the live agent publishes them
 MEGABYTE = 2**20
 FIGURES = (
@@ -34,6 +39,10 @@ FIGURES = (
     ('reference_translation_mean_m', "log's own (m)", '.3f'),
     ('reference_rms_m', 'RMS to reference (m)', '.3f'),
     ('closures', 'closures', 'd'),
+    ('joined_after_m', 'joined after (m)', '.1f'),
+    ('met_after_m', 'met after (m)', '.1f'),
+    ('join_error_m', 'join error (m)', '.3f'),
+    ('false_joins', 'false joins', 'd'),
     ('seconds', 'seconds', '.1f'),
     ('peak_memory_mb', 'memory (MB)', '.0f'),
     ('longest_step_s', 'longest step (s)', '.3f'),
@@ -41,9 +50,13 @@ FIGURES = (
 
 
 class _Replayed(NamedTuple):
-    """What a replay leaves: keyframes of each vehicle, the grid, and what it cost."""
+    """What a replay leaves: keyframes of each vehicle in the map, the grid, and what it cost.
+
+    joins: vehicles that were tied to the map of others, in the order in which that happened.
+    """
 
     keyframes: dict[str, Trajectory]
+    joins: list[Join]
     grid: Any
     closures: int
     seconds: float
@@ -97,9 +110,7 @@ def run_mapping(task: MappingTask, seed: int) -> dict[str, Any]:
         step_median_s=float(np.median(done.steps)),
         step_p99_s=float(np.quantile(done.steps, 0.99)),
         longest_step_s=float(done.steps.max()),
-        joined_after_m=None,
-        join_error_m=None,
-        false_joins=None,
+        **join_figures(task.vehicles, done.joins),
     )
     if task.picture_folder is not None:
         _draw(task, done, seed)
@@ -109,17 +120,81 @@ def run_mapping(task: MappingTask, seed: int) -> dict[str, Any]:
 def _replay(task: MappingTask, seed: int) -> _Replayed:
     config = configuration(task.bag, None, task.settings)
     with BagReader(task.bag) as bag:
-        replay = Replay(bag)
+        replay = Replay(bag, starts=dict.fromkeys(task.unknown_starts))
         agent = Agent(config, replay.start_poses(), seed)
         timed = _TimedAgent(agent)
         begin = time.perf_counter()
         replay.feed(timed, tick=timed.tick)
         grid = agent.grid
         seconds = time.perf_counter() - begin
-    keyframes = {name: Trajectory.of(*agent.trajectory(name)) for name in agent.vehicles}
+    in_map = filter(agent.is_in_map, agent.vehicles)
+    keyframes = {name: Trajectory.of(*agent.trajectory(name)) for name in in_map}
     counts = agent.summary().values()
     closures = sum(int(found.get('closures', 0)) for found in counts)
-    return _Replayed(keyframes, grid, closures, seconds, np.array(timed.steps))
+    joins = agent.take_joins()
+    return _Replayed(keyframes, joins, grid, closures, seconds, np.array(timed.steps))
+
+
+def join_figures(logs: Mapping[str, VehicleLog], joins: Sequence[Join]) -> dict[str, float | None]:
+    """Return when the last of several vehicles was joined to the others, and how rightly.
+
+    joined_after_m: way that it had driven, null if not all were joined; met_after_m: way after
+    which the last of them came to a place where another one had been before; join_error_m: the
+    largest error of the relative poses that were found, by the reference; false_joins: how many of
+    them are wrong. All are null for a single vehicle.
+    """
+    names = list(logs)
+    figures: dict[str, float | None] = dict.fromkeys(
+        ('joined_after_m', 'met_after_m', 'join_error_m', 'false_joins')
+    )
+    if len(names) < 2:
+        return figures
+    met = [_met_after(logs, name) for name in names[1:]]
+    if None not in met:
+        figures['met_after_m'] = max(way for way in met if way is not None)
+    first = {join.vehicle: join for join in reversed(joins)}
+    if set(first) >= set(names[1:]):
+        figures['joined_after_m'] = max(join.way for join in first.values())
+    errors = []
+    for join in joins:
+        here, there = (
+            _reference_at(logs[name], stamp)
+            for name, stamp in ((join.vehicle, join.stamp), (join.other, join.other_stamp))
+        )
+        if here is not None and there is not None:
+            off = there.between(here).between(join.relative)
+            errors.append((math.hypot(off.x, off.y), abs(off.theta)))
+    if errors:
+        figures['join_error_m'] = max(distance for distance, _ in errors)
+    wrong = [error for error in errors if error[0] > WRONG_JOIN[0] or error[1] > WRONG_JOIN[1]]
+    figures['false_joins'] = len(wrong)
+    return figures
+
+
+def _met_after(logs: Mapping[str, VehicleLog], name: str) -> float | None:
+    """Return the way (m) of a vehicle to where another one had been, None if it led nowhere so."""
+    log = logs[name]
+    if log.reference is None:
+        return None
+    steps = np.hypot(*np.diff(log.reference[:, :2], axis=0).T)
+    ways = np.concatenate([[0.0], np.cumsum(steps)])
+    for stamp, pose, way in zip(log.scan_stamps, log.reference, ways, strict=True):
+        for other in logs.values():
+            if other is log or other.reference is None:
+                continue
+            before = other.reference[other.scan_stamps <= stamp]
+            if (np.hypot(*(before[:, :2] - pose[:2]).T) < SAME_PLACE).any():
+                return float(way)
+    return None
+
+
+def _reference_at(log: VehicleLog, stamp: float) -> Pose2 | None:
+    """Return the reference pose of a vehicle at a stamp (s), None where there is none near it."""
+    if log.reference is None:
+        return None
+    odometry = LoggedOdometry(log.stamps, log.odometry)
+    poses, _ = poses_at(np.array([stamp]), log.scan_stamps, log.reference, odometry)
+    return Pose2.from_array(poses[0])
 
 
 def _relation_figures(task: MappingTask, done: _Replayed) -> dict[str, float | None]:

@@ -66,6 +66,8 @@ def test_import_replay_report(data_set, tmp_path, capsys):
         (['--set', 'resolutoin=0.1'], "did you mean 'resolution'"),
         (['--start', 'robot1=1,2'], 'VEHICLE=X,Y,THETA'),
         (['--start', 'robot7=1,2,3'], 'robot7'),
+        (['--start', 'robot7=unknown'], 'robot7'),
+        (['--start', '=unknown'], 'VEHICLE=unknown'),
         (['--vehicles', 'robot7'], 'robot7'),
         (['--threads', '0'], '--threads is 0'),
         (['--config', 'absent.yaml'], 'absent.yaml'),

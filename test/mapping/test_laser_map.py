@@ -76,6 +76,26 @@ def test_a_late_change_starts_from_a_near_snapshot(generator):
     assert laser_map.redraw(path).drawn <= 2 * 10 + 32
 
 
+def test_what_is_not_in_the_map_yet_is_drawn_when_it_is(generator):
+    """Scans of a vehicle of unknown start wait, and do not cover anything either."""
+    laser_map, without = LaserMap(), LaserMap()
+    path = np.cumsum(generator.normal(0.0, 0.4, (120, 3)), axis=0)
+    add_scans(laser_map, generator, 120)
+    in_map = np.arange(120) % 3 != 1
+    for item in laser_map.scans:
+        if in_map[item.keyframe]:
+            without.add(*item[:-1], [body for body in item.bodies if in_map[body.keyframe]])
+    laser_map.redraw(path, in_map)
+    without.redraw(path)
+    assert laser_map.grid.same_as(without.grid)
+    assert laser_map.redraw(path, in_map).drawn == 0
+    summary = laser_map.redraw(path)
+    assert summary.drawn > 110
+    assert laser_map.grid.same_as(from_scratch(laser_map, path))
+    with pytest.raises(MappingError, match='in_map has shape'):
+        laser_map.redraw(path, in_map[:5])
+
+
 def test_without_memory_for_snapshots_the_result_is_the_same(generator):
     laser_map = LaserMap(GridConfig(snapshot_memory=0.0))
     path = np.cumsum(generator.normal(0.0, 0.2, (50, 3)), axis=0)

@@ -1,3 +1,4 @@
+import math
 from pathlib import Path
 
 import pytest
@@ -28,6 +29,7 @@ def test_the_parameter_file_names_settings_that_exist():
     ('names', 'values', 'words'),
     [
         (('a', 'b'), (0.0,) * 5, r'start_poses has 5 numbers, expected 6'),
+        (('a', 'b'), (0.0,) * 5 + (math.nan,), r'start pose of b .* nan three times'),
         (('a', 'a'), (0.0,) * 6, r"vehicles is \['a', 'a'\], expected one name or more"),
         ((), (), r'vehicles is \[\]'),
     ],
@@ -35,6 +37,8 @@ def test_the_parameter_file_names_settings_that_exist():
 def test_start_poses_must_fit_the_names(names, values, words):
     with pytest.raises(ConfigError, match=words):
         AgentNodeConfig(vehicles=names, start_poses=values).poses()
+    unknown = (1.0, 2.0, 0.5, math.nan, math.nan, math.nan)
+    assert AgentNodeConfig(vehicles=('a', 'b'), start_poses=unknown).poses()['b'] is None
     starts = AgentNodeConfig(vehicles=('a', 'b'), start_poses=(1, 2, 0.5, 3, 4, 0.0)).poses()
     assert starts == {'a': (1.0, 2.0, 0.5), 'b': (3.0, 4.0, 0.0)}
 

@@ -261,6 +261,7 @@ def test_a_signal_ends_the_node_cleanly(start, listener, number):
         ((), '/nowhere/world.yaml', '/nowhere/world.yaml: no such world file'),
         (("vehicles:=['x']",), 'small', "not for ['x']: set start_poses"),
         (('start_poses:=[1.0, 2.0]',), 'small', 'start_poses has 2 numbers, expected 6'),
+        (("vehicles:=['a']", 'start_poses:=[.nan, .nan, .nan]'), 'small', 'start_poses has nan'),
         (("vehicles:=['a']", 'start_poses:=[3.2, 0.5, 0.0]'), 'small', 'inside a wall'),
         (('pose_lead:=-1.0',), 'small', 'pose_lead'),
     ],

@@ -11,7 +11,13 @@ from synthetic import SyntheticWorld
 
 from explore_slam import messages
 from explore_slam.agent.agent import Agent
-from explore_slam.data import Intrinsics, LandmarkObservations, LaserScan, RgbdFrame
+from explore_slam.data import (
+    Intrinsics,
+    LandmarkObservations,
+    LaserScan,
+    OdometryReading,
+    RgbdFrame,
+)
 from explore_slam.errors import ConfigError, RecordingError
 from explore_slam.geometry import Pose2
 from explore_slam.recording import BagReader, BagWriter, Event, Replay, TopicKind
@@ -148,10 +154,11 @@ def _write_at(writer: BagWriter, event: Event, log_time: float) -> None:
     write_event(Shifted(), event)
 
 
-def feed(path: Path, **options) -> tuple[Replay, Agent]:
+def feed(path: Path, values: dict | None = None, **options) -> tuple[Replay, Agent]:
     bag = BagReader(path)
     replay = Replay(bag, **options)
-    agent = Agent(configuration(path, None, {'particles': 10}), replay.start_poses())
+    settings = configuration(path, None, {'particles': 10, **(values or {})})
+    agent = Agent(settings, replay.start_poses())
     replay.feed(agent)
     bag.close()
     return replay, agent
@@ -179,6 +186,45 @@ def test_start_poses_come_from_options_then_initialpose_then_truth(tmp_path):
     assert replay.start_poses() == {'robot1': (0.0, 0.0, 0.0)}
     with pytest.raises(RecordingError, match='robot9'):
         Replay(BagReader(bag), starts={'robot9': Pose2(0, 0, 0)})
+
+
+def test_a_start_that_is_given_as_unknown_is_not_taken_from_the_bag(team_bag, tmp_path):
+    apart = {'relocalization': False}  # no join by landmarks
+    replay = Replay(BagReader(team_bag), starts={'robot2': None})
+    assert replay.start_poses()['robot2'] is None
+    _, agent = feed(team_bag, apart, starts={'robot2': None})
+    assert agent.is_in_map('robot1')
+    assert not agent.is_in_map('robot2')
+    # a pose that an operator sets later is used
+    events = team_events(4.0)
+    stamp = events[-1].stamp - 1.0
+    reading = OdometryReading(stamp, Pose2(0.5, -2.0, 0.3), 1e-4 * np.eye(3))
+    later = Event(stamp, 'robot2', TopicKind.INITIAL_POSE, reading)
+    bag = write(tmp_path / 'set', sorted([*events, later], key=lambda event: event.stamp))
+    _, agent = feed(bag, apart, starts={'robot2': None})
+    assert agent.is_in_map('robot2')
+
+
+def test_a_vehicle_that_was_not_found_is_left_out_of_the_results(team_bag):
+    data = replay_bag(
+        team_bag,
+        starts={'robot2': None},
+        options={'particles': 10, 'relocalization': False},
+        until=3.0,
+    )
+    by_name = {vehicle.name: vehicle for vehicle in data.vehicles}
+    assert len(by_name['robot1'].estimated) > 5
+    assert len(by_name['robot2'].estimated) == len(by_name['robot2'].online) == 0
+    assert any('robot2 was not found in the map' in note for note in data.notes)
+
+
+def test_unknown_starts_are_recorded_as_nan(team_bag):
+    values = {
+        'vehicles': ['robot1', 'robot2'],
+        'start_poses': [1.0, 2.0, 0.5, *[float('nan')] * 3],
+    }
+    write_settings(team_bag, values)
+    assert recorded_starts(team_bag) == {'robot1': Pose2(1.0, 2.0, 0.5), 'robot2': None}
 
 
 def test_an_unknown_vehicle_is_named_and_the_others_go_on(team_bag):

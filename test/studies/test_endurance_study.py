@@ -29,6 +29,7 @@ def test_the_command_samples_a_run_and_writes_its_series(tmp_path, capsys):
     assert found['t'] == pytest.approx([4.0, 8.0], abs=0.05)
     assert 0 < found['landmarks'][0] <= found['landmarks'][1]
     assert 0 < found['anchors'][0] < found['anchors'][1]
+    assert 0 < found['keyframes'][0] < found['keyframes'][1]
     assert all(50.0 < value < 20_000.0 for value in found['memory_mb'])
     assert all(0.0 < value < 10_000.0 for value in found['update_ms'])
     assert found['collisions'] == {'robot1': 0, 'robot2': 0}
@@ -68,7 +69,10 @@ def test_a_blocked_vehicle_and_one_that_takes_too_long_get_other_waypoints():
 
 
 def test_update_times_that_are_not_known_are_null(tmp_path):
-    samples = [Sample(60.0, 300.0, 10, math.nan, 4), Sample(120.0, 310.0, 20, 5.0, 9)]
+    samples = [
+        Sample(60.0, 300.0, 10, math.nan, 4, 6),
+        Sample(120.0, 310.0, 20, 5.0, 9, 12),
+    ]
     found = json.loads(save_samples(samples, {'seed': 0}, tmp_path).read_text())
     assert found['update_ms'] == [None, 5.0]
     assert found['landmarks'] == [10, 20]

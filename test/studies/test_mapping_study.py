@@ -3,11 +3,13 @@
 import itertools
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from carmen_logs import Drive, write_log
 
+from explore_slam.agent import Join
 from explore_slam.cli.main import main
 from explore_slam.errors import EvaluationError
 from explore_slam.geometry import Pose2
@@ -20,14 +22,15 @@ from explore_slam.results.relations import (
     relation_errors,
 )
 from explore_slam.studies import mapping_study
-from explore_slam.studies.mapping_log import cut_log, prepare
-from explore_slam.studies.mapping_study import markdown_table, run_mapping
+from explore_slam.studies.mapping_log import VehicleLog, cut_log, prepare
+from explore_slam.studies.mapping_study import join_figures, markdown_table, run_mapping
 
 PARTICLES = {'particles': 30}
 KEYS = {
     'seed', 'translation_mean_m', 'translation_std_m', 'rotation_mean_deg', 'near_m', 'loops_m',
     'reference_translation_mean_m', 'reference_rms_m', 'closures', 'seconds', 'recorded_seconds',
-    'peak_memory_mb', 'longest_step_s', 'joined_after_m', 'join_error_m', 'false_joins',
+    'peak_memory_mb', 'longest_step_s', 'joined_after_m', 'met_after_m', 'join_error_m',
+    'false_joins',
 }  # fmt: skip
 
 
@@ -97,6 +100,49 @@ def test_two_vehicles_of_one_log(log_and_relations, tmp_path):
     assert figures['reference_rms_m'] < 0.15
 
 
+def test_in_a_square_room_a_vehicle_of_unknown_start_is_not_joined(log_and_relations, tmp_path):
+    """It looks the same in four directions: the map is that of the first vehicle."""
+    log, _ = log_and_relations
+    task = prepare(log, tmp_path, cut=60.0, starts='unknown', settings=PARTICLES)
+    assert task.unknown_starts == ('robot2',)
+    figures = run_mapping(task, 0)
+    assert figures['joined_after_m'] is None
+    assert figures['false_joins'] == 0
+    assert figures['reference_rms_m'] < 0.1
+
+
+def test_joins_are_judged_by_the_reference():
+    """A vehicle that drives 1 m/s along x, and one behind it along y."""
+    stamps = np.arange(0.0, 20.0, 0.5)
+    zeros = np.zeros_like(stamps)
+    paths = [
+        np.stack(columns, axis=1) for columns in [(stamps, zeros, zeros), (zeros, stamps, zeros)]
+    ]
+    logs = {
+        name: VehicleLog(stamps, stamps, path, stamps[::4], path[::4])
+        for name, path in zip(('robot1', 'robot2'), paths, strict=True)
+    }
+    right = Join('robot2', 11.0, 9.0, 'robot1', 3.0, Pose2(-3.0, 11.1, 0.0))
+    figures = join_figures(logs, [right])
+    assert figures['joined_after_m'] == 9.0
+    assert figures['met_after_m'] == 0.0
+    assert figures['join_error_m'] == pytest.approx(0.1)
+    assert figures['false_joins'] == 0
+    wrong = right._replace(relative=Pose2(-3.0, 13.0, 0.0))
+    turned = right._replace(relative=Pose2(-3.0, 11.0, 0.2))
+    assert join_figures(logs, [wrong])['false_joins'] == 1
+    assert join_figures(logs, [turned])['false_joins'] == 1
+    assert join_figures(logs, [])['joined_after_m'] is None
+    assert join_figures(logs, [])['false_joins'] == 0
+    later = logs['robot2']
+    away = replace(later, reference=later.reference + np.array([0.0, 6.0, 0.0]))
+    assert join_figures({'robot1': logs['robot1'], 'robot2': away}, [])['met_after_m'] is None
+    back = replace(later, reference=np.array([6.0, 6.0, 0.0]) - later.reference)
+    assert join_figures({'robot1': logs['robot1'], 'robot2': back}, [])['met_after_m'] == 6.0
+    alone = join_figures({'robot1': logs['robot1']}, [])
+    assert set(alone.values()) == {None}
+
+
 def test_the_parts_of_a_cut_log_make_up_the_whole(log_and_relations):
     log = read_carmen(log_and_relations[0])
     first, second = cut_log(log, 60.0)
@@ -129,8 +175,8 @@ def test_what_cannot_be_evaluated_is_refused(drive, log_and_relations, tmp_path)
         prepare(raw, tmp_path)
     with pytest.raises(EvaluationError, match='raw log'):
         prepare(raw, tmp_path, cut=10.0)
-    with pytest.raises(EvaluationError, match='unknown poses'):
-        prepare(log_and_relations[0], tmp_path, cut=10.0, starts='unknown')
+    with pytest.raises(EvaluationError, match='expected --cut with --starts unknown'):
+        prepare(log_and_relations[0], tmp_path, starts='unknown')
 
 
 def test_the_command_writes_figures_table_and_maps(log_and_relations, tmp_path, capsys):
@@ -156,7 +202,7 @@ def test_the_table_shows_what_is_missing():
     run.update(seed=3, seconds=1.25, closures=2)
     row = markdown_table([run]).splitlines()[-1]
     assert row.startswith('| 3 | - |')
-    assert '| 2 | 1.2 | - | - |' in row
+    assert '| 2 | - | - | - | - | 1.2 | - | - |' in row
 
 
 def test_the_evaluation_of_the_slam_benchmark(recordings):

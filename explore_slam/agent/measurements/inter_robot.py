@@ -20,7 +20,11 @@ def process(team: Team, track: VehicleTrack, observation: InterRobotObservation)
         track.count('unused_inter_robot_observations')
         return
     other = team.tracks[observation.vehicle]
-    if other.odometry.last < observation.stamp or team.is_late(other, observation.stamp):
+    if (
+        not team.belief.are_in_one_frame(track.name, other.name)
+        or other.odometry.last < observation.stamp
+        or team.is_late(other, observation.stamp)
+    ):
         track.count('unmatched_inter_robot_observations')
         return
     for observed in (track, other):

@@ -18,6 +18,7 @@ def enqueue_scan(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
 
 def process(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
     """Add a scan to the laser map if the vehicle has moved on since the last one."""
+    team.loops.search_joins(team.belief)
     if track.keyframe is None:
         track.count('late_observations')
         return
@@ -89,6 +90,8 @@ def _bodies(team: Team, track: VehicleTrack, stamp: float) -> list[Body]:
         if other is track:
             continue
         if other.keyframe is None:
+            if other.start is None:
+                continue
             bodies.append(Body(MAP_FRAME, other.start, radius))
         else:
             moved = other.moved_since_keyframe(stamp)

@@ -124,8 +124,10 @@ class _Search:
         points: Array,
         radius: Array,
         vectors: Vectors,
+        hidden: NDArray[np.bool_] | None = None,
     ) -> None:
         self.landmarks = landmarks
+        self.hidden = hidden
         self.config = config
         self.points = points
         self.radius = radius
@@ -173,7 +175,10 @@ class _Search:
         lower = (self.points - self.radius[:, None]).min(axis=0)
         upper = (self.points + self.radius[:, None]).max(axis=0)
         size, reference = self.landmarks.size, self.landmarks.reference
-        entries = _inside(reference[:size], self.landmarks.ids[:size], lower, upper)
+        ids = self.landmarks.ids[:size]
+        if self.hidden is not None:
+            ids = np.where(self.hidden, -1, ids)
+        entries = _inside(reference[:size], ids, lower, upper)
         entries = entries[np.argsort(reference[entries, 0], kind='stable')]
         if not len(entries):
             return found, distances, np.zeros(count, bool)
@@ -202,11 +207,24 @@ class _Search:
             self.config.maximum_descriptor_distance,
             2 * self.config.candidates_per_observation,
         )
+        if self.hidden is not None:
+            similar, distances = _without(self.hidden, similar, distances)
         off = self.landmarks.reference[similar] - self.points[some][:, None, :]
         length = np.sqrt(np.einsum('kji,kji->kj', off, off))
         radius = self.radius[some][:, None]
         found = similar >= 0
         return similar, distances, found & (length <= radius), found & (length <= radius + beyond)
+
+
+def _without(
+    hidden: NDArray[np.bool_], entries: Ids, distances: Distances
+) -> tuple[Ids, Distances]:
+    """Return entries and distances, both (k, J), nearest first, without those that are hidden."""
+    left_out = (entries >= 0) & hidden[entries]
+    order = np.argsort(left_out | (entries < 0), axis=1, kind='stable')
+    entries = np.take_along_axis(np.where(left_out, -1, entries), order, 1)
+    lengths = np.where(left_out, np.float32(np.inf), distances)
+    return entries, np.take_along_axis(lengths, order, 1)
 
 
 def find_candidates(
@@ -216,11 +234,13 @@ def find_candidates(
     pose: Pose2,
     covariance: Array,
     beyond: float,
+    hidden: NDArray[np.bool_] | None = None,
 ) -> CandidateSet:
     """Return the landmarks with similar descriptors near where each observation is expected.
 
     pose and covariance (3, 3): mean of the vehicle's pose in the map, which the search radius
     follows from; beyond (m): how much farther similar landmarks are noted for relocalization.
+    hidden: entries of the map that cannot be observed, because they lie in another frame.
 
     Each observation is compared with every landmark within its radius. If none of them is
     distinctive, or if more of them lie there than the forest would compare, the index over the
@@ -233,7 +253,7 @@ def find_candidates(
     variance = covariance[0, 0] + covariance[1, 1] + (z[:, :2] ** 2).sum(1) * covariance[2, 2]
     variance = variance + R[:, 0] + R[:, 3] + R[:, 5]
     radius = _LEAST_RADIUS + config.association_gate * np.sqrt(variance)
-    search = _Search(landmarks, config, to_world(pose, z), radius, vectors)
+    search = _Search(landmarks, config, to_world(pose, z), radius, vectors, hidden)
     numbers, distances, similar_ids, distinctive = search.run(beyond)
     entries, places = np.unique(numbers, return_inverse=True)
     places = places.reshape(numbers.shape)
@@ -248,4 +268,5 @@ def find_candidates(
         distances=distances.astype(np.float64),
         similar_ids=similar_ids,
         is_distinctive=distinctive,
+        hidden=hidden,
     )

@@ -87,7 +87,8 @@ class CandidateSet:
     vectors (K, D) of the descriptors; entries (L,): the candidates' landmarks in the map;
     candidates (K, J): places in entries, or -1; distances (K, J) of descriptors;
     similar_ids (K, A): ids of all landmarks within reach with a similar descriptor, or -1;
-    is_distinctive (K,): the descriptor tells the landmark from all others (see ratio_test).
+    is_distinctive (K,): the descriptor tells the landmark from all others (see ratio_test);
+    hidden: which entries of the whole map are in another frame than the vehicle, None: no entry.
 
     Covariances of `measured` are those of each observation by itself: with them it is associated.
     Those of `observed` are larger where observations repeat earlier ones: so much they tell.
@@ -101,6 +102,7 @@ class CandidateSet:
     distances: Array
     similar_ids: Places
     is_distinctive: NDArray[np.bool_]
+    hidden: NDArray[np.bool_] | None = None
 
     def __len__(self) -> int:
         """Return the number of observations."""

@@ -29,8 +29,9 @@ from explore_slam.slam.closures.anchors import (
     Region,
     pose_of,
 )
-from explore_slam.slam.closures.closure import Closure, acceptable, apart, closure_information
+from explore_slam.slam.closures.closure import Closure, apart, closure_information
 from explore_slam.slam.closures.config import ClosureConfig
+from explore_slam.slam.closures.uniqueness import Fit, fit_of, trail_of
 
 QUERY_WAY = 8.0  # m
 _LEAST_QUERY_WAY = 6.0  # m; less does not tell rooms apart
@@ -39,6 +40,9 @@ _ANGLE_STEP = math.radians(2.0)
 _SAME_PLACE = (2.0, math.radians(45.0))  # m, rad: one region per place and heading is enough
 _REACH = 0.4  # m
 _MODES_APART = (0.5, 0.17)  # m, rad
+# Share of the returns that must lie on known surfaces: of what the newcomer has seen around the
+# way that it has in common with the map, this may not have been mapped yet (Intel: 0.5 to 0.65).
+_LEAST_OVERLAP = 0.5
 _SURROUNDINGS = 8.0  # m around a match: all that is known there
 _MOST_AROUND = 40  # anchors; more of them are taken in turn
 _AGREEMENTS = 4  # candidates from different scans
@@ -72,25 +76,36 @@ class GlobalSearch:
         made.pending = candidates_of_rows(state['pending'], anchors)
         return made
 
+    def remove_anchor(self, keyframe: int) -> None:
+        """Forget the candidates that an anchor is part of, because it will be removed."""
+        self.pending = [c for c in self.pending if keyframe not in (c.a.keyframe, c.b.keyframe)]
+
     def search(
         self, keyframe: int, poses: Array, settled: Collection[int]
     ) -> Iterator[list[Closure]]:
         """Search for the anchor of a keyframe among those of settled vehicles.
 
         poses (K, 3): of all keyframes, by number; those of the settled vehicles are in one frame,
-        those of the keyframe's vehicle in another. Yields after each region the closures that
-        join the two: none until the last step, and then only if enough candidates agree.
-        Poses and anchors must not change during a search: pass a copy.
+        those of the keyframe's vehicle in another. The result yields after each region the
+        closures that join the two: none until the last step, and then only if enough candidates
+        agree. It searches the anchors of this moment at these poses, which must not change
+        meanwhile: pass a copy.
         """
         anchor = self.anchors.of_keyframe(keyframe)
         if anchor.vehicle in settled:
             raise SlamError(f'vehicle {anchor.vehicle} is settled, expected one of unknown start')
         pose_of(poses, keyframe)
         query = self.anchors.query(anchor, poses, QUERY_WAY)
-        if query.way < _LEAST_QUERY_WAY:
-            return
+        regions = []
+        if query.way >= _LEAST_QUERY_WAY:
+            regions = list(self._regions(poses, settled))
+        return self._search(query, regions, poses, settled)
+
+    def _search(
+        self, query: Query, regions: list[Region], poses: Array, settled: Collection[int]
+    ) -> Iterator[list[Closure]]:
         found: list[_Found] = []
-        for region in self._regions(poses, settled):
+        for region in regions:
             best = max((match.peak.score for match in found), default=0.0)
             least = max(self.config.closure_score, self.config.closure_other_mode * best)
             window = SearchWindow(IDENTITY, _WINDOW, math.pi, _ANGLE_STEP)
@@ -100,7 +115,17 @@ class GlobalSearch:
                 found.append(_Found(region, peak, pose))
             yield []
         candidate = self._candidate(query, found, poses, settled)
-        yield [] if candidate is None else self._join(candidate, poses)
+        if candidate is None:
+            return
+        group = self._agreeing(candidate, poses)
+        if not group:
+            return
+        for fit in self._fits(group, poses, settled):
+            if fit is None:
+                yield []
+            elif fit.is_unique(self.config.closure_other_mode):
+                self._forget(candidate.b.vehicle)
+                yield [member.closure for member in reversed(group)]
 
     def _regions(self, poses: Array, settled: Collection[int]) -> Iterator[Region]:
         """Yield a region for each place and heading of the settled vehicles."""
@@ -123,7 +148,8 @@ class GlobalSearch:
         """Return the best match if it passes all tests and nothing else is nearly as good.
 
         A region is one pass through a place, and the query may have seen more than it: overlap
-        and pose are judged with all that is known around the place.
+        and pose are judged with all that is known around the place. The map may still be growing
+        there, so that less overlap is asked for than of a loop; `fit_of` tests what that allows.
         """
         if not found:
             return None
@@ -133,11 +159,17 @@ class GlobalSearch:
             if match.peak.score > needed and apart(match.pose, best.pose, *_MODES_APART):
                 return None
         region, window = best.region, SearchWindow(IDENTITY, _WINDOW, math.pi, _ANGLE_STEP)
+        if region.centre.keyframe not in self.anchors:  # removed during the search
+            return None
         if region.map.find_other_mode(query.points, window, best.peak.pose, _MODES_APART, needed):
             return None
         surroundings = self._surroundings(region, best.pose, poses, settled)
         alignment = surroundings.align(query.surfaces, best.peak.pose, _REACH)
-        if alignment is None or not acceptable(alignment, self.config):
+        if (
+            alignment is None
+            or alignment.share < _LEAST_OVERLAP
+            or alignment.rms > self.config.closure_rms
+        ):
             return None
         closure = Closure(
             region.centre.keyframe,
@@ -155,7 +187,8 @@ class GlobalSearch:
     ) -> LocalMap:
         """Return the map of all settled anchors around a pose, in the frame of the region."""
         table = self.anchors.table()
-        keyframes = table.keyframes[np.isin(table.vehicles, list(settled))]
+        wanted = np.isin(table.vehicles, list(settled)) & (table.keyframes < len(poses))
+        keyframes = table.keyframes[wanted]
         off = poses[keyframes, :2] - pose[:2]
         near = keyframes[(off**2).sum(axis=1) < _SURROUNDINGS**2]
         near = near[:: 1 + len(near) // _MOST_AROUND]
@@ -165,8 +198,8 @@ class GlobalSearch:
         placed = [Pose2.from_array(at) for at in (*offsets, *region.offsets)]
         return LocalMap.of(clouds, placed)
 
-    def _join(self, candidate: Candidate, poses: Array) -> list[Closure]:
-        """Hold the candidate; return the closures that join the vehicles if enough agree."""
+    def _agreeing(self, candidate: Candidate, poses: Array) -> list[Candidate]:
+        """Hold the candidate; return those that agree with it, if they are enough for a join."""
         b = candidate.b
         self.pending = [
             c for c in self.pending if c.b.vehicle != b.vehicle or b.way - c.b.way < _PENDING_WAY
@@ -175,8 +208,23 @@ class GlobalSearch:
         self.pending.append(candidate)
         if len(group) < _AGREEMENTS or span(group) <= _AGREEMENT_SPAN:
             return []
-        self.pending = [c for c in self.pending if c.b.vehicle != b.vehicle]
-        return [member.closure for member in reversed(group)]
+        return group
+
+    def _forget(self, vehicle: int) -> None:
+        """Forget the candidates of a vehicle, because it is joined."""
+        self.pending = [c for c in self.pending if c.b.vehicle != vehicle]
+
+    def _fits(
+        self, group: Collection[Candidate], poses: Array, settled: Collection[int]
+    ) -> Iterator[Fit | None]:
+        """Yield how the way of the newcomer fits into the map where a group of candidates says."""
+        frame = join_transform([member.closure for member in group], poses)
+        vehicle = next(iter(group)).b.vehicle
+        present = [anchor for anchor in self.anchors if anchor.keyframe < len(poses)]
+        trail = trail_of([anchor for anchor in present if anchor.vehicle == vehicle])
+        known = [anchor for anchor in present if anchor.vehicle in settled]
+        placed = compose(np.asarray(frame), poses[[anchor.keyframe for anchor in trail]])
+        return fit_of(trail, placed, known, poses[[anchor.keyframe for anchor in known]])
 
 
 def join_transform(closures: Collection[Closure], poses: Array) -> Pose2:

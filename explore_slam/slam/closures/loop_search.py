@@ -94,6 +94,12 @@ class LoopSearch:
         """Add a keyframe with a cloud in the vehicle's frame; see Anchor."""
         self.anchors.add(Anchor(keyframe, vehicle, way, stamp, cloud))
 
+    def adopt(self, closures: Sequence[Closure]) -> None:
+        """Take over closures that were found elsewhere, to recheck them with the others."""
+        self.closures += closures
+        for closure in closures:
+            self._note_closed(closure)
+
     def remove_anchor(self, keyframe: int) -> None:
         """Forget an anchor; closures that it is part of remain."""
         self.anchors.remove(keyframe)
@@ -314,10 +320,15 @@ class LoopSearch:
         self.closures += accepted
         taken = {id(candidate) for candidate in group}
         self.pending = [c for c in self.pending if id(c) not in taken]
-        for candidate in group:
-            for end in (candidate.a, candidate.b):
-                self._closed_at[end.vehicle] = max(self._closed_at.get(end.vehicle, 0.0), end.way)
+        for closure in accepted:
+            self._note_closed(closure)
         return accepted
+
+    def _note_closed(self, closure: Closure) -> None:
+        """Note how far the vehicles of a closure had driven at its ends."""
+        for keyframe in (closure.keyframe_a, closure.keyframe_b):
+            end = self.anchors.of_keyframe(keyframe)
+            self._closed_at[end.vehicle] = max(self._closed_at.get(end.vehicle, 0.0), end.way)
 
     # ---- state
 

@@ -1,6 +1,7 @@
 """Anchors of places that are known already: those that may go, so that the area bounds them."""
 
 import math
+from collections.abc import Sequence
 from typing import Self
 
 import numpy as np
@@ -37,12 +38,18 @@ class Thinning:
         made.judged = set(state['judged'].tolist())
         return made
 
-    def redundant(self, poses: Array, covariance: RelativeCovariance) -> list[int]:
+    def redundant(
+        self,
+        poses: Array,
+        covariance: RelativeCovariance,
+        frames: Sequence[int] | None = None,
+    ) -> list[int]:
         """Return the keyframes whose anchors may be removed.
 
-        poses (K, 3): of all keyframes in the map; covariance: of relative poses, see
-        LoopSearch.search. An anchor may go when kept older anchors of the same place show 90 %
-        of its returns and its pose relative to them is known to 0.1 m.
+        poses (K, 3): of all keyframes; covariance: of relative poses, see LoopSearch.search;
+        frames: of each vehicle, in which its poses are. Default: all in one. An anchor may go when
+        kept older anchors of the same place show 90 % of its returns and its pose relative to them
+        is known to 0.1 m.
         """
         gone: list[int] = []
         removed: set[int] = set()
@@ -52,7 +59,7 @@ class Thinning:
             if not settled or anchor.keyframe in self.judged:
                 continue
             self.judged.add(anchor.keyframe)
-            older = self._older(anchor, poses, removed)
+            older = self._older(anchor, poses, removed, frames)
             if older and self._is_known(anchor, older, covariance):
                 shown = _share_shown(anchor, older, poses)
                 if shown > _OVERLAP:
@@ -60,12 +67,16 @@ class Thinning:
                     removed.add(anchor.keyframe)
         return gone
 
-    def _older(self, anchor: Anchor, poses: Array, removed: set[int]) -> list[Anchor]:
+    def _older(
+        self, anchor: Anchor, poses: Array, removed: set[int], frames: Sequence[int] | None
+    ) -> list[Anchor]:
         """Return the nearest kept anchors of the same place from another visit."""
         x, y, _ = poses[anchor.keyframe]
         near: list[tuple[float, int, Anchor]] = []
         for other in self.anchors:
             if other.keyframe >= anchor.keyframe or other.keyframe in removed:
+                continue
+            if frames is not None and frames[other.vehicle] != frames[anchor.vehicle]:
                 continue
             same_visit = other.vehicle == anchor.vehicle and anchor.way - other.way < _RECENT_WAY
             distance = math.hypot(poses[other.keyframe, 0] - x, poses[other.keyframe, 1] - y)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from explore_slam.errors import SlamError
-from explore_slam.geometry import Array
+from explore_slam.geometry import Array, compose
 from explore_slam.slam.checkpoint import State, part, under
 from explore_slam.slam.graph import bounding, checks, motion
 from explore_slam.slam.graph.config import GraphConfig
@@ -30,7 +30,13 @@ from explore_slam.slam.graph.factors import (
     Integers,
     squared_norms,
 )
-from explore_slam.slam.graph.problem import Problem, collect, landmarks_of, take_over
+from explore_slam.slam.graph.problem import (
+    Problem,
+    collect,
+    landmarks_of,
+    move_landmarks,
+    take_over,
+)
 from explore_slam.slam.graph.rows import StoredObservations
 from explore_slam.slam.graph.solver import (
     Draws,
@@ -337,6 +343,31 @@ class JointGraph:
         if rows:
             store.forget_landmarks(np.array(rows))
             store.touch()
+
+    def move(self, vehicles: Iterable[int], frame: ArrayLike, deviations: ArrayLike) -> None:
+        """Move the paths of vehicles, and the landmarks that they observed, as a rigid body.
+
+        For vehicles whose pose in the map becomes known. frame (3,): pose, in the new frame, of
+        the frame that they have been in. deviations (3,) m, m, rad: their priors, which tied them
+        to the old frame, are left with these. Vehicles that are tied to them must move along.
+        """
+        store, members = self._storage, sorted(set(vehicles))
+        tied = {other for vehicle in members for other in self._component(vehicle)}
+        if tied != set(members):
+            raise SlamError(f'vehicles {members} are tied to {sorted(tied - set(members))}')
+        at = checks.matrix('frame', frame, (3,))
+        spread = checks.matrix('deviations', deviations, (3,))
+        if not (spread > 0.0).all():
+            raise SlamError(f'deviations are {spread}, expected positive numbers')
+        keyframes, factors = store.keyframes, store.factors
+        rows = np.isin(keyframes['vehicle'], members)
+        for name in ('pose', 'chain'):
+            keyframes[name][rows] = compose(at, keyframes[name][rows])
+        priors = np.flatnonzero((factors['kind'] == PRIOR) & rows[factors['b']])
+        factors['z'][priors] = compose(at, factors['z'][priors])
+        factors['W'][priors] = np.diag(spread**-2.0)
+        move_landmarks(store, members, at)
+        store.touch([store.newest[vehicle] for vehicle in members])
 
     def pin(self, keyframe: int) -> None:
         """Keep a keyframe in the graph until it is unpinned as often as it was pinned.

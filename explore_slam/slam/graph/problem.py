@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from explore_slam.geometry import Array, between, compose
+from explore_slam.geometry import Array, between, compose, to_world
 from explore_slam.slam.graph.config import GraphConfig
 from explore_slam.slam.graph.factors import (
     CALIBRATION,
@@ -257,6 +257,13 @@ def _move_keyframes(storage: Storage, problem: Problem, nodes: Array) -> None:
         for name in ('pose', 'chain'):
             steps = between(before[last], keyframes[name][later])
             keyframes[name][later] = compose(nodes[last], steps)
+
+
+def move_landmarks(storage: Storage, vehicles: Collection[int], frame: Array) -> None:
+    """Move the landmarks that vehicles observed to where the frame they are in has this pose."""
+    rows = landmarks_of(storage, vehicles)
+    positions = storage.landmarks['position']
+    positions[rows] = to_world(frame, positions[rows])
 
 
 def landmarks_of(storage: Storage, vehicles: Collection[int]) -> Integers:

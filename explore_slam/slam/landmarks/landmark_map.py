@@ -43,6 +43,17 @@ class Landmarks:
     def __len__(self) -> int:
         return len(self.ids)
 
+    def only(self, chosen: NDArray[np.bool_]) -> 'Landmarks':
+        """Return some of the landmarks."""
+        return Landmarks(
+            self.ids[chosen],
+            self.means[chosen],
+            self.covariances[chosen],
+            self.descriptors[chosen],
+            self.counts[chosen],
+            self.owners[chosen],
+        )
+
 
 def make_index(config: AssociationConfig) -> DescriptorIndex:
     """Return the descriptor index that the settings name."""

@@ -262,9 +262,10 @@ class MapManager:
         if not self.engine.removes_landmarks or len(found) < _LEAST_OBSERVATIONS or not confirmed:
             return np.empty(0, np.int64)
         size = landmarks.size
-        expected = _expected(
-            landmarks.reference[:size], landmarks.ids[:size], *pose, found.observed.z
-        )
+        known = landmarks.ids[:size]
+        if found.hidden is not None:
+            known = np.where(found.hidden, -1, known)
+        expected = _expected(landmarks.reference[:size], known, *pose, found.observed.z)
         missed = np.setdiff1d(expected, observed, assume_unique=True)
         landmarks.evidence[missed] -= existence.existence_miss
         gone = missed[landmarks.evidence[missed] < 0.0]

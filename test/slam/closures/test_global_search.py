@@ -78,6 +78,36 @@ def test_a_newcomer_elsewhere_is_not_joined():
     assert closures == []
 
 
+def test_candidates_of_a_removed_anchor_are_forgotten():
+    walls = np.vstack([OFFICE, FURNITURE])
+    first, second = along(*LAP), along(LAP[3], LAP[2], LAP[1])
+    anchors, poses = Anchors(), [tuple(pose) for pose in first]
+    random = np.random.default_rng(1)
+    search = GlobalSearch(ClosureConfig(), anchors)
+    for k, pose in enumerate(first):
+        cloud = scan_cloud(scan_of(walls, pose, 0.01, random), farthest=20.0)
+        anchors.add(Anchor(k, 0, 0.5 * k, float(k), cloud))
+    for k, pose in enumerate(second):
+        number = len(poses)
+        cloud = scan_cloud(scan_of(walls, pose, 0.01, random), farthest=20.0)
+        anchors.add(Anchor(number, 1, 0.5 * k, 1000.0 + k, cloud))
+        poses.append(tuple(UNKNOWN.inverse().compose(pose)))
+        if k >= 12 and k % 3 == 0:
+            steps = search.search(number, np.array(poses), [0])
+            next(steps)
+            # what comes during the search is not part of it
+            way = 0.5 * (len(first) + k)
+            anchors.add(Anchor(number + 1, 0, way, 1000.0 + k, anchors.of_keyframe(k).cloud))
+            poses.append(tuple(first[k]))
+            list(steps)
+    assert len(search.pending) >= 2
+    ends = {keyframe for c in search.pending for keyframe in (c.a.keyframe, c.b.keyframe)}
+    search.remove_anchor(max(ends))
+    left = {keyframe for c in search.pending for keyframe in (c.a.keyframe, c.b.keyframe)}
+    assert max(ends) not in left
+    assert search.pending
+
+
 def test_bad_input_is_named():
     anchors = Anchors()
     search = GlobalSearch(ClosureConfig(), anchors)

@@ -41,6 +41,21 @@ def test_a_restored_search_goes_on_bit_by_bit(tmp_path):
         np.testing.assert_array_equal(one[name], other[name], err_msg=name)
 
 
+def test_anchors_in_different_frames_are_not_compared():
+    """The poses of two vehicles are the same, but in frames that have nothing in common yet."""
+    walls = np.vstack([OFFICE, FURNITURE])
+    run = drive(lambda *_: walls, [Vehicle(along(*LAP)), Vehicle(along(*LAP))])
+    poses = run.graph.path()
+
+    def known(_, others):
+        return np.tile(1e-4 * np.eye(3), (len(others), 1, 1))
+
+    apart = Thinning(run.search.anchors)
+    assert apart.redundant(poses, known, frames=[-1, 1]) == []
+    together = Thinning(run.search.anchors)
+    assert len(together.redundant(poses, known, frames=[-1, -1])) > 20
+
+
 def test_anchors_of_places_seen_often_are_bounded_by_the_area():
     walls = np.vstack([OFFICE, FURNITURE])
     laps = along(*LAP, *LAP[1:], *LAP[1:], *LAP[1:])
