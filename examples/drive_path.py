@@ -36,7 +36,7 @@ def main() -> None:
                     follower.set_scan(event.record)
                 elif isinstance(event.record, OdometryReading):
                     follower.set_odometry(event.record)
-                    # no SLAM here: the start pose and the wheels say where the vehicle is
+                    # no SLAM here: the pose is that of wheel odometry from the start pose on
                     follower.set_pose(event.stamp, START.compose(event.record.pose))
             command = follower.command(simulator.time)
             simulator.set_velocity('robot1', command.linear, command.angular)

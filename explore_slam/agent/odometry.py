@@ -42,7 +42,7 @@ def interpolate(a: Pose2, b: Pose2, fraction: float) -> Pose2:
 
 
 class _Fix(NamedTuple):
-    """A pose that was measured better than by the wheels, and the time since the one before.
+    """A pose measured better than by wheel odometry, and the time since the one before.
 
     Covariances (3, 3) in the vehicle frame at the pose: white, of the error of this pose alone;
     before, of that of the pose before (zero where there is none); wheels, of the odometry between.
@@ -61,7 +61,7 @@ class OdometryBuffer:
 
     When the base is reset or its clock jumps back, the trajectory continues from its last pose, as
     if the vehicle had stood still in between. `correct` bends the trajectory onto a pose that was
-    measured better than by the wheels, for example by scan matching.
+    measured better than by wheel odometry, for example by scan matching.
     """
 
     def __init__(
@@ -215,7 +215,7 @@ class OdometryBuffer:
         else:
             fix = self._fixes[number]
             if stamp <= fix.since:
-                # the wheels drove from the pose measured before
+                # wheel odometry leads here from the pose measured before
                 if number == 0:
                     return None
                 fix = self._fixes[number - 1]

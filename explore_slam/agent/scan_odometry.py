@@ -62,7 +62,7 @@ def refine_by_scan(
     if isinstance(match, ScanMatch):
         track.count('matched_scans')
         track.clouds.append((scan.stamp, cloud))
-        # a map that began anew since the last match knows the way there from the wheels alone
+        # where the map began anew, only wheel odometry connects it with the last match
         drift = match.drift + wheels if restarted else match.drift
         track.odometry.correct(since, scan.stamp, match.pose, drift, match.white, wheels)
         if track.keyframe is not None:

@@ -113,7 +113,7 @@ class RelocalizationConfig(Section):
 
 @dataclass(frozen=True)
 class CorrelationConfig(Section):
-    """How long the errors of repeated observations of one landmark stay alike.
+    """Correlation of the errors of repeated observations of one landmark.
 
     They depend on the sensor: `benchmarks/noise_mrclam.py` finds those of the robots of MR.CLAM.
     """

@@ -10,7 +10,7 @@ from explore_slam.vision.sections import DepthConfig, FeatureConfig, KeyframeCon
 
 @dataclass(frozen=True)
 class VisionConfig(Section):
-    """Settings of the way from an RGB-D frame to landmark observations."""
+    """Settings of the extraction of landmark observations from RGB-D frames."""
 
     feature_detector: str = setting(
         'sift',

@@ -183,7 +183,7 @@ def test_a_pose_between_two_measured_ones_errs_with_both_and_like_a_bridge(buffe
     half = 0.25 * first + 0.25 * second + 0.25 * wheels
     np.testing.assert_allclose(buffer.white_at(0.6), half, atol=1e-15)
     np.testing.assert_allclose(buffer.white_at(0.2), 0.25 * first + 0.25 * wheels, atol=1e-15)
-    np.testing.assert_allclose(buffer.white_at(0.9), second, atol=1e-15)  # the wheels go on
+    np.testing.assert_allclose(buffer.white_at(0.9), second, atol=1e-15)  # wheel odometry goes on
 
 
 def test_the_error_of_a_measured_pose_turns_with_the_vehicle():

@@ -17,7 +17,7 @@ from explore_slam.vision import KeyframeSelector
 
 LASER = Pose2(0.1, 0.0, 0.0)
 SLAM = FastSlamConfig()
-SLIP = 1.2  # the wheels report this many times the true motion
+SLIP = 1.2  # wheel odometry reports this many times the true motion
 
 
 class Drive:

@@ -1,4 +1,4 @@
-"""Laser odometry: matches where the wheels are far off, refusals, and an honest error."""
+"""Laser odometry: matches where wheel odometry is far off, refusals, and an honest error."""
 
 import math
 
@@ -36,7 +36,7 @@ def started(world, pose=IDENTITY):
 @pytest.mark.parametrize('turn', [math.radians(10.0), math.radians(-10.0)])
 @pytest.mark.parametrize('shift', [(0.5, 0.0), (-0.3, 0.4), (0.0, -0.5)])
 def test_wheels_that_are_off_by_half_a_metre_and_ten_degrees_are_put_right(shift, turn):
-    """Also where the wheels claim to be far better than they are."""
+    """Also where wheel odometry claims to be far better than it is."""
     true = Pose2(0.3, -0.2, 0.2)
     prior = Pose2(true.x + shift[0], true.y + shift[1], true.theta + turn)
     for deviation in (0.2, 0.03):

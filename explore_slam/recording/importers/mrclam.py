@@ -5,11 +5,11 @@ dataset", International Journal of Robotics Research 30(8), 2011. Each bar code 
 with a descriptor of its own, a unit vector far from all others, so that the data association is
 known (as in experiment 1). Bar codes of robots become inter-robot observations.
 
-The camera measures bearing by the place of a code in the image, and range by its size. The size
-tells the depth along the optical axis, which the logs give as the range: at the edge of the image
-it is 15 % shorter than the distance. `distances` corrects it. Noise of camera and odometry and the
-lengths over which errors of the camera stay alike are the same for all robots; all figures are of
-`benchmarks/noise_mrclam.py`.
+The camera measures the bearing of a code by its place in the image, and the range by its size.
+The size gives the depth along the optical axis, which the logs call the range: at the edge of the
+image it is 15 % shorter than the distance. `distances` corrects it. Noise of camera and odometry,
+and the correlation lengths of the camera's errors, are the same for all robots; all figures are
+those of `benchmarks/noise_mrclam.py`.
 
 The logged odometry is what the robot was commanded: the robot follows it some tenths of a second
 later. The delay is estimated from the recording itself, by comparing how far the odometry and the
@@ -158,11 +158,11 @@ def odometry_delay(robots: Sequence[tuple[Array, Array]]) -> float:
         held = odometry[:-1, 2] * np.diff(odometry[:, 0])
         heading = np.concatenate([[0.0], np.cumsum(held)])
         for number, delay in enumerate(DELAYS):
-            told = np.interp(second[:, 0] - delay, odometry[:, 0], heading)
-            told -= np.interp(first[:, 0] - delay, odometry[:, 0], heading)
-            square = told @ told
-            scale = (told @ turned) / square if square > 0.0 else 0.0
-            unexplained[number] += np.sum((turned - scale * told) ** 2)
+            logged = np.interp(second[:, 0] - delay, odometry[:, 0], heading)
+            logged -= np.interp(first[:, 0] - delay, odometry[:, 0], heading)
+            square = logged @ logged
+            scale = (logged @ turned) / square if square > 0.0 else 0.0
+            unexplained[number] += np.sum((turned - scale * logged) ** 2)
     return float(DELAYS[np.argmin(unexplained)]) if count >= LEAST_BEARINGS else 0.0
 
 

@@ -251,8 +251,8 @@ class RowStore:
     def _merge_dense(self, layout: Layout) -> None:
         """Merge the other dense layouts of the same generation and width into this one."""
         for other in list(layout.generation.layouts):
-            alike = other.owner is self and other.size_class == layout.size_class
-            if other is layout or not alike or other.columns is not None:
+            same_store = other.owner is self and other.size_class == layout.size_class
+            if other is layout or not same_store or other.columns is not None:
                 continue
             entries = self._live_entries(other)
             self.layout_of[entries] = layout.number
