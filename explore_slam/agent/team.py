@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from explore_slam.agent.config import AgentConfig
 from explore_slam.agent.loop_closing import LoopClosing
 from explore_slam.agent.odometry import OdometryBuffer
+from explore_slam.agent.placement import check_update
 from explore_slam.agent.vehicle_track import Keyframe, VehicleTrack, merged_steps
 from explore_slam.data import LandmarkObservations
 from explore_slam.errors import AgentError
@@ -130,6 +131,7 @@ class Team:
         summary = None
         if len(observations):
             summary = self.belief.update(track.name, observations)
+            check_update(track, summary)
         else:
             track.count('frames_without_landmarks')
         self.add_keyframe(track, observations.stamp, summary)

@@ -24,7 +24,7 @@ from explore_slam.agent import Agent, TeamPlanner, explicit_mounts, warm_up
 from explore_slam.errors import ExploreSlamError
 from explore_slam.messages.frame_pairing import FRAME
 from explore_slam.messages.sensor_mounts import SensorMounts
-from explore_slam.messages.topics import GlobalTopic, TeamTopic
+from explore_slam.messages.topics import GlobalTopic, TeamTopic, Topic, TopicKind
 from explore_slam.messages.vehicle_settings import VehicleConfig
 from explore_slam.nodes.agent_inputs import LIMITS, OperatorPose, VehicleInputs
 from explore_slam.nodes.agent_outputs import AgentOutputs
@@ -102,6 +102,11 @@ class AgentNode(Node):
 
     def _listen(self) -> dict[str, VehicleInputs]:
         subscribe(self, TeamTopic.RESUME, self._on_resume)
+        subscribe(
+            self,
+            GlobalTopic.SELECTED_INITIAL_POSE,
+            lambda message: self._for_selected(TopicKind.INITIAL_POSE, message),
+        )
         names = list(self.config.vehicles)
         given = explicit_mounts(self.config.agent)
         mounts = {
@@ -121,6 +126,17 @@ class AgentNode(Node):
             )
             for name in names
         }
+
+    def _for_selected(self, topic: Topic, message: Any) -> None:
+        """Pass what the operator sends without a namespace to the selected vehicle."""
+        vehicle = self.config.selected
+        if vehicle is None:
+            self.get_logger().warning(
+                f'/{topic.value} is ignored: set the parameter selected_vehicle to one of '
+                f'{list(self.config.vehicles)}'
+            )
+        else:
+            self._inputs[vehicle].take(topic, message)
 
     def _place(self, item: tuple[str, OperatorPose]) -> None:
         vehicle, given = item

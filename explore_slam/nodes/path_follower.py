@@ -29,6 +29,7 @@ from explore_slam.messages import (
     twist_message,
 )
 from explore_slam.messages.topics import (
+    RELIABLE,
     SENSOR_DATA,
     GlobalTopic,
     Topic,
@@ -75,7 +76,10 @@ class PathFollowerNode(Node):
         self._counts: dict[Topic, int] = dict.fromkeys(_INPUTS, 0)
         self._heartbeat: float | None = None  # monotonic s
         subscribe(self, VehicleTopic.AGENT_ALIVE, self._on_heartbeat)
+        # the agent's plans are latched; planners and tools of others publish without that, which
+        # a latched subscription does not match. A plan that arrives twice changes nothing.
         subscribe(self, VehicleTopic.PLAN, self._on_plan)
+        subscribe(self, VehicleTopic.PLAN, self._on_plan, qos=RELIABLE)
         subscribe(self, VehicleTopic.POSE, self._on_pose)
         # only the newest readings matter here: no burst is kept
         subscribe(self, TopicKind.ODOMETRY, self._on_odometry, qos=SENSOR_DATA)

@@ -71,7 +71,7 @@ class Team:
             for name in STARTS
             for topic, kind in kinds.items()
         }
-        self.resume = self.node.create_publisher(Bool, 'explore/resume', LATCHED)
+        self.resume = self.node.create_publisher(Bool, 'explore/resume', 10)  # as ros2 topic pub
         self.epoch = time.time()
 
     def listener(self, topic):
@@ -345,9 +345,12 @@ def test_state_is_saved_forgotten_and_loaded(live):
     team.heard.pop('map_landmarks')
     team.wait_for(lambda: 'map_landmarks' in team.heard)
     assert team.heard['map_landmarks'].width < 50
+    team.drive(3)
     answer = team.call(Trigger, 'load_state', Trigger.Request())
     assert answer.success, answer.message
     assert 'state.npz' in answer.message
+    # the vehicles are not where the state has them, as far as is known: nobody drives off
+    assert 'exploration stays paused until it is resumed' in log_of(folder)
     team.wait_for(lambda: team.heard['map_landmarks'].width >= 50)
     (folder / 'state.npz').write_bytes(b'garbage')
     answer = team.call(Trigger, 'load_state', Trigger.Request())
@@ -356,6 +359,41 @@ def test_state_is_saved_forgotten_and_loaded(live):
     team.heard.pop('map_landmarks')
     team.wait_for(lambda: 'map_landmarks' in team.heard)
     assert team.heard['map_landmarks'].width >= 50
+
+
+def test_poses_of_the_operator_are_checked_and_go_to_the_selected_vehicle(live):
+    """What RViz sends to /initialpose, and what it must not send."""
+    team, folder, processes = live
+    out = team.node.create_publisher(PoseWithCovarianceStamped, '/initialpose', 10)
+    team.wait_for(lambda: out.get_subscription_count() > 0)
+    team.drive(3)
+    place = messages.planar_pose(team.heard['robot2/pose'].pose.pose)
+    spread = np.diag([0.25, 0.25, 0.068])
+
+    def send(frame, covariance):
+        out.publish(messages.estimate_message(MESSAGES, 0.0, frame, place, covariance))
+
+    def logged(text):
+        team.wait_for(lambda: text in log_of(folder), 20.0)
+
+    send('map', spread)
+    logged('/initialpose is ignored: set the parameter selected_vehicle')
+    refused = team.set_parameter('selected_vehicle', string_value='robot7')
+    assert "selected_vehicle is 'robot7', expected one of" in refused.reason
+    assert team.set_parameter('selected_vehicle', string_value='robot2').successful
+    team.spin(0.5)
+    send('robot1/odom', spread)
+    logged("frame 'robot1/odom' belongs to vehicle 'robot1'")
+    team.spin(5.1)  # warnings are throttled
+    send('base_link', spread)
+    logged("pose is in frame 'base_link', expected 'map'")
+    team.spin(5.1)
+    send('map', np.zeros((3, 3)))
+    logged('variances of x, y and yaw are [0.0, 0.0, 0.0], expected more than 0')
+    assert 'is placed by the operator' not in log_of(folder)
+    send('/map', spread)
+    logged('robot2 is placed by the operator')
+    processes.check()
 
 
 def test_silence_is_explained(tmp_path):
