@@ -36,6 +36,7 @@ from explore_slam.messages.topics import (
     TopicKind,
     VehicleTopic,
 )
+from explore_slam.nodes.driver_parameters import DriverNodeConfig
 from explore_slam.nodes.endpoints import publisher, subscribe
 from explore_slam.nodes.node_support import (
     OK,
@@ -50,9 +51,11 @@ from explore_slam.nodes.node_support import (
     now_seconds,
     run_node,
     vehicle_name,
+    warn_of_unknown_parameters,
 )
 from explore_slam.nodes.ros_types import MESSAGES
 from explore_slam.nodes.transform_listener import own_mounts
+from explore_slam.settings import values_of
 from explore_slam.vehicle import FollowerState, PathFollower, PathFollowerConfig, VelocityCommand
 
 _REPORT_PERIOD = 0.5  # s
@@ -67,6 +70,7 @@ class PathFollowerNode(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__('path_follower', **options)
         self.follower = PathFollower(declare_settings(self, PathFollowerConfig()))
+        warn_of_unknown_parameters(self, values_of(DriverNodeConfig()))
         self.vehicle = vehicle_name(self)
         self._mounts = own_mounts(self, self.vehicle, self.follower.config.laser_mount)
         self._command: VelocityCommand | None = None

@@ -1,6 +1,8 @@
 """The agent's node in a process of its own, synthetic vehicles on real topics around it."""
 
 import math
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -307,13 +309,17 @@ def test_malformed_messages_are_named_and_nothing_is_lost(live):
 
 
 def test_parameters_are_described_checked_and_set(live):
-    team, _, _ = live
+    team, folder, _ = live
     request = DescribeParameters.Request(names=['resolution', 'particles', 'engine'])
     described = team.call(DescribeParameters, 'agent/describe_parameters', request).descriptors
     assert '[m]' in described[0].description
     assert described[0].floating_point_range[0].from_value == pytest.approx(0.01)
     assert described[1].integer_range[0].to_value > 1000
     assert 'fastslam2 | paper' in described[2].additional_constraints
+    assert 'takes effect at the next reset' in described[1].description
+    late = team.set_parameter('particles', integer_value=100)
+    assert late.successful
+    team.wait_for(lambda: 'particles: takes effect at the next reset' in log_of(folder))
     assert team.set_parameter('min_frontier_size', double_value=0.8).successful
     refused = team.set_parameter('engine', string_value='magic')
     assert not refused.successful
@@ -398,11 +404,34 @@ def test_poses_of_the_operator_are_checked_and_go_to_the_selected_vehicle(live):
 
 def test_silence_is_explained(tmp_path):
     """Nothing is connected: after five seconds the agent says which topics it misses and why."""
-    with start_agent(tmp_path, {'vehicles': ['robot8', 'robot9']}) as processes:
+    wrong = {'partikles': 50, 'robot8': {'visionn': 'none'}, 'follow_speed': 0.3}
+    with start_agent(tmp_path, {'vehicles': ['robot8', 'robot9'], **wrong}) as processes:
         log = tmp_path / 'logs' / 'agent.log'
         end = time.monotonic() + 90.0
         text = 'nothing on /robot9/odom after 5 s: no publisher found'
         while text not in log.read_text():
             assert time.monotonic() < end
             time.sleep(0.2)
+        # parameters that do not exist are named; those of other nodes may share the file
+        assert "there is no parameter 'partikles'; did you mean 'particles'?" in log.read_text()
+        assert "'robot8.visionn'; did you mean 'robot8.vision'?" in log.read_text()
+        assert 'follow_speed' not in log.read_text()
         processes.check()
+
+
+def test_a_word_that_yaml_reads_as_a_boolean_is_answered_with_the_right_one(tmp_path):
+    environment = {**one_machine_environment(), 'ROS_DOMAIN_ID': str(DOMAIN)}
+    command = [sys.executable, '-m', 'explore_slam.nodes.agent_node', '--ros-args']
+    for name in ('vision', 'robot2.vision'):
+        done = subprocess.run(
+            [*command, '-p', f'{name}:=off'],
+            env=environment,
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+        assert done.returncode == 1
+        assert 'YAML reads off and no as false; write vision: none' in done.stderr
+        assert 'Traceback' not in done.stderr

@@ -10,6 +10,7 @@ import math
 import numpy as np
 import pytest
 import yaml
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from foreign_robots import HALF_HEIGHT, HALF_WIDTH, LATCHED, Robot, Robots
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
@@ -164,6 +165,12 @@ def test_clocks_that_are_off_are_named_with_the_amount(tmp_path):
     second.stamped = False
     third.scan_ahead = third.odom_ahead = 3600.0
     team = Robots([first, second, third], DOMAIN, {})
+    levels = {}
+
+    def on_diagnostics(message):
+        levels.update({status.name: (status.level, status.message) for status in message.status})
+
+    team.node.create_subscription(DiagnosticArray, '/diagnostics', on_diagnostics, 10)
     with start(tmp_path, {}) as processes:
         team.wait_for(lambda: all(out.get_subscription_count() for out in team.out.values()))
         expected = (
@@ -179,5 +186,8 @@ def test_clocks_that_are_off_are_named_with_the_amount(tmp_path):
         for text in expected:
             assert text in log_of(tmp_path)
         assert log_of(tmp_path).count('robot1/scan: stamps are') == 1
+        level, text = levels['agent: vehicle robot1']
+        assert level == DiagnosticStatus.WARN
+        assert 'robot1/scan: stamps are 30.0 s ahead of those of odom' in text
         processes.check()
     team.close()
