@@ -45,7 +45,7 @@ SENSORS = tuple(
     topic
     for kind in MEASUREMENT_KINDS
     for topic in kind.topics
-    if topic not in (TopicKind.LANDMARKS, TopicKind.SIGHTINGS)  # large or rare: not to be lost
+    if topic not in (TopicKind.LANDMARKS, TopicKind.INTER_ROBOT)  # large or rare: not to be lost
 )
 
 
@@ -54,7 +54,7 @@ def matches(offered, requested):
     return qos_check_compatible(offered, qos_profile(requested))[0] != QoSCompatibility.ERROR
 
 
-@pytest.mark.parametrize('topic', [*COMMANDS, TopicKind.LANDMARKS, TopicKind.SIGHTINGS])
+@pytest.mark.parametrize('topic', [*COMMANDS, TopicKind.LANDMARKS, TopicKind.INTER_ROBOT])
 def test_commands_match_what_tools_and_latched_publishers_offer(topic):
     assert matches(TOOL, topic.requested)
     assert matches(LATCHED, topic.requested)
