@@ -86,7 +86,7 @@ class AgentNode(Node):
         warn_of_unknown_parameters(
             self, {**values_of(DriverNodeConfig()), **values_of(PathFollowerConfig())}
         )
-        warm_up()
+        warm_up(self.get_logger().info)
         self.agent = Agent(self.config.agent, self.config.poses(), self.config.seed)
         self.planner = TeamPlanner(self.agent)
         self.planner.pause(not self.config.explore)
