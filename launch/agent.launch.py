@@ -6,57 +6,88 @@ ros2 launch explore_slam agent.launch.py vehicles:=robot1,robot2 start_poses:=0,
 from pathlib import Path
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-CONFIG = Path(__file__).resolve().parents[1] / 'config' / 'agent.yaml'
+from explore_slam.live import launch_arguments as read
+
+CONFIG = Path(__file__).resolve().parents[1] / 'config'
+ARGUMENTS = {
+    'vehicles': ('robot1,robot2', 'names of the vehicles, separated by commas: their namespaces'),
+    'start_poses': (
+        '0,0,0,0,1,0',
+        'start pose of each vehicle in the map: x, y (m), heading (rad); nan,nan,nan: unknown',
+    ),
+    'vision': ('agent', 'where features are extracted: agent, vehicle, or none without cameras'),
+    'use_laser': ('true', 'false for a team without laser scanners'),
+    'seed': ('0', 'seed of all random numbers'),
+    'explore': ('true', 'start exploring at once; false: wait for explore/resume'),
+    'run_directory': ('.', 'folder into which save_map and save_state write'),
+    'namespace': ('', 'namespace of the agent'),
+    'params_file': (
+        str(CONFIG / 'agent.yaml'),
+        'parameter file of the agent; arguments of the command line override it',
+    ),
+    'use_sim_time': ('false', 'use the time of /clock'),
+    'rviz': ('false', 'show map, vehicles and frontiers in RViz'),
+    'scan_topic': ('', 'scans of each vehicle, if not scan; without slash: in its namespace'),
+    'odom_topic': ('', 'odometry of each vehicle, if not odom'),
+    'color_topic': ('', 'colour images of each vehicle, if not camera/rgb/image_raw'),
+    'depth_topic': ('', 'registered depth images, if not camera/depth_registered/image_raw'),
+    'camera_info_topic': ('', 'intrinsics of the camera, if not camera/rgb/camera_info'),
+}
 
 
 def start_agent(context):
-    def value(name):
-        return LaunchConfiguration(name).perform(context)
-
+    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    vehicles = read.names('vehicles', given['vehicles'])
+    sim_time = {'use_sim_time': read.boolean('use_sim_time', given['use_sim_time'])}
     parameters = {
-        'vehicles': value('vehicles').replace(' ', '').split(','),
-        'start_poses': [float(number) for number in value('start_poses').split(',')],
-        'vision': value('vision'),
-        'run_directory': value('run_directory'),
-        'use_sim_time': value('use_sim_time') == 'true',
+        'vehicles': vehicles,
+        'start_poses': read.numbers('start_poses', given['start_poses'], 3 * len(vehicles)),
+        'vision': read.choice('vision', given['vision'], ('agent', 'vehicle', 'none')),
+        'use_laser': read.boolean('use_laser', given['use_laser']),
+        'seed': read.whole_number('seed', given['seed'], 0),
+        'explore': read.boolean('explore', given['explore']),
+        'run_directory': given['run_directory'],
+        **sim_time,
     }
-    return [
+    topics = {name: given[name] for name in read.TOPICS}
+    actions = [
         Node(
             package='explore_slam',
             executable='agent',
-            namespace=value('namespace'),
-            parameters=[value('config'), parameters],
+            namespace=given['namespace'],
+            parameters=[read.existing_file('params_file', given['params_file']), parameters],
+            remappings=read.remappings(topics, vehicles),
             output='screen',
         )
     ]
+    if read.boolean('rviz', given['rviz']):
+        actions.append(
+            Node(
+                package='rviz2',
+                executable='rviz2',
+                arguments=['-d', str(CONFIG / 'explore_slam.rviz')],
+                parameters=[sim_time],
+            )
+        )
+    return actions
+
+
+def name_misspelt(context):
+    return [LogInfo(msg=text) for text in read.misspelt(context.argv, ARGUMENTS)]
 
 
 def generate_launch_description():
-    defaults = {
-        'vehicles': (
-            'robot1,robot2',
-            'names of the vehicles, separated by commas: their namespaces',
-        ),
-        'start_poses': (
-            '0,0,0,0,1,0',
-            'start pose of each vehicle in the map: x, y (m), heading (rad); nan,nan,nan: unknown',
-        ),
-        'vision': ('agent', 'where features are extracted: agent or vehicle'),
-        'run_directory': ('.', 'folder into which save_map and save_state write'),
-        'namespace': ('', 'namespace of the agent'),
-        'config': (str(CONFIG), 'parameter file of the agent'),
-        'use_sim_time': ('false', 'use the time of /clock'),
-    }
     return LaunchDescription(
         [
             *(
                 DeclareLaunchArgument(name, default_value=default, description=text)
-                for name, (default, text) in defaults.items()
+                for name, (default, text) in ARGUMENTS.items()
             ),
+            OpaqueFunction(function=name_misspelt),
             OpaqueFunction(function=start_agent),
         ]
     )

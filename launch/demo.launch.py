@@ -1,68 +1,92 @@
 """Simulator, path followers and agent, to be watched in RViz.
 
-ros2 launch explore_slam demo.launch.py world:=office
+ros2 launch explore_slam demo.launch.py world:=office rviz:=true
 
 `explore_slam demo` does the same without ros2 launch and writes a run folder.
 """
 
 from pathlib import Path
 
-import yaml
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import (
+    DeclareLaunchArgument,
+    LogInfo,
+    OpaqueFunction,
+    SetEnvironmentVariable,
+)
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
+from explore_slam.live import launch_arguments as read
+
 CONFIG = Path(__file__).resolve().parents[1] / 'config'
+ARGUMENTS = {
+    'world': ('office', 'name of a world of the package, or a world file'),
+    'vehicles': ('2', 'number of vehicles'),
+    'seed': ('0', 'seed of the agent and of the simulated noise'),
+    'params_file': (str(CONFIG / 'agent.yaml'), 'parameter file of the agent'),
+    'rviz': ('false', 'show map, vehicles and frontiers in RViz'),
+}
 
 
 def start(context):
-    def value(name):
-        return LaunchConfiguration(name).perform(context)
-
-    path = Path(value('world'))
-    if not path.suffix:
-        path = CONFIG / 'worlds' / f'{path}.yaml'
-    starts = yaml.safe_load(path.read_text(encoding='utf-8'))['starts']
-    names = list(starts)[: int(value('vehicles'))]
+    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    world = read.world_file(given['world'], CONFIG / 'worlds')
+    starts = read.start_poses_of(world, given['vehicles'])
+    seed = {'seed': read.whole_number('seed', given['seed'], 0)}
     team = {
-        'vehicles': names,
-        'start_poses': [float(number) for name in names for number in starts[name]],
+        'vehicles': list(starts),
+        'start_poses': [number for pose in starts.values() for number in pose],
+        **seed,
     }
     simulated = {'use_sim_time': True}
-    follow = [
+    parameters = [read.existing_file('params_file', given['params_file']), {**team, **simulated}]
+    actions = [
+        # without a large segment of shared memory images are lost
+        SetEnvironmentVariable(
+            'FASTRTPS_DEFAULT_PROFILES_FILE', str(CONFIG / 'fastdds_one_machine.xml')
+        ),
+        Node(
+            package='explore_slam',
+            executable='simulator',
+            parameters=[{'world': str(world), **team}],
+            additional_env={'MUJOCO_GL': 'egl'},
+        ),
+        Node(package='explore_slam', executable='agent', parameters=parameters, output='screen'),
+    ]
+    actions += [
         Node(
             package='explore_slam',
             executable='path_follower',
             namespace=name,
             parameters=[simulated],
         )
-        for name in names
+        for name in starts
     ]
-    return [
-        Node(
-            package='explore_slam',
-            executable='simulator',
-            parameters=[{'world': str(path), **team}],
-            additional_env={'MUJOCO_GL': 'egl'},
-        ),
-        Node(
-            package='explore_slam',
-            executable='agent',
-            parameters=[str(CONFIG / 'agent.yaml'), {**team, **simulated}],
-            output='screen',
-        ),
-        *follow,
-    ]
+    if read.boolean('rviz', given['rviz']):
+        actions.append(
+            Node(
+                package='rviz2',
+                executable='rviz2',
+                arguments=['-d', str(CONFIG / 'explore_slam.rviz')],
+                parameters=[simulated],
+            )
+        )
+    return actions
+
+
+def name_misspelt(context):
+    return [LogInfo(msg=text) for text in read.misspelt(context.argv, ARGUMENTS)]
 
 
 def generate_launch_description():
     return LaunchDescription(
         [
-            DeclareLaunchArgument(
-                'world', default_value='office', description='name or file of a world'
+            *(
+                DeclareLaunchArgument(name, default_value=default, description=text)
+                for name, (default, text) in ARGUMENTS.items()
             ),
-            DeclareLaunchArgument('vehicles', default_value='2', description='number of vehicles'),
+            OpaqueFunction(function=name_misspelt),
             OpaqueFunction(function=start),
         ]
     )

@@ -3,19 +3,22 @@
 ros2 launch explore_slam vehicle.launch.py name:=robot1 base_port:=/dev/pioneer motors:=true
 """
 
+from pathlib import Path
+
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
-from launch.conditions import IfCondition
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
+from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
-from launch_ros.substitutions import FindPackageShare
 
+from explore_slam.live import launch_arguments as read
+
+CONFIG = Path(__file__).resolve().parents[1] / 'config'
 ARGUMENTS = {
     'name': ('robot1', 'name of the vehicle: its namespace'),
     'params_file': (
-        PathJoinSubstitution([FindPackageShare('explore_slam'), 'config', 'vehicle.yaml']),
-        'parameters of driver and follower',
+        str(CONFIG / 'vehicle.yaml'),
+        'parameters of driver and follower; arguments of the command line override them',
     ),
     'base_port': ('/dev/pioneer', "serial device of the base, or 'tcp://host:port'"),
     'laser_port': ('/dev/lms200', 'serial device of the laser'),
@@ -26,50 +29,57 @@ ARGUMENTS = {
     'follower': ('true', 'run the path follower'),
     'features': ('false', 'extract features on the vehicle (needs vision:=vehicle of the agent)'),
     'use_sim_time': ('false', 'use the time of /clock'),
+    'scan_topic': ('', 'scans, if not scan; without slash: in the namespace of the vehicle'),
+    'odom_topic': ('', 'odometry, if not odom'),
+    'color_topic': ('', 'colour images, if not camera/rgb/image_raw'),
+    'depth_topic': ('', 'registered depth images, if not camera/depth_registered/image_raw'),
+    'camera_info_topic': ('', 'intrinsics of the camera, if not camera/rgb/camera_info'),
 }
 
 
-def generate_launch_description():
-    given = {name: LaunchConfiguration(name) for name in ARGUMENTS}
-
-    def flag(name):
-        return ParameterValue(given[name], value_type=bool)
-
-    common = {'package': 'explore_slam', 'namespace': given['name'], 'output': 'screen'}
-    time = {'use_sim_time': flag('use_sim_time')}
+def start(context):
+    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    flags = ('base', 'laser', 'camera', 'motors', 'follower', 'features', 'use_sim_time')
+    on = {name: read.boolean(name, given[name]) for name in flags}
+    common = {
+        'package': 'explore_slam',
+        'namespace': given['name'],
+        'remappings': read.remappings({name: given[name] for name in read.TOPICS}),
+        'output': 'screen',
+    }
+    time = {'use_sim_time': on['use_sim_time']}
     driver = {
         'base_port': ParameterValue(given['base_port'], value_type=str),
         'laser_port': ParameterValue(given['laser_port'], value_type=str),
-        'use_base': flag('base'),
-        'use_laser': flag('laser'),
-        'use_camera': flag('camera'),
-        'motors_at_start': flag('motors'),
+        'use_base': on['base'],
+        'use_laser': on['laser'],
+        'use_camera': on['camera'],
+        'motors_at_start': on['motors'],
     }
+    file = read.existing_file('params_file', given['params_file'])
+    nodes = [('pioneer_driver', [file, driver, time])]
+    if on['follower']:
+        nodes.append(('path_follower', [file, time]))
+    if on['features']:
+        nodes.append(('feature_extractor', [time]))
+    return [
+        Node(executable=name, name=name, parameters=parameters, **common)
+        for name, parameters in nodes
+    ]
+
+
+def name_misspelt(context):
+    return [LogInfo(msg=text) for text in read.misspelt(context.argv, ARGUMENTS)]
+
+
+def generate_launch_description():
     return LaunchDescription(
         [
             *(
                 DeclareLaunchArgument(name, default_value=default, description=text)
                 for name, (default, text) in ARGUMENTS.items()
             ),
-            Node(
-                executable='pioneer_driver',
-                name='pioneer_driver',
-                parameters=[given['params_file'], driver, time],
-                **common,
-            ),
-            Node(
-                executable='path_follower',
-                name='path_follower',
-                parameters=[given['params_file'], time],
-                condition=IfCondition(given['follower']),
-                **common,
-            ),
-            Node(
-                executable='feature_extractor',
-                name='feature_extractor',
-                parameters=[time],
-                condition=IfCondition(given['features']),
-                **common,
-            ),
+            OpaqueFunction(function=name_misspelt),
+            OpaqueFunction(function=start),
         ]
     )

@@ -10,15 +10,30 @@ computer of its own runs vehicle.launch.py there.
 from pathlib import Path
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, OpaqueFunction
+from launch.actions import (
+    DeclareLaunchArgument,
+    IncludeLaunchDescription,
+    LogInfo,
+    OpaqueFunction,
+)
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
 
-PASSED_ON = {'camera': 'true', 'motors': 'false', 'features': 'false', 'use_sim_time': 'false'}
+from explore_slam.live import launch_arguments as read
+
+ARGUMENTS = {
+    'vehicles': ('robot1,robot2', 'names of the vehicles, separated by commas'),
+    'ports': ('/dev', 'folder of the ports'),
+    'camera': ('true', 'read the Kinect of each vehicle'),
+    'motors': ('false', 'enable the motors at the start; false: service enable_motors does'),
+    'features': ('false', 'extract features on the vehicles'),
+    'use_sim_time': ('false', 'use the time of /clock'),
+}
+PASSED_ON = ('camera', 'motors', 'features', 'use_sim_time')
 
 
 def include_vehicles(context):
-    names = LaunchConfiguration('vehicles').perform(context).replace(' ', '').split(',')
+    names = read.names('vehicles', LaunchConfiguration('vehicles').perform(context))
     ports = LaunchConfiguration('ports').perform(context).rstrip('/')
     one = str(Path(__file__).with_name('vehicle.launch.py'))
     return [
@@ -33,23 +48,21 @@ def include_vehicles(context):
             }.items(),
         )
         for name in names
-        if name
     ]
+
+
+def name_misspelt(context):
+    return [LogInfo(msg=text) for text in read.misspelt(context.argv, ARGUMENTS)]
 
 
 def generate_launch_description():
     return LaunchDescription(
         [
-            DeclareLaunchArgument(
-                'vehicles', default_value='robot1,robot2', description='names, separated by commas'
-            ),
-            DeclareLaunchArgument(
-                'ports', default_value='/dev', description='folder of the ports'
-            ),
             *(
-                DeclareLaunchArgument(name, default_value=default)
-                for name, default in PASSED_ON.items()
+                DeclareLaunchArgument(name, default_value=default, description=text)
+                for name, (default, text) in ARGUMENTS.items()
             ),
+            OpaqueFunction(function=name_misspelt),
             OpaqueFunction(function=include_vehicles),
         ]
     )

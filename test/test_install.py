@@ -55,6 +55,13 @@ def test_executables_and_files_lie_where_ros2_looks(installed):
     assert index.exists()
 
 
+def test_executables_run_under_the_python_of_the_shell(installed):
+    """A colcon of another Python must not write its own interpreter into the scripts."""
+    prefix, _ = installed
+    for path in (prefix / 'lib' / 'explore_slam').iterdir():
+        assert path.read_text().splitlines()[0] == '#!/usr/bin/env python3', path.name
+
+
 def test_an_installed_executable_starts(installed):
     prefix, environment = installed
     command = f'source {prefix}/share/explore_slam/package.bash; '
@@ -80,3 +87,23 @@ def test_an_installed_node_starts_and_ends_when_asked(installed):
     finally:
         node.kill()
         node.stderr.close()
+
+
+@pytest.mark.parametrize(
+    ('module', 'needed'),
+    [
+        ('path_follower', set()),
+        ('pioneer_driver', set()),
+        ('feature_extractor', {'numba'}),
+        ('agent_node', {'numba'}),
+        ('recorder', {'rosbags'}),
+        ('player', {'rosbags'}),
+    ],
+)
+def test_nodes_need_from_pip_what_the_readme_says(module, needed):
+    """What apt does not have; see the section On robots of the README."""
+    code = f'import sys, explore_slam.nodes.{module}; '
+    code += "print(*{'numba', 'rosbags', 'mujoco', 'mcap'}.intersection(sys.modules))"
+    done = run([sys.executable, '-c', code], env={**os.environ, 'PYTHONPATH': str(REPOSITORY)})
+    assert done.returncode == 0, done.stderr
+    assert set(done.stdout.split()) == needed

@@ -1,5 +1,8 @@
 """The central agent without ROS: filter, occupancy grid and planner for a team of vehicles."""
 
+import threading
+from collections.abc import Callable
+
 from explore_slam import exploration, mapping, registration, slam
 from explore_slam.agent.agent import Agent
 from explore_slam.agent.config import AgentConfig, explicit_mounts
@@ -19,7 +22,31 @@ __all__ = [
 ]
 
 
-def warm_up() -> None:
-    """Compile all kernels that the agent runs, or load them from the cache."""
-    for package in (registration, slam, closures, mapping, exploration):
-        package.warm_up()
+_LOADING = 3.0  # s; loading all kernels from the cache takes half of that
+
+
+def warm_up(progress: Callable[[str], None] | None = None) -> None:
+    """Compile all kernels that the agent runs, or load them from the cache.
+
+    progress: called with a sentence, from any thread, if it takes longer than loading does: first
+    that kernels are compiled, then which part of them is done.
+    """
+    packages = (registration, slam, closures, mapping, exploration)
+    compiling = threading.Event()
+
+    def announce() -> None:
+        compiling.set()
+        if progress is not None:
+            progress('compiling kernels (once, about a minute) ...')
+
+    timer = threading.Timer(_LOADING, announce)
+    timer.daemon = True
+    timer.start()
+    try:
+        for number, package in enumerate(packages, 1):
+            package.warm_up()
+            if compiling.is_set() and progress is not None:
+                name = package.__name__.rpartition('.')[2]
+                progress(f'kernels of {name} are ready ({number} of {len(packages)})')
+    finally:
+        timer.cancel()

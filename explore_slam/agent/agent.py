@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from explore_slam.agent import checkpoint
+from explore_slam.agent import checkpoint, placement
 from explore_slam.agent.config import AgentConfig
 from explore_slam.agent.loop_closing import Join, LoopClosing
 from explore_slam.agent.measurement_queue import Stamped
@@ -90,6 +90,8 @@ class Agent:
         if self.paused:
             track.count('ignored_while_paused')
             return
+        if not placement.is_usable(track, record):
+            return
         kind.enqueue(self._team, track, record)
         self._process(track)
 
@@ -102,14 +104,21 @@ class Agent:
 
     def set_pose(self, vehicle: str, pose: Pose2, covariance: Array) -> None:
         """Place a vehicle at a pose given by the operator, covariance (3, 3); the map is kept."""
-        self.track(vehicle)
+        track = self.track(vehicle)
         self.belief.set_pose(vehicle, pose, covariance)
+        placement.place(track)
 
     def _add_odometry(self, track: VehicleTrack, reading: OdometryReading) -> None:
-        before = track.odometry.last
+        before, restarts = track.odometry.last, track.odometry.restarts
+        if not len(track.odometry):
+            placement.check_first_reading(track, reading.pose)
         if not track.odometry.add(reading):
             track.count('late_odometry')
             return
+        if track.odometry.restarts != restarts:
+            placement.displace(track)
+            pose, _ = self.belief.estimate(track.name)
+            self.belief.set_pose(track.name, pose, placement.DISPLACED)
         if reading.stamp < before:
             self._restart_clock(track)
         self.now = max(self.now, reading.stamp)
@@ -244,7 +253,7 @@ class Agent:
             state = VehicleState.SILENT
         elif not self.belief.is_in_map(track.name):
             state = VehicleState.UNLOCALIZED
-        elif deviation > self.config.inputs.lost_deviation:
+        elif track.displaced or deviation > self.config.inputs.lost_deviation:
             state = VehicleState.LOST
         goal = track.plan.goal if track.plan is not None and len(track.plan.waypoints) else None
         return VehicleStatus(self.now, track.name, state, pose, covariance, goal)
@@ -268,10 +277,15 @@ class Agent:
                 f'{path} is of vehicles {sorted(belief.vehicles)}, '
                 f'expected {sorted(self.start_poses)}'
             )
+        known = {
+            name: self.estimate(name)[0] for name, track in self.tracks.items() if track.keyframe
+        }
         self.reset()
         self._team.belief, self._team.laser_map, self._team.loops = belief, laser_map, loops
         for vehicle in self.tracks:
             belief.restart_clock(vehicle)
+            loaded = belief.estimate(vehicle)[0]
+            placement.check_loaded_pose(self.tracks[vehicle], known.get(vehicle), loaded)
 
     def save_map(self, base: Path) -> Path:
         """Write base.pgm and base.yaml for nav2's map_server; return the path of the YAML file."""

@@ -15,6 +15,12 @@ logger = logging.getLogger(__name__)
 
 # m; slack of the speed limit, for stamps that jitter: 0.03 s at the default limit of 3 m/s
 _JUMP_SLACK = 0.1
+# rad/s and rad; faster than any base turns (a Create 3: 1.9, a TurtleBot3 Burger: 2.8)
+_JUMP_TURN_RATE = 20.0
+_JUMP_TURN_SLACK = 0.3
+_RESTART_GAP = 0.4  # s without readings; no driver restarts faster, and they come at 10 Hz or more
+_NEAR_ZERO = 0.02  # m and rad; a base stands still while its driver starts
+_RESTART_CONTRAST = 3.0  # times as far from zero was the last reading of the old driver at least
 _TRIM_MINIMUM = 64  # readings; shorter histories are not worth trimming
 
 
@@ -30,6 +36,11 @@ class Step(NamedTuple):
     def covariance_or(self, noise: OdometryNoise) -> Array:
         """Return the covariance (3, 3), by default that of the odometry noise model."""
         return noise.covariance(self.increment) if self.covariance is None else self.covariance
+
+
+def _near_zero(pose: Pose2, factor: float) -> bool:
+    limit = factor * _NEAR_ZERO
+    return math.hypot(pose.x, pose.y) < limit and abs(wrap_angle(pose.theta)) < limit
 
 
 def interpolate(a: Pose2, b: Pose2, fraction: float) -> Pose2:
@@ -59,6 +70,8 @@ class _Fix(NamedTuple):
 class OdometryBuffer:
     """Recent odometry readings of one vehicle as one continuous trajectory.
 
+    resets: jumps of the odometry that were no motion, restarts among them.
+    restarts: of the driver, after which the vehicle may stand anywhere.
     When the base is reset or its clock jumps back, the trajectory continues from its last pose, as
     if the vehicle had stood still in between. `correct` bends the trajectory onto a pose that was
     measured better than by wheel odometry, for example by scan matching.
@@ -76,6 +89,7 @@ class OdometryBuffer:
         """
         self.vehicle = vehicle
         self.resets = 0
+        self.restarts = 0
         self._duration = duration
         self._jump_speed = jump_speed
         self._clock_jump_threshold = clock_jump_threshold
@@ -117,6 +131,15 @@ class OdometryBuffer:
                 return False
             self._restart_clock(reading)
             return True
+        if self._stamps and self._is_restart(reading):
+            logger.warning(
+                '%s: odometry begins at zero again, %.1f s after its last reading: the driver was '
+                'restarted, its way since then is unknown and no motion',
+                self.vehicle,
+                reading.stamp - self.last,
+            )
+            self.restarts += 1
+            self._continue_from(reading)
         pose = reading.pose
         if self._correction is not None:
             pose = self._correction.compose(pose)
@@ -249,9 +272,20 @@ class OdometryBuffer:
             del self._stamps[:keep], self._poses[:keep], self._covariances[:keep]
             self._fixes = [fix for fix in self._fixes if fix.stamp >= self._stamps[0]]
 
+    def _is_restart(self, reading: OdometryReading) -> bool:
+        """Return whether a reading at zero after a gap is the first of a restarted driver."""
+        if reading.stamp - self.last < _RESTART_GAP:
+            return False  # a reset of the base that goes on: a jump, which is no motion
+        return _near_zero(reading.pose, 1.0) and not _near_zero(self.reading, _RESTART_CONTRAST)
+
     def _is_jump(self, stamp: float, pose: Pose2) -> bool:
         moved = math.hypot(pose.x - self.pose.x, pose.y - self.pose.y)
-        return moved > self._jump_speed * (stamp - self.last) + _JUMP_SLACK
+        turned = abs(wrap_angle(pose.theta - self.pose.theta))
+        duration = stamp - self.last
+        return (
+            moved > self._jump_speed * duration + _JUMP_SLACK
+            or turned > _JUMP_TURN_RATE * duration + _JUMP_TURN_SLACK
+        )
 
     def _continue_from(self, reading: OdometryReading) -> None:
         """Attach a reading, and those that follow it, to the last pose."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from explore_slam.agent.config import AgentConfig
 from explore_slam.agent.loop_closing import LoopClosing
 from explore_slam.agent.odometry import OdometryBuffer
+from explore_slam.agent.placement import check_update
 from explore_slam.agent.vehicle_track import Keyframe, VehicleTrack, merged_steps
 from explore_slam.data import LandmarkObservations
 from explore_slam.errors import AgentError
@@ -144,6 +145,7 @@ class Team:
             summary = self.belief.update(track.name, observations)
             if summary.joined:
                 logger.info('%s joined the map by the landmarks that it observes', track.name)
+            check_update(track, summary)
         else:
             track.count('frames_without_landmarks')
         self.add_keyframe(track, observations.stamp, summary)

@@ -36,8 +36,11 @@ class TeamPlanner:
             self._planner = Planner(config)
 
     def pause(self, paused: bool) -> None:
-        """Stop all vehicles, or explore again."""
+        """Stop all vehicles, or explore again; that confirms where the vehicles stand."""
         self.mode = PlanningMode.PAUSED if paused else PlanningMode.EXPLORE
+        if not paused:
+            for track in self._agent.tracks.values():
+                track.doubt = ''
 
     def return_home(self) -> None:
         """Send every vehicle to its start pose."""
@@ -66,8 +69,10 @@ class TeamPlanner:
             for status in self._agent.statuses()
             if self._agent.is_in_map(status.vehicle)
         }
-        result = self._planner.plan(self._agent.grid, now, vehicles, self.mode)
-        if not result.searched and not self._searched and self.mode is not PlanningMode.PAUSED:
+        in_doubt = any(track.doubt for track in self._agent.tracks.values())
+        mode = PlanningMode.PAUSED if in_doubt else self.mode
+        result = self._planner.plan(self._agent.grid, now, vehicles, mode)
+        if not result.searched and not self._searched and mode is not PlanningMode.PAUSED:
             # without a map the exploration has not begun, which is not a pause
             result = replace(result, status=ExplorationStatus.STARTED)
         self._searched |= result.searched

@@ -38,6 +38,10 @@ class VehicleTrack:
     last_heard: time (s) of the agent when odometry arrived last.
     last_seen: stamp (s) of the newest frame or landmarks that were processed.
     follower: newest report of the path follower.
+    doubt: why its pose must be confirmed before it drives; '' if it need not be.
+    placed: its pose was given by a person or a saved state, not by its start.
+    displaced: its odometry began anew after a gap, so that it may stand anywhere.
+    updated_since_displaced: whether landmarks have updated its pose since then.
     counts: events by name, e.g. measurements that were left out.
     """
 
@@ -55,6 +59,10 @@ class VehicleTrack:
     plan: Plan | None = None
     state: VehicleState = VehicleState.WAITING
     follower: str = ''
+    doubt: str = ''
+    placed: bool = False
+    displaced: bool = False
+    updated_since_displaced: bool = False
     counts: dict[str, int] = field(default_factory=dict)
     waiting: MeasurementQueue[Stamped] = field(default_factory=MeasurementQueue)
     unmatched: MeasurementQueue[LaserScan] = field(default_factory=MeasurementQueue)

@@ -3,6 +3,8 @@
 import argparse
 from pathlib import Path
 
+from explore_slam.cli.arguments import add_topic_option
+
 HELP = 'publish a recorded bag on live topics, with /clock (needs ROS)'
 
 
@@ -16,6 +18,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--vehicles', nargs='+', default=(), help='only the topics of these vehicles'
     )
+    add_topic_option(parser)
     parser.add_argument('--until', type=float, metavar='SECONDS', help='stop after this time')
     parser.add_argument('--no-clock', action='store_true', help='do not publish /clock')
     parser.add_argument('--no-progress', action='store_true', help='do not show progress')
@@ -25,6 +28,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Play until the end or until Ctrl-C."""
     from explore_slam.cli.progress import progress_bar
     from explore_slam.nodes.player import play
+    from explore_slam.recording.topic_selection import topic_choices
 
     with progress_bar(arguments.bag.name, enabled=not arguments.no_progress) as show:
         counts = play(
@@ -34,6 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
             vehicles=arguments.vehicles,
             clock=not arguments.no_clock,
             until=arguments.until,
+            choices=topic_choices(arguments.topic),
             progress=show,
         )
     print(f'{sum(counts.values())} messages on {len(counts)} topics')

@@ -3,6 +3,8 @@
 import argparse
 from pathlib import Path
 
+from explore_slam.cli.arguments import add_topic_option
+
 HELP = 'record the live topics of the vehicles in a bag (needs ROS)'
 
 
@@ -13,6 +15,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--vehicles', nargs='+', default=(), help='only the topics of these vehicles'
     )
+    add_topic_option(parser)
     parser.add_argument('--sim-time', action='store_true', help='take log times from /clock')
 
 

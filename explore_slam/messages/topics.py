@@ -82,6 +82,7 @@ class VehicleTopic(Topic):
     """What else lies in a vehicle's namespace: the agent's results for it, commands, status."""
 
     POSE = 'pose', _POSE, RELIABLE, RELIABLE
+    # the follower also subscribes with RELIABLE, for publishers that are not latched
     PLAN = 'plan', 'nav_msgs/msg/Path', LATCHED, LATCHED
     TRAJECTORY = 'trajectory', 'nav_msgs/msg/Path', RELIABLE, RELIABLE
     PARTICLES = 'particles', 'geometry_msgs/msg/PoseArray', BEST_EFFORT
@@ -102,14 +103,18 @@ class TeamTopic(Topic):
     MAP_LANDMARKS = 'map_landmarks', 'sensor_msgs/msg/PointCloud2', LATCHED, LATCHED
     FRONTIERS = 'explore/frontiers', 'visualization_msgs/msg/MarkerArray', RELIABLE, RELIABLE
     STATUS = 'explore/status', 'std_msgs/msg/String', LATCHED, LATCHED
-    RESUME = 'explore/resume', 'std_msgs/msg/Bool', LATCHED, LATCHED
+    RESUME = 'explore/resume', 'std_msgs/msg/Bool', RELIABLE, RELIABLE
 
 
 class GlobalTopic(Topic):
-    """Topics with absolute names, which all nodes share."""
+    """Topics with absolute names, which all nodes share.
+
+    RViz sends poses without a namespace: they go to the vehicle that the operator has selected.
+    """
 
     CLOCK = '/clock', 'rosgraph_msgs/msg/Clock'
     DIAGNOSTICS = '/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', RELIABLE, RELIABLE
+    SELECTED_INITIAL_POSE = '/initialpose', _POSE, RELIABLE, RELIABLE
     TF = '/tf', 'tf2_msgs/msg/TFMessage', TRANSFORMS, TRANSFORMS_HEARD
     TF_STATIC = '/tf_static', 'tf2_msgs/msg/TFMessage', LATCHED, STATIC_TRANSFORMS
 

@@ -109,6 +109,7 @@ class VehicleInputs:
         self.malformed = 0
         self._warned: dict[Topic, float] = {}
         self.received: dict[Topic, int] = {}
+        self._takers: dict[Topic, Callable[[Any], None]] = {}
         self._expected: list[Topic] = []
         for kind in MEASUREMENT_KINDS:
             expected = kind.is_expected(mounts.config)
@@ -117,7 +118,7 @@ class VehicleInputs:
                     self._subscribe(topic, self._measurement_callback(topic))
             if expected:
                 self._expected += kind.expected
-        self._subscribe(TopicKind.INITIAL_POSE, self.take_pose)
+        self._subscribe(TopicKind.INITIAL_POSE, self._on_pose)
 
     @property
     def config(self) -> VehicleConfig:
@@ -127,16 +128,19 @@ class VehicleInputs:
     def _subscribe(self, topic: Topic, take: Callable[[Any], None]) -> None:
         self.received[topic] = 0
 
+        self._takers[topic] = take
+        subscribe(self._node, topic, partial(self.take, topic), self.vehicle)
+
+    def take(self, topic: Topic, message: Any) -> None:
+        """Take a message of a topic: check frame and stamp, then use it."""
+
         def check_and_take(message: Any) -> None:
             self._check_frame(topic, message)
             self._check_stamp(topic, message)
-            take(message)
+            self._takers[topic](message)
 
-        def on_message(message: Any) -> None:
-            self.received[topic] += 1
-            self._try(topic, check_and_take, message)
-
-        subscribe(self._node, topic, on_message, self.vehicle)
+        self.received[topic] += 1
+        self._try(topic, check_and_take, message)
 
     def _try(self, topic: Topic, take: Callable[[Any], None], message: Any) -> None:
         """Take a message; a malformed one is counted and named."""
@@ -207,7 +211,7 @@ class VehicleInputs:
 
         self._inbox.put(kind.name, self.vehicle, add, record)
 
-    def take_pose(self, message: Any) -> None:
+    def _on_pose(self, message: Any) -> None:
         """Place the vehicle where the operator says; DataError where that cannot be used."""
         given = operator_pose(message, self._map_frame)
         x, y, yaw = given.pose

@@ -20,16 +20,17 @@ from rclpy.task import Future
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
-from explore_slam.agent import Agent, TeamPlanner, explicit_mounts, warm_up
+from explore_slam.agent import Agent, AgentConfig, TeamPlanner, explicit_mounts, warm_up
 from explore_slam.errors import ExploreSlamError
 from explore_slam.messages.frame_pairing import FRAME
 from explore_slam.messages.sensor_mounts import SensorMounts
-from explore_slam.messages.topics import GlobalTopic, TeamTopic
+from explore_slam.messages.topics import GlobalTopic, TeamTopic, Topic, TopicKind
 from explore_slam.messages.vehicle_settings import VehicleConfig
 from explore_slam.nodes.agent_inputs import LIMITS, OperatorPose, VehicleInputs
 from explore_slam.nodes.agent_outputs import AgentOutputs
 from explore_slam.nodes.agent_parameters import AgentNodeConfig
 from explore_slam.nodes.agent_statistics import AgentStatistics
+from explore_slam.nodes.driver_parameters import DriverNodeConfig
 from explore_slam.nodes.endpoints import publisher, subscribe
 from explore_slam.nodes.heartbeat import Heartbeat
 from explore_slam.nodes.inbox import Inbox, Item
@@ -44,10 +45,12 @@ from explore_slam.nodes.node_support import (
     diagnostics_message,
     now_seconds,
     run_node,
+    warn_of_unknown_parameters,
 )
 from explore_slam.nodes.plan_outputs import PlanOutputs
 from explore_slam.nodes.transform_listener import TransformListener
 from explore_slam.settings import values_of
+from explore_slam.vehicle import PathFollowerConfig
 
 POLL_PERIOD = 0.05  # s that the worker waits for an item before it does periodic work
 _RELEASE_PERIOD = 0.2  # s between looks at messages that wait for transforms
@@ -56,6 +59,16 @@ FIXED = {
     'vehicles', 'start_poses', 'seed', 'frame_queue', 'map_frame', 'run_directory', 'navigator',
     *values_of(VehicleConfig()),
 }  # fmt: skip
+_DEFAULTS = AgentConfig()
+# parameters of what is built anew at a reset
+AT_RESET = {
+    *values_of(_DEFAULTS.slam), *values_of(_DEFAULTS.mapping), *values_of(_DEFAULTS.closures),
+    'odometry_duration', 'odometry_jump_speed',
+}  # fmt: skip
+_NOTES = {
+    **dict.fromkeys(AT_RESET, 'takes effect at the next reset'),
+    **dict.fromkeys(FIXED, 'set at start only'),
+}
 
 
 class AgentNode(Node):
@@ -66,11 +79,14 @@ class AgentNode(Node):
         self._log_handler = RosLogHandler(self)
         logging.getLogger('explore_slam').addHandler(self._log_handler)
         logging.getLogger('explore_slam').setLevel(logging.INFO)
-        self.config = declare_settings(self, AgentNodeConfig())
+        self.config = declare_settings(self, AgentNodeConfig(), _NOTES)
         self.vehicle_configs = declare_vehicle_settings(
             self, self.config.team, self.config.vehicles
         )
-        warm_up()
+        warn_of_unknown_parameters(
+            self, {**values_of(DriverNodeConfig()), **values_of(PathFollowerConfig())}
+        )
+        warm_up(self.get_logger().info)
         self.agent = Agent(self.config.agent, self.config.poses(), self.config.seed)
         self.planner = TeamPlanner(self.agent)
         self.planner.pause(not self.config.explore)
@@ -102,6 +118,11 @@ class AgentNode(Node):
 
     def _listen(self) -> dict[str, VehicleInputs]:
         subscribe(self, TeamTopic.RESUME, self._on_resume)
+        subscribe(
+            self,
+            GlobalTopic.SELECTED_INITIAL_POSE,
+            lambda message: self._for_selected(TopicKind.INITIAL_POSE, message),
+        )
         names = list(self.config.vehicles)
         given = explicit_mounts(self.config.agent)
         mounts = {
@@ -121,6 +142,17 @@ class AgentNode(Node):
             )
             for name in names
         }
+
+    def _for_selected(self, topic: Topic, message: Any) -> None:
+        """Pass what the operator sends without a namespace to the selected vehicle."""
+        vehicle = self.config.selected
+        if vehicle is None:
+            self.get_logger().warning(
+                f'/{topic.value} is ignored: set the parameter selected_vehicle to one of '
+                f'{list(self.config.vehicles)}'
+            )
+        else:
+            self._inputs[vehicle].take(topic, message)
 
     def _place(self, item: tuple[str, OperatorPose]) -> None:
         vehicle, given = item
@@ -220,6 +252,9 @@ class AgentNode(Node):
                 self.planner.configure(config.agent.exploration)
 
             self.inbox.put('request', 'parameters', apply, None)
+            late = sorted(item.name for item in parameters if item.name in AT_RESET)
+            if late:  # rclpy drops the reason of a success: the log has it
+                self.get_logger().info(f'{", ".join(late)}: takes effect at the next reset')
         return result
 
     # -- the worker ------------------------------------------------------------------------------

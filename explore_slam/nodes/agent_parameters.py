@@ -39,6 +39,12 @@ class AgentNodeConfig(Section):
     navigator: str = setting(
         'follower', 'What drives the vehicles along their plans', choices=tuple(NAVIGATORS)
     )
+    selected_vehicle: str = setting(
+        '',
+        'Vehicle that gets what RViz sends to /initialpose and /goal_pose; empty: the only one of '
+        'the team',
+        tier='basic',
+    )
     explore: bool = setting(True, 'Start exploring at once', tier='basic')
     planner_frequency: float = setting(
         0.5, 'Planning cycles per second', unit='Hz', low=0.01, high=20.0
@@ -84,6 +90,21 @@ class AgentNodeConfig(Section):
     )
     team: VehicleConfig = section(VehicleConfig)
     agent: AgentConfig = section(AgentConfig)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.selected_vehicle and self.selected_vehicle not in self.vehicles:
+            raise ConfigError(
+                f'selected_vehicle is {self.selected_vehicle!r}, expected one of '
+                f'{list(self.vehicles)}'
+            )
+
+    @property
+    def selected(self) -> str | None:
+        """The vehicle that the operator has selected, or the only one; None: nobody knows."""
+        if not self.selected_vehicle and len(self.vehicles) == 1:
+            return self.vehicles[0]
+        return self.selected_vehicle or None
 
     def poses(self) -> dict[str, Pose2 | None]:
         """Return vehicle -> start pose, None: unknown; ConfigError for wrong numbers."""

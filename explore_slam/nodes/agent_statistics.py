@@ -82,7 +82,9 @@ class AgentStatistics:
             values = self._vehicle(status, by_vehicle[name], inbox)
             values.update(figures.get(name, {}))
             bad = status.state in (VehicleState.LOST, VehicleState.SILENT, VehicleState.BLOCKED)
-            reason = planning.waiting.get(name, '')
+            clocks = by_vehicle[name].clock_problems()
+            bad |= bool(clocks)
+            reason = '; '.join([planning.waiting.get(name, ''), *clocks]).strip('; ')
             text = status.state.value + (f': {reason}' if reason else '')
             parts[f'vehicle {name}'] = (WARN if bad else OK, text, values)
         return parts

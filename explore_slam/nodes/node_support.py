@@ -25,7 +25,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from explore_slam.errors import ConfigError, ExploreSlamError
 from explore_slam.messages.vehicle_settings import VehicleConfig, vehicle_settings
-from explore_slam.settings import Section, Setting, settings_of, with_values
+from explore_slam.settings import Section, Setting, settings_of, unknown_name, with_values
 
 _NICENESS = -10  # granted to root, and where limits.conf allows it
 SILENCE = 5.0  # s without a message after which its possible causes are logged
@@ -39,8 +39,9 @@ OK, WARN, ERROR, STALE = (
 )
 
 
-def _descriptor(info: Setting) -> ParameterDescriptor:
+def _descriptor(info: Setting, note: str = '') -> ParameterDescriptor:
     text = f'{info.doc} [{info.unit}]' if info.unit else info.doc
+    text += f' ({note})' if note else ''
     # dynamic typing: `speed: 1` in a YAML file is meant as 1.0; Setting.check names errors
     descriptor = ParameterDescriptor(description=text, dynamic_typing=True)
     descriptor.additional_constraints = ' | '.join(info.choices)
@@ -60,22 +61,41 @@ def _plain(value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
 
 
-def declare_settings[S: Section](node: Node, tree: S) -> S:
+def declare_settings[S: Section](node: Node, tree: S, notes: Mapping[str, str] | None = None) -> S:
     """Declare every leaf of the tree as a parameter; return the tree with the node's values.
 
+    notes: name -> when a change takes effect, for the description.
     Raises ConfigError naming the parameter, its value and what was expected.
     """
-    values = {info.name: declare_setting(node, info, value) for info, value in settings_of(tree)}
+    when = notes or {}
+    values = {
+        info.name: declare_setting(node, info, value, when.get(info.name, ''))
+        for info, value in settings_of(tree)
+    }
     return with_values(tree, values)
 
 
-def declare_setting(node: Node, info: Setting, value: Any) -> Any:
+def warn_of_unknown_parameters(node: Node, others: Iterable[str] = ()) -> None:
+    """Log the parameters of the command line and of parameter files that the node does not have.
+
+    others: names of parameters of other nodes of the package, which may share a file.
+    """
+    # rclpy has no public way to read what was given but not declared
+    given, known = sorted(node._parameter_overrides), sorted(node._parameters)
+    foreign = set(others)
+    for name in given:
+        if not node.has_parameter(name) and name not in foreign:
+            text = unknown_name(name, known).replace('setting', 'parameter')
+            node.get_logger().warning(text)
+
+
+def declare_setting(node: Node, info: Setting, value: Any, note: str = '') -> Any:
     """Declare one setting with its default; return the value that the node has.
 
     ConfigError for a number out of range.
     """
     try:
-        node.declare_parameter(info.name, _plain(value), _descriptor(info))
+        node.declare_parameter(info.name, _plain(value), _descriptor(info, note))
     except InvalidParameterValueException as error:  # rclpy checks the range first
         raise ConfigError(str(error)) from error
     return _plain(node.get_parameter(info.name).value)

@@ -29,12 +29,14 @@ from explore_slam.messages import (
     twist_message,
 )
 from explore_slam.messages.topics import (
+    RELIABLE,
     SENSOR_DATA,
     GlobalTopic,
     Topic,
     TopicKind,
     VehicleTopic,
 )
+from explore_slam.nodes.driver_parameters import DriverNodeConfig
 from explore_slam.nodes.endpoints import publisher, subscribe
 from explore_slam.nodes.node_support import (
     OK,
@@ -49,9 +51,11 @@ from explore_slam.nodes.node_support import (
     now_seconds,
     run_node,
     vehicle_name,
+    warn_of_unknown_parameters,
 )
 from explore_slam.nodes.ros_types import MESSAGES
 from explore_slam.nodes.transform_listener import own_mounts
+from explore_slam.settings import values_of
 from explore_slam.vehicle import FollowerState, PathFollower, PathFollowerConfig, VelocityCommand
 
 _REPORT_PERIOD = 0.5  # s
@@ -66,6 +70,7 @@ class PathFollowerNode(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__('path_follower', **options)
         self.follower = PathFollower(declare_settings(self, PathFollowerConfig()))
+        warn_of_unknown_parameters(self, values_of(DriverNodeConfig()))
         self.vehicle = vehicle_name(self)
         self._mounts = own_mounts(self, self.vehicle, self.follower.config.laser_mount)
         self._command: VelocityCommand | None = None
@@ -75,7 +80,10 @@ class PathFollowerNode(Node):
         self._counts: dict[Topic, int] = dict.fromkeys(_INPUTS, 0)
         self._heartbeat: float | None = None  # monotonic s
         subscribe(self, VehicleTopic.AGENT_ALIVE, self._on_heartbeat)
+        # the agent's plans are latched; planners and tools of others publish without that, which
+        # a latched subscription does not match. A plan that arrives twice changes nothing.
         subscribe(self, VehicleTopic.PLAN, self._on_plan)
+        subscribe(self, VehicleTopic.PLAN, self._on_plan, qos=RELIABLE)
         subscribe(self, VehicleTopic.POSE, self._on_pose)
         # only the newest readings matter here: no burst is kept
         subscribe(self, TopicKind.ODOMETRY, self._on_odometry, qos=SENSOR_DATA)

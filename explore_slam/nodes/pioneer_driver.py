@@ -43,12 +43,14 @@ from explore_slam.nodes.node_support import (
     now_seconds,
     run_node,
     vehicle_name,
+    warn_of_unknown_parameters,
 )
 from explore_slam.nodes.transform_listener import own_mounts
 from explore_slam.settings import values_of
 from explore_slam.vehicle import (
     BaseState,
     Device,
+    PathFollowerConfig,
     SafetyConfig,
     SafetyGate,
     SafetyInputs,
@@ -77,6 +79,7 @@ class PioneerDriverNode(Node):
         logging.getLogger('explore_slam').addHandler(self._log_handler)
         logging.getLogger('explore_slam').setLevel(logging.INFO)
         self.config = declare_settings(self, DriverNodeConfig())
+        warn_of_unknown_parameters(self, values_of(PathFollowerConfig()))
         driver = self.config.driver
         frames = self.config.frames(vehicle_name(self))
         self.outputs = DriverOutputs(self, frames, driver, self.config.publish_tf)

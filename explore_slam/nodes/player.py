@@ -2,8 +2,9 @@
 
 import sys
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 from rclpy.context import Context
 from rclpy.duration import Duration
@@ -12,14 +13,15 @@ from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 
 from explore_slam.errors import RecordingError
-from explore_slam.messages.base import NANOSECONDS
-from explore_slam.messages.topics import RELIABLE, GlobalTopic, vehicle_topic
+from explore_slam.messages.base import NANOSECONDS, seconds, transform_message
+from explore_slam.messages.topics import RELIABLE, GlobalTopic, topic_name, vehicle_topic
 from explore_slam.nodes.endpoints import publisher, qos_profile
-from explore_slam.nodes.ros_types import message_class
+from explore_slam.nodes.ros_types import MESSAGES, message_class
 from explore_slam.recording.bag import BagReader
 from explore_slam.recording.ordering import StampOrder
+from explore_slam.recording.recorded_transforms import static_transforms
 from explore_slam.recording.salvage import RawMessage
-from explore_slam.recording.topic_selection import vehicle_topics
+from explore_slam.recording.topic_selection import TopicChoice, vehicle_topics
 
 CLOCK_PERIOD = 0.01  # s
 MATCH_TIMEOUT = 5.0  # s to wait for a subscriber
@@ -39,6 +41,7 @@ class Player(Node):
         vehicles: Collection[str] = (),
         clock: bool = True,
         until: float | None = None,
+        choices: Iterable[TopicChoice] = (),
         context: Context | None = None,
     ) -> None:
         if not rate > 0.0:
@@ -47,8 +50,11 @@ class Player(Node):
         self._bag = bag
         self._rate = rate
         self._until = None if until is None else round(until * 1e9)
-        chosen = self._choose(topics, vehicles)
-        self._outputs = {name: self._publisher(name) for name in chosen}
+        chosen = self._choose(topics, vehicles, choices)
+        self._outputs = {
+            recorded: self._publisher(recorded, live) for recorded, live in chosen.items()
+        }
+        self._static = self._publish_static_transforms() if not topics else []
         self._clock = publisher(self, GlobalTopic.CLOCK) if clock else None
         self._order = StampOrder()
         self._messages: Iterator[tuple[int, RawMessage]] = self._order.sort(bag.messages(chosen))
@@ -60,24 +66,44 @@ class Player(Node):
         self.fraction_played = 0.0
         self.worst_delay = 0.0
 
-    def _choose(self, topics: Collection[str], vehicles: Collection[str]) -> list[str]:
+    def _choose(
+        self,
+        topics: Collection[str],
+        vehicles: Collection[str],
+        choices: Iterable[TopicChoice],
+    ) -> dict[str, str]:
+        """Return recorded topic -> live topic: of vehicles, or exactly those that are given."""
         if topics:
             missing = sorted(set(topics) - set(self._bag.topics))
             if missing:
                 known = sorted(self._bag.topics)
                 raise RecordingError(f'{self._bag.path} does not hold {missing}; it holds {known}')
-            return sorted(topics)
-        found, warnings = vehicle_topics(self._bag.topics, vehicles)
+            return {name: name for name in sorted(topics)}
+        found, warnings = vehicle_topics(self._bag.topics, vehicles, choices, self._bag.rates)
         for warning in (*self._bag.warnings, *warnings):
             self.get_logger().warning(warning)
-        return [topic.name for topic in found]
+        return {topic.name: topic_name(topic.vehicle, topic.kind) for topic in found}
 
-    def _publisher(self, topic: str) -> Publisher:
-        found = vehicle_topic(topic)
+    def _publisher(self, recorded: str, live: str) -> Publisher:
+        found = vehicle_topic(live)
         qos = RELIABLE if found is None else found.kind.offered
         return self.create_publisher(
-            message_class(self._bag.topics[topic]), topic, qos_profile(qos)
+            message_class(self._bag.topics[recorded]), live, qos_profile(qos)
         )
+
+    def _publish_static_transforms(self) -> list[Publisher]:
+        """Publish the mounts of the sensors, latched; return the publishers, which keep them."""
+        made = []
+        for topic, transforms in static_transforms(self._bag).items():
+            try:
+                kind = message_class(GlobalTopic.TF_STATIC.message_type)
+            except ImportError:
+                self.get_logger().warning(f'tf2_msgs is not installed: {topic} is not played')
+                break
+            output = self.create_publisher(kind, topic, qos_profile(GlobalTopic.TF_STATIC.offered))
+            output.publish(kind(transforms=[_ros_transform(item) for item in transforms]))
+            made.append(output)
+        return made
 
     @property
     def done(self) -> bool:
@@ -145,6 +171,19 @@ class Player(Node):
         self._clock.publish(message)
 
 
+def _ros_transform(item: Any) -> Any:
+    """Return a recorded TransformStamped as a message of rclpy."""
+    t, q = item.transform.translation, item.transform.rotation
+    return transform_message(
+        MESSAGES,
+        seconds(item.header.stamp),
+        item.header.frame_id,
+        item.child_frame_id,
+        (t.x, t.y, t.z),
+        (q.x, q.y, q.z, q.w),
+    )
+
+
 def wait_for_listeners(
     node: Player, stopped: Callable[[], bool], timeout: float = MATCH_TIMEOUT
 ) -> bool:
@@ -167,6 +206,7 @@ def play(
     vehicles: Collection[str] = (),
     clock: bool = True,
     until: float | None = None,
+    choices: Iterable[TopicChoice] = (),
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, int]:
     """Play a bag to its end, or until SIGINT or SIGTERM; return the messages per topic."""
@@ -182,7 +222,13 @@ def play(
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         try:
             node = Player(
-                bag, rate=rate, topics=topics, vehicles=vehicles, clock=clock, until=until
+                bag,
+                rate=rate,
+                topics=topics,
+                vehicles=vehicles,
+                clock=clock,
+                until=until,
+                choices=choices,
             )
             try:
                 if not wait_for_listeners(node, lambda: bool(asked)) and not asked:

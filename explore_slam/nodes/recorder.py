@@ -5,7 +5,7 @@ import logging
 import queue
 import sys
 import threading
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 
 from rclpy.clock import Clock, ClockType
@@ -16,12 +16,13 @@ from rclpy.subscription import Subscription
 from rclpy.utilities import remove_ros_args
 
 from explore_slam.errors import ExploreSlamError
-from explore_slam.messages.topics import Qos, vehicle_topic
+from explore_slam.messages.topics import GlobalTopic, Qos, topic_name, vehicle_topic
 from explore_slam.nodes.endpoints import qos_profile
 from explore_slam.nodes.node_support import run_node
 from explore_slam.nodes.ros_types import message_class
 from explore_slam.recording.bag import BagWriter
 from explore_slam.recording.ordering import header_stamp
+from explore_slam.recording.topic_selection import TopicChoice, topic_choices
 
 DISCOVERY_PERIOD = 0.2  # s between searches for new topics
 QUEUE_BYTES = 256 * 2**20  # bytes that may wait for the disk
@@ -73,7 +74,8 @@ class WriterThread:
 class Recorder(Node):
     """Subscribes to topics as they appear and records them.
 
-    Without `topics` these are the topics of all vehicles, or of the `vehicles` named. With
+    Without `topics` these are the topics of all vehicles, or of the `vehicles` named, those that
+    `choices` name by hand, and the transforms, which hold the mounts of the sensors. With
     use_sim_time messages are logged at simulated times.
     """
 
@@ -83,12 +85,19 @@ class Recorder(Node):
         topics: Collection[str] = (),
         vehicles: Collection[str] = (),
         *,
+        choices: Iterable[TopicChoice] = (),
         use_sim_time: bool = False,
     ) -> None:
         overrides = [Parameter('use_sim_time', value=True)] if use_sim_time else []
         super().__init__('recorder', parameter_overrides=overrides)
         self._topics = {self.resolve_topic_name(topic) for topic in topics}
         self._vehicles = set(vehicles)
+        # live topic -> name in the bag, of topics that the user has chosen
+        self._chosen = {
+            self.resolve_topic_name(item.name): topic_name(item.vehicle, item.kind)
+            for item in choices
+        }
+        self._early: list[tuple[str, bytes]] = []  # received before simulated time begins
         self._writer = BagWriter(path)
         self._thread = WriterThread(self._writer)
         self._subscribed: set[str] = set()
@@ -118,6 +127,8 @@ class Recorder(Node):
     def _wanted(self, topic: str) -> bool:
         if self._topics:
             return topic in self._topics
+        if topic in self._chosen or _is_transform(topic):
+            return True
         found = vehicle_topic(topic)
         return found is not None and (not self._vehicles or found.vehicle in self._vehicles)
 
@@ -149,7 +160,8 @@ class Recorder(Node):
                 item.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
                 for item in publishers
             )
-            self._writer.add_topic(topic, types[0], latched=latched)
+            name = self._chosen.get(topic, topic)
+            self._writer.add_topic(name, types[0], latched=latched)
         except (ImportError, AttributeError, ExploreSlamError) as error:
             self.get_logger().error(f'{topic} is not recorded: {error}')
             return
@@ -158,18 +170,33 @@ class Recorder(Node):
         )
         qos = qos_profile(Qos(QUEUE_DEPTH, reliable, latched))
         self._recorded.append(
-            self.create_subscription(kind, topic, self._writer_of(topic), qos, raw=True)
+            self.create_subscription(kind, topic, self._writer_of(name), qos, raw=True)
         )
-        self.get_logger().info(f'recording {topic} ({types[0]})')
+        self.get_logger().info(
+            f'recording {topic} ({types[0]})' + (f' as {name}' if name != topic else '')
+        )
 
     def _writer_of(self, topic: str) -> Callable[[bytes], None]:
         def take(data: bytes) -> None:
+            log_time = self.get_clock().now().nanoseconds
+            if not log_time and _is_transform(topic):  # without a header: it waits for the time
+                self._early.append((topic, bytes(data)))
+                return
             # the clock is 0 before simulated time begins: use the stamp of the message then
-            log_time = self.get_clock().now().nanoseconds or header_stamp(data) or 0
-            self.counts[topic] = self.counts.get(topic, 0) + 1
-            self._thread.put(topic, log_time, bytes(data))
+            log_time = log_time or header_stamp(data) or 0
+            while self._early:
+                self._put(*self._early.pop(0), log_time)
+            self._put(topic, bytes(data), log_time)
 
         return take
+
+    def _put(self, topic: str, data: bytes, log_time: int) -> None:
+        self.counts[topic] = self.counts.get(topic, 0) + 1
+        self._thread.put(topic, log_time, data)
+
+
+def _is_transform(topic: str) -> bool:
+    return topic.endswith((GlobalTopic.TF.value, GlobalTopic.TF_STATIC.value))
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -186,6 +213,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('out', type=Path, help='bag to write (a new folder)')
     parser.add_argument('--topics', nargs='+', default=(), help='record only these topics')
     parser.add_argument('--vehicles', nargs='+', default=(), help='record only these vehicles')
+    parser.add_argument(
+        '--topic', action='append', default=[], metavar='VEHICLE.KIND=/TOPIC',
+        help='record a topic of another name as that of a vehicle',
+    )  # fmt: skip
     parser.add_argument('--sim-time', action='store_true', help='use /clock for the log times')
 
 
@@ -195,7 +226,13 @@ def record(parsed: argparse.Namespace, ros_arguments: list[str] | None = None) -
     made: list[Recorder] = []
 
     def make() -> Recorder:
-        node = Recorder(parsed.out, parsed.topics, parsed.vehicles, use_sim_time=parsed.sim_time)
+        node = Recorder(
+            parsed.out,
+            parsed.topics,
+            parsed.vehicles,
+            choices=topic_choices(parsed.topic),
+            use_sim_time=parsed.sim_time,
+        )
         made.append(node)
         return node
 

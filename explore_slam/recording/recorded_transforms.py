@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Iterable
+from typing import Any
 
 from explore_slam.errors import RecordingError
 from explore_slam.messages.topics import GlobalTopic
@@ -34,3 +35,24 @@ def _tree(bag: BagReader, vehicle: str) -> TransformTree:
             except RecordingError as error:
                 bag.warn(str(error))
     return tree
+
+
+def static_transforms(bag: BagReader) -> dict[str, list[Any]]:
+    """Return topic -> transforms (geometry_msgs/TransformStamped) of all its static broadcasters.
+
+    Each broadcaster has a latched message of its own in a running system; one publisher can hold
+    but one, so that a player publishes them together.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    names = [
+        name
+        for name, kind in bag.topics.items()
+        if name.endswith(GlobalTopic.TF_STATIC.value) and kind == GlobalTopic.TF.message_type
+    ]
+    for message in bag.messages(names) if names else ():
+        try:
+            for stamped in bag.decode(message).transforms:
+                found.setdefault(message.topic, {})[stamped.child_frame_id] = stamped
+        except RecordingError as error:
+            bag.warn(str(error))
+    return {topic: list(frames.values()) for topic, frames in found.items()}

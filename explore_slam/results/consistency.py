@@ -137,7 +137,8 @@ def _has_moved(poses: Array, valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
         return valid
     along, across, turn = between(poses[np.argmax(valid)], poses).T
     distance, heading = STARTED_MOTION
-    return valid & ((np.hypot(along, across) > distance) | (np.abs(turn) > heading))
+    moved: NDArray[np.bool_] = (np.hypot(along, across) > distance) | (np.abs(turn) > heading)
+    return valid & moved
 
 
 def consistency_metrics(

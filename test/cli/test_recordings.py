@@ -45,7 +45,7 @@ def test_import_replay_report(data_set, tmp_path, capsys):
     captured = capsys.readouterr()
     assert 'robot1' in captured.out
     assert 'known area' in captured.out
-    assert 'its loops are not closed' in captured.err
+    assert 'from the settings of the team' in captured.err
     folder = runs / 'latest'
     assert f'report: {folder.resolve() / "report.html"}' in captured.out
     metrics = json.loads((folder / 'metrics.json').read_text())

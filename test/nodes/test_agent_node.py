@@ -1,6 +1,8 @@
 """The agent's node in a process of its own, synthetic vehicles on real topics around it."""
 
 import math
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -71,7 +73,7 @@ class Team:
             for name in STARTS
             for topic, kind in kinds.items()
         }
-        self.resume = self.node.create_publisher(Bool, 'explore/resume', LATCHED)
+        self.resume = self.node.create_publisher(Bool, 'explore/resume', 10)  # as ros2 topic pub
         self.epoch = time.time()
 
     def listener(self, topic):
@@ -307,13 +309,17 @@ def test_malformed_messages_are_named_and_nothing_is_lost(live):
 
 
 def test_parameters_are_described_checked_and_set(live):
-    team, _, _ = live
+    team, folder, _ = live
     request = DescribeParameters.Request(names=['resolution', 'particles', 'engine'])
     described = team.call(DescribeParameters, 'agent/describe_parameters', request).descriptors
     assert '[m]' in described[0].description
     assert described[0].floating_point_range[0].from_value == pytest.approx(0.01)
     assert described[1].integer_range[0].to_value > 1000
     assert 'fastslam2 | paper' in described[2].additional_constraints
+    assert 'takes effect at the next reset' in described[1].description
+    late = team.set_parameter('particles', integer_value=100)
+    assert late.successful
+    team.wait_for(lambda: 'particles: takes effect at the next reset' in log_of(folder))
     assert team.set_parameter('min_frontier_size', double_value=0.8).successful
     refused = team.set_parameter('engine', string_value='magic')
     assert not refused.successful
@@ -345,9 +351,12 @@ def test_state_is_saved_forgotten_and_loaded(live):
     team.heard.pop('map_landmarks')
     team.wait_for(lambda: 'map_landmarks' in team.heard)
     assert team.heard['map_landmarks'].width < 50
+    team.drive(3)
     answer = team.call(Trigger, 'load_state', Trigger.Request())
     assert answer.success, answer.message
     assert 'state.npz' in answer.message
+    # the vehicles are not where the state has them, as far as is known: nobody drives off
+    assert 'exploration stays paused until it is resumed' in log_of(folder)
     team.wait_for(lambda: team.heard['map_landmarks'].width >= 50)
     (folder / 'state.npz').write_bytes(b'garbage')
     answer = team.call(Trigger, 'load_state', Trigger.Request())
@@ -358,13 +367,71 @@ def test_state_is_saved_forgotten_and_loaded(live):
     assert team.heard['map_landmarks'].width >= 50
 
 
+def test_poses_of_the_operator_are_checked_and_go_to_the_selected_vehicle(live):
+    """What RViz sends to /initialpose, and what it must not send."""
+    team, folder, processes = live
+    out = team.node.create_publisher(PoseWithCovarianceStamped, '/initialpose', 10)
+    team.wait_for(lambda: out.get_subscription_count() > 0)
+    team.drive(3)
+    place = messages.planar_pose(team.heard['robot2/pose'].pose.pose)
+    spread = np.diag([0.25, 0.25, 0.068])
+
+    def send(frame, covariance):
+        out.publish(messages.estimate_message(MESSAGES, 0.0, frame, place, covariance))
+
+    def logged(text):
+        team.wait_for(lambda: text in log_of(folder), 20.0)
+
+    send('map', spread)
+    logged('/initialpose is ignored: set the parameter selected_vehicle')
+    refused = team.set_parameter('selected_vehicle', string_value='robot7')
+    assert "selected_vehicle is 'robot7', expected one of" in refused.reason
+    assert team.set_parameter('selected_vehicle', string_value='robot2').successful
+    team.spin(0.5)
+    send('robot1/odom', spread)
+    logged("frame 'robot1/odom' belongs to vehicle 'robot1'")
+    team.spin(5.1)  # warnings are throttled
+    send('base_link', spread)
+    logged("pose is in frame 'base_link', expected 'map'")
+    team.spin(5.1)
+    send('map', np.zeros((3, 3)))
+    logged('variances of x, y and yaw are [0.0, 0.0, 0.0], expected more than 0')
+    assert 'is placed by the operator' not in log_of(folder)
+    send('/map', spread)
+    logged('robot2 is placed by the operator')
+    processes.check()
+
+
 def test_silence_is_explained(tmp_path):
     """Nothing is connected: after five seconds the agent says which topics it misses and why."""
-    with start_agent(tmp_path, {'vehicles': ['robot8', 'robot9']}) as processes:
+    wrong = {'partikles': 50, 'robot8': {'visionn': 'none'}, 'follow_speed': 0.3}
+    with start_agent(tmp_path, {'vehicles': ['robot8', 'robot9'], **wrong}) as processes:
         log = tmp_path / 'logs' / 'agent.log'
         end = time.monotonic() + 90.0
         text = 'nothing on /robot9/odom after 5 s: no publisher found'
         while text not in log.read_text():
             assert time.monotonic() < end
             time.sleep(0.2)
+        # parameters that do not exist are named; those of other nodes may share the file
+        assert "there is no parameter 'partikles'; did you mean 'particles'?" in log.read_text()
+        assert "'robot8.visionn'; did you mean 'robot8.vision'?" in log.read_text()
+        assert 'follow_speed' not in log.read_text()
         processes.check()
+
+
+def test_a_word_that_yaml_reads_as_a_boolean_is_answered_with_the_right_one(tmp_path):
+    environment = {**one_machine_environment(), 'ROS_DOMAIN_ID': str(DOMAIN)}
+    command = [sys.executable, '-m', 'explore_slam.nodes.agent_node', '--ros-args']
+    for name in ('vision', 'robot2.vision'):
+        done = subprocess.run(
+            [*command, '-p', f'{name}:=off'],
+            env=environment,
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+        assert done.returncode == 1
+        assert 'YAML reads off and no as false; write vision: none' in done.stderr
+        assert 'Traceback' not in done.stderr

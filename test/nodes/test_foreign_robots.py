@@ -10,6 +10,7 @@ import math
 import numpy as np
 import pytest
 import yaml
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from foreign_robots import HALF_HEIGHT, HALF_WIDTH, LATCHED, Robot, Robots
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
@@ -164,6 +165,12 @@ def test_clocks_that_are_off_are_named_with_the_amount(tmp_path):
     second.stamped = False
     third.scan_ahead = third.odom_ahead = 3600.0
     team = Robots([first, second, third], DOMAIN, {})
+    levels = {}
+
+    def on_diagnostics(message):
+        levels.update({status.name: (status.level, status.message) for status in message.status})
+
+    team.node.create_subscription(DiagnosticArray, '/diagnostics', on_diagnostics, 10)
     with start(tmp_path, {}) as processes:
         team.wait_for(lambda: all(out.get_subscription_count() for out in team.out.values()))
         expected = (
@@ -172,12 +179,17 @@ def test_clocks_that_are_off_are_named_with_the_amount(tmp_path):
             'messages have the stamp zero; the time of receipt is used',
             'robot3/odom: stamps are 3600.0 s ahead of the clock of this node',
         )
-        for _ in range(20):
+        for _ in range(120):  # up to a minute, for a busy machine
             team.drive(5)
             if all(text in log_of(tmp_path) for text in expected):
                 break
         for text in expected:
             assert text in log_of(tmp_path)
+        team.wait_for(
+            lambda: levels.get('agent: vehicle robot1', (b'',))[0] == DiagnosticStatus.WARN
+        )
         assert log_of(tmp_path).count('robot1/scan: stamps are') == 1
+        _, text = levels['agent: vehicle robot1']
+        assert 'robot1/scan: stamps are 30.0 s ahead of those of odom' in text
         processes.check()
     team.close()

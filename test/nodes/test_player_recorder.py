@@ -17,13 +17,25 @@ from rclpy.node import Node
 from ros_domain import own_domain
 from rosgraph_msgs.msg import Clock
 
-from explore_slam.data import Intrinsics, LandmarkObservations, LaserScan, RgbdFrame
+from explore_slam.data import (
+    Intrinsics,
+    LandmarkObservations,
+    LaserScan,
+    OdometryReading,
+    RgbdFrame,
+)
 from explore_slam.errors import RecordingError
 from explore_slam.geometry import Pose2
+from explore_slam.messages import odometry_message, scan_message, transform_message
+from explore_slam.messages.topics import GlobalTopic
+from explore_slam.nodes.endpoints import qos_profile
 from explore_slam.nodes.player import Player, wait_for_listeners
 from explore_slam.nodes.recorder import Recorder, WriterThread
 from explore_slam.recording import BagReader, BagWriter, Event, TopicKind
 from explore_slam.recording.events import odometry_event, start_event, write_event
+from explore_slam.recording.recorded_transforms import recorded_transforms
+from explore_slam.recording.rosbags_types import MESSAGES as BAG_MESSAGES
+from explore_slam.recording.topic_selection import topic_choices
 
 DOMAIN = own_domain(87)
 
@@ -210,3 +222,50 @@ def test_a_recorder_asked_to_end_leaves_a_whole_bag(tmp_path, number):
             assert recorded.warnings == []
             expected = {t: c for t, c in bag.counts.items() if t.startswith('/robot1')}
             assert recorded.counts == expected
+
+
+def test_a_foreign_bag_is_played_as_a_vehicle_and_recorded_with_its_mounts(tmp_path):
+    """/front/scan and /odom become robot1's; the mounts of /tf_static are heard, and kept."""
+    tf2 = pytest.importorskip('tf2_msgs.msg', reason='tf2_msgs is not installed')
+    link = transform_message(
+        BAG_MESSAGES, 50.0, 'base_link', 'laser', (0.1, 0.0, 0.2), (0.0, 0.0, 0.6, 0.8)
+    )
+    ranges = np.ones(181, np.float32)
+    with BagWriter(tmp_path / 'first') as writer:
+        for child in ('laser', 'imu'):
+            link.child_frame_id = child
+            message = BAG_MESSAGES.make('tf2_msgs/msg/TFMessage', transforms=[link])
+            writer.write_message('/tf_static', 'tf2_msgs/msg/TFMessage', 50.0, message)
+        for index in range(10):
+            stamp = 50.0 + 0.1 * index
+            reading = OdometryReading(stamp, Pose2(0.01 * index, 0.0, 0.0))
+            odometry = odometry_message(BAG_MESSAGES, reading, 'odom', 'base_link')
+            writer.write_message('/odom', 'nav_msgs/msg/Odometry', stamp, odometry)
+            scan = scan_message(
+                BAG_MESSAGES, LaserScan(stamp, -1.57, 0.01744, ranges, 0.1, 8.0), 'laser'
+            )
+            writer.write_message('/front/scan', 'sensor_msgs/msg/LaserScan', stamp, scan)
+    transforms: list[object] = []
+    live = topic_choices(['tb.scan=/robot1/scan'])
+    recorder = Recorder(tmp_path / 'again', choices=live)
+    latched = qos_profile(GlobalTopic.TF_STATIC.requested)
+    recorder.create_subscription(
+        tf2.TFMessage, '/tf_static', lambda m: transforms.extend(m.transforms), latched
+    )
+    spinner = Spinner(recorder)
+    with BagReader(tmp_path / 'first') as bag:
+        player = Player(bag, choices=topic_choices(['robot1.scan=/front/scan']))
+        try:
+            wait(lambda: not player.unmatched and len(transforms) == 2)
+            play_all(player)
+            wait(lambda: sum(recorder.counts.values()) == 21)
+        finally:
+            spinner.end()
+            recorder.stop()
+            recorder.destroy_node()
+            player.destroy_node()
+    assert {item.child_frame_id for item in transforms} == {'laser', 'imu'}
+    with BagReader(tmp_path / 'again') as again:
+        assert again.counts == {'/robot1/odom': 10, '/tb/scan': 10, '/tf_static': 1}
+        tree = recorded_transforms(again, ['tb'])['tb']
+        assert tree.lookup('base_link', 'laser').position == (0.1, 0.0, 0.2)

@@ -1,0 +1,103 @@
+"""What is known about where vehicles stand after restarts of the agent, a driver or a state.
+
+Odometry counts from where a base was started. A vehicle whose odometry begins elsewhere than at
+zero has driven since then, so that its start pose is in doubt; one whose odometry begins anew has
+moved by an unknown amount in between. Neither may drive on what is only believed.
+"""
+
+import logging
+import math
+
+import numpy as np
+
+from explore_slam.agent.vehicle_track import VehicleTrack
+from explore_slam.data import LaserScan
+from explore_slam.geometry import Pose2, wrap_angle
+from explore_slam.slam import UpdateSummary
+
+logger = logging.getLogger(__name__)
+
+# from here on a vehicle stands elsewhere than expected: more than odometry drifts on a way home
+_AWAY = 0.5  # m
+_TURNED = 0.35  # rad, 20 degrees
+# (3, 3) m², rad²: a driver restarts in seconds, in which a person pushes or turns a vehicle
+DISPLACED = np.diag([1.0, 1.0, 1.0])
+# landmarks of one frame, and their share, whose association confirms the pose of a vehicle
+_CONFIRMING, _CONFIRMING_SHARE = 10, 0.5
+
+
+def away(pose: Pose2, expected: Pose2) -> bool:
+    """Return whether a vehicle stands elsewhere than expected."""
+    turn = abs(wrap_angle(pose.theta - expected.theta))
+    return math.dist(pose[:2], expected[:2]) > _AWAY or turn > _TURNED
+
+
+def doubt(track: VehicleTrack, reason: str) -> None:
+    """Note that the pose of a vehicle must be confirmed before it drives."""
+    track.doubt = reason
+    logger.warning(
+        '%s: %s; exploration stays paused until it is resumed (explore/resume) or the vehicle is '
+        'placed (initialpose)',
+        track.name,
+        reason,
+    )
+
+
+def check_first_reading(track: VehicleTrack, odometry: Pose2) -> None:
+    """Compare the first odometry reading with zero, where the base stands after its start."""
+    if away(odometry, Pose2(0.0, 0.0, 0.0)) and not track.doubt and not track.placed:
+        x, y, theta = odometry
+        doubt(
+            track,
+            f'odometry begins at ({x:.2f} m, {y:.2f} m, {theta:.2f} rad): the vehicle has driven '
+            'since its base was started and may stand elsewhere than its start pose says',
+        )
+
+
+def check_loaded_pose(track: VehicleTrack, before: Pose2 | None, loaded: Pose2) -> None:
+    """Compare the pose in a loaded state with the estimate until then; None: there is none."""
+    if before is None:
+        doubt(track, 'nothing is known of its way since the state was saved')
+    elif away(before, loaded):
+        distance = math.dist(before[:2], loaded[:2])
+        doubt(track, f'it stands {distance:.2f} m from where the loaded state has it')
+    track.placed = True  # odometry need not begin at zero there
+
+
+def displace(track: VehicleTrack) -> None:
+    """Note that a vehicle may stand anywhere: its odometry began anew after a gap."""
+    track.displaced, track.updated_since_displaced = True, False
+    logger.warning(
+        '%s: it stands until it is relocalized by landmarks or placed (initialpose)', track.name
+    )
+
+
+def is_usable(track: VehicleTrack, record: object) -> bool:
+    """Return whether a measurement may be used: scans of a displaced vehicle spoil the map."""
+    if track.displaced and isinstance(record, LaserScan):
+        track.count('scans_while_displaced')
+        return False
+    return True
+
+
+def check_update(track: VehicleTrack, summary: UpdateSummary) -> None:
+    """End the displacement of a vehicle whose landmarks show where it is.
+
+    The first update may confirm that it has not moved; later ones associate with landmarks that
+    were inserted at the believed pose, so that only a relocalization counts.
+    """
+    first, track.updated_since_displaced = not track.updated_since_displaced, True
+    confirmed = (
+        first
+        and not summary.lost
+        and summary.associated >= _CONFIRMING
+        and summary.associated >= _CONFIRMING_SHARE * summary.observed
+    )
+    if track.displaced and (summary.relocated or confirmed):
+        track.displaced = False
+        logger.info('%s: relocalized by its landmarks; it may drive again', track.name)
+
+
+def place(track: VehicleTrack) -> None:
+    """Note that a person has placed a vehicle."""
+    track.doubt, track.displaced, track.placed = '', False, True

@@ -1,0 +1,139 @@
+"""Arguments of the launch files: text in, values out, one sentence for what cannot be read."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+import yaml
+
+from explore_slam.errors import ConfigError
+from explore_slam.settings import unknown_name
+
+TRUE, FALSE = ('true', 'yes', 'on', '1'), ('false', 'no', 'off', '0')
+# argument of the launch files -> topic in a vehicle's namespace that it stands for
+TOPICS = {
+    'scan_topic': 'scan',
+    'odom_topic': 'odom',
+    'color_topic': 'camera/rgb/image_raw',
+    'depth_topic': 'camera/depth_registered/image_raw',
+    'camera_info_topic': 'camera/rgb/camera_info',
+}
+
+
+def boolean(name: str, text: str) -> bool:
+    """Return any YAML boolean (true, True, yes, on, 1 ...)."""
+    word = text.strip().lower()
+    if word in TRUE or word in FALSE:
+        return word in TRUE
+    raise ConfigError(f'{name} is {text!r}, expected true or false')
+
+
+def names(name: str, text: str) -> list[str]:
+    """Return names that are separated by commas."""
+    found = [word.strip() for word in text.split(',') if word.strip()]
+    if not found or len(set(found)) != len(found):
+        raise ConfigError(f'{name} is {text!r}, expected different names, separated by commas')
+    return found
+
+
+def numbers(name: str, text: str, count: int) -> list[float]:
+    """Return a given number of numbers that are separated by commas."""
+    try:
+        found = [float(word) for word in text.strip('[] ').split(',')]
+    except ValueError:
+        raise ConfigError(f'{name} is {text!r}, expected numbers, separated by commas') from None
+    if len(found) != count:
+        raise ConfigError(
+            f'{name} has {len(found)} numbers, expected {count}: x, y and heading of each vehicle'
+        )
+    return found
+
+
+def whole_number(name: str, text: str, low: int, high: int | None = None) -> int:
+    """Return a whole number within limits."""
+    limits = f'from {low} on' if high is None else f'from {low} to {high}'
+    try:
+        found = int(text)
+    except ValueError:
+        raise ConfigError(f'{name} is {text!r}, expected a whole number {limits}') from None
+    if found < low or (high is not None and found > high):
+        raise ConfigError(f'{name} is {found}, expected a whole number {limits}')
+    return found
+
+
+def choice(name: str, text: str, choices: Sequence[str]) -> str:
+    """Return one of several words."""
+    if text not in choices:
+        hint = ' (off is read as a boolean by YAML: write none)' if text in FALSE else ''
+        raise ConfigError(f'{name} is {text!r}, expected one of {list(choices)}{hint}')
+    return text
+
+
+def existing_file(name: str, text: str) -> str:
+    """Return the path of a file that exists."""
+    if not Path(text).expanduser().is_file():
+        raise ConfigError(f'{name} is {text!r}, which does not exist')
+    return str(Path(text).expanduser())
+
+
+def remappings(given: Mapping[str, str], vehicles: Iterable[str] = ('',)) -> list[tuple[str, str]]:
+    """Return remappings from topics of vehicles to those that the arguments name.
+
+    given: argument -> topic, '' where nothing is remapped. A name without a leading slash lies in
+    the namespace of each vehicle. vehicles: [''] in nodes that live in that namespace.
+    """
+    team = list(vehicles)
+    found = []
+    for argument, topic in given.items():
+        if not topic:
+            continue
+        if topic.startswith('/') and len(team) > 1:
+            raise ConfigError(
+                f'{argument} is {topic!r}: all vehicles would share one topic; expected a name '
+                'without leading slash, in the namespace of each vehicle'
+            )
+        for vehicle in team:
+            own = f'{vehicle}/{TOPICS[argument]}' if vehicle else TOPICS[argument]
+            there = f'{vehicle}/{topic}' if vehicle and not topic.startswith('/') else topic
+            found.append((own, there))
+    return found
+
+
+def start_poses_of(world: Path, count_text: str) -> dict[str, list[float]]:
+    """Return vehicle -> start pose of the first vehicles of a world file."""
+    try:
+        starts = yaml.safe_load(world.read_text(encoding='utf-8'))['starts']
+    except (OSError, KeyError, TypeError, yaml.YAMLError) as error:
+        raise ConfigError(
+            f'world {str(world)!r} cannot be read as a world file: {error}'
+        ) from None
+    count = whole_number('vehicles', count_text, 1, len(starts))
+    return {name: [float(v) for v in starts[name]] for name in list(starts)[:count]}
+
+
+def world_file(text: str, folder: Path) -> Path:
+    """Return the file of a world, which is given by its name or its path."""
+    path = Path(text)
+    if not path.suffix:
+        path = folder / f'{text}.yaml'
+    if not path.is_file():
+        known = [file.stem for file in sorted(folder.glob('*.yaml'))]
+        hint = unknown_name(text, known).partition('; ')[2]
+        raise ConfigError(
+            f'world is {text!r}, expected a file or one of {known}' + (f'; {hint}' if hint else '')
+        )
+    return path
+
+
+def misspelt(given: Iterable[str], known: Iterable[str]) -> list[str]:
+    """Return a sentence for every `name:=value` whose name is similar to a known argument.
+
+    Arguments that resemble none belong to another launch file, which includes this one.
+    """
+    accepted, found = list(known), []
+    for text in given:
+        name, sign, _ = text.partition(':=')
+        if sign and name not in accepted:
+            message = unknown_name(name, accepted).replace('setting', 'launch argument')
+            if 'did you mean' in message:
+                found.append(message)
+    return found

@@ -1,0 +1,159 @@
+"""Restarts of agent and driver do no harm: nobody drives on what is only believed."""
+
+import numpy as np
+import pytest
+from synthetic import SyntheticVehicle, SyntheticWorld
+
+from explore_slam.agent import Agent, AgentConfig, TeamPlanner
+from explore_slam.agent.odometry import OdometryBuffer
+from explore_slam.data import OdometryReading, VehicleState
+from explore_slam.exploration import ExplorationStatus
+from explore_slam.geometry import IDENTITY, Pose2
+from explore_slam.settings import with_values
+
+START = Pose2(-1.0, -1.5, 0.0)
+CONFIG = with_values(AgentConfig(), {'particles': 20, 'empty_searches': 1})
+TIGHT = np.diag([0.01, 0.01, 0.01])
+
+
+def drive(agent, vehicle, ticks, *, landmarks=False, offset=IDENTITY):
+    for tick in range(ticks):
+        reading = vehicle.advance()
+        agent.add('robot1', OdometryReading(reading.stamp, offset.compose(reading.pose)))
+        agent.add('robot1', vehicle.scan())
+        if landmarks and tick % 5 == 0:
+            agent.add('robot1', vehicle.landmarks())
+
+
+def make(seed=1):
+    return Agent(CONFIG, {'robot1': START}, seed), SyntheticVehicle(SyntheticWorld(), START)
+
+
+def test_an_agent_that_starts_while_a_vehicle_is_under_way_stays_paused(caplog):
+    agent, vehicle = make()
+    planner = TeamPlanner(agent)
+    drive(agent, vehicle, 20, offset=Pose2(4.0, 1.0, 0.5))
+    assert planner.plan(2.0).status is ExplorationStatus.PAUSED
+    assert planner.result.plans == {}
+    assert caplog.text.count('odometry begins at (4.00 m, 1.00 m, 0.50 rad)') == 1
+    planner.pause(False)  # the operator confirms the start pose
+    assert planner.plan(2.5).searched
+
+
+def test_a_vehicle_that_is_placed_need_not_be_confirmed():
+    agent, vehicle = make()
+    planner = TeamPlanner(agent)
+    drive(agent, vehicle, 3, offset=Pose2(4.0, 1.0, 0.5))
+    agent.set_pose('robot1', vehicle.pose, TIGHT)
+    drive(agent, vehicle, 20, offset=Pose2(4.0, 1.0, 0.5))
+    assert planner.plan(2.5).searched
+
+
+def test_odometry_from_zero_needs_no_confirmation():
+    agent, vehicle = make()
+    planner = TeamPlanner(agent)
+    drive(agent, vehicle, 20)
+    assert planner.plan(2.0).searched
+
+
+def test_a_reset_away_from_the_start_pauses(caplog):
+    agent, vehicle = make()
+    planner = TeamPlanner(agent)
+    drive(agent, vehicle, 60)
+    agent.reset()
+    planner.reset()
+    drive(agent, vehicle, 5)
+    assert planner.plan(7.0).status is ExplorationStatus.PAUSED
+    assert 'may stand elsewhere than its start pose says' in caplog.text
+
+
+def test_a_loaded_state_is_confirmed_where_its_vehicle_still_stands(tmp_path, caplog):
+    agent, vehicle = make()
+    planner = TeamPlanner(agent)
+    drive(agent, vehicle, 60, landmarks=True)
+    path = agent.save_state(tmp_path / 'state.npz')
+    agent.load_state(path)
+    drive(agent, vehicle, 5)
+    assert planner.plan(7.0).searched
+    drive(agent, vehicle, 60)
+    agent.load_state(path)  # meanwhile it has driven on
+    drive(agent, vehicle, 5)
+    assert planner.plan(14.0).status is ExplorationStatus.PAUSED
+    assert 'from where the loaded state has it' in caplog.text
+    fresh = Agent(CONFIG, {'robot1': START}, 1)
+    fresh.load_state(path)
+    assert 'nothing is known of its way' in caplog.text
+    assert TeamPlanner(fresh).plan(14.0).status is ExplorationStatus.PAUSED
+
+
+@pytest.mark.parametrize('gap', [0.5, 2.0, 30.0])
+@pytest.mark.parametrize('last', [Pose2(4.95, 0.0, 0.0), Pose2(0.05, 0.0, 2.5), Pose2(1, 1, -3)])
+def test_odometry_from_zero_after_a_gap_is_no_motion(gap, last, caplog):
+    made = OdometryBuffer('robot1', 30.0, 3.0, 1.0)
+    for k in range(11):
+        fraction = k / 10
+        pose = Pose2(fraction * last.x, fraction * last.y, fraction * last.theta)
+        made.add(OdometryReading(2.0 * k, pose))
+    made.add(OdometryReading(20.0 + gap, IDENTITY))
+    assert tuple(made.pose) == pytest.approx(tuple(last))
+    assert (made.restarts, made.resets) == (1, 1)
+    assert caplog.text.count('the driver was restarted') == 1
+    made.add(OdometryReading(20.1 + gap, Pose2(0.1, 0.0, 0.2)))
+    assert tuple(made.pose) == pytest.approx(tuple(last.compose(Pose2(0.1, 0.0, 0.2))))
+    assert made.resets == 1
+
+
+def test_a_vehicle_that_drives_through_zero_is_no_restart():
+    made = OdometryBuffer('robot1', 30.0, 3.0, 1.0)
+    for k in range(21):
+        made.add(OdometryReading(0.1 * k, Pose2(0.04 * (k - 10), 0.0, 0.0)))
+    assert made.resets == 0
+    assert made.pose.x == pytest.approx(0.4)
+
+
+def test_a_heading_that_jumps_is_no_motion(caplog):
+    made = OdometryBuffer('robot1', 30.0, 3.0, 1.0)
+    made.add(OdometryReading(0.0, IDENTITY))
+    made.add(OdometryReading(0.1, Pose2(0.0, 0.0, 0.2)))
+    made.add(OdometryReading(0.2, Pose2(0.0, 0.0, -2.5)))
+    assert made.pose.theta == pytest.approx(0.2)
+    assert 'reset of the base' in caplog.text
+
+
+def restarted():
+    """An agent whose vehicle was carried away while its driver was restarted."""
+    agent, vehicle = make()
+    drive(agent, vehicle, 80, landmarks=True)
+    vehicle.odometry = IDENTITY
+    vehicle.pose = vehicle.pose.compose(Pose2(0.5, 0.4, 0.6))
+    vehicle.stamp += 3.0
+    agent.add('robot1', OdometryReading(vehicle.stamp, IDENTITY))
+    return agent, vehicle
+
+
+def test_a_displaced_vehicle_stands_until_it_is_placed(caplog):
+    agent, vehicle = restarted()
+    planner = TeamPlanner(agent)
+    known = int(agent.grid.known().sum())
+    drive(agent, vehicle, 10)
+    (status,) = agent.statuses()
+    assert status.state is VehicleState.LOST
+    assert planner.plan(agent.now).plans == {}
+    planner.pause(False)  # a resume places nobody
+    assert planner.plan(agent.now).plans == {}
+    # its scans do not enter the map at the wrong pose
+    assert int(agent.grid.known().sum()) == known
+    assert agent.summary()['robot1']['scans_while_displaced'] == 10
+    assert caplog.text.count('it stands until it is relocalized') == 1
+    agent.set_pose('robot1', vehicle.pose, TIGHT)
+    drive(agent, vehicle, 5)
+    assert agent.statuses()[0].state is not VehicleState.LOST
+
+
+def test_a_displaced_vehicle_is_relocalized_by_its_landmarks(caplog):
+    agent, vehicle = restarted()
+    caplog.set_level('INFO')
+    drive(agent, vehicle, 150, landmarks=True)
+    assert 'relocalized by its landmarks' in caplog.text
+    assert agent.statuses()[0].state is not VehicleState.LOST
+    assert vehicle.error_of(agent.estimate('robot1')[0]) < 0.1
