@@ -20,6 +20,11 @@ WINDOW = 10.0  # s over which rates are averaged
 KEPT = 2000  # newest latencies kept
 Part = tuple[bytes, str, Mapping[str, Any]]
 
+# states of a vehicle that somebody should look after
+_WARNED = {
+    VehicleState.LOST, VehicleState.SILENT, VehicleState.BLOCKED, VehicleState.UNLOCALIZED,
+}  # fmt: skip
+
 
 class AgentStatistics:
     """Collects figures on the worker's thread; `parts` returns the diagnostics."""
@@ -81,10 +86,13 @@ class AgentStatistics:
             name = status.vehicle
             values = self._vehicle(status, by_vehicle[name], inbox)
             values.update(figures.get(name, {}))
-            bad = status.state in (VehicleState.LOST, VehicleState.SILENT, VehicleState.BLOCKED)
+            bad = status.state in _WARNED
             clocks = by_vehicle[name].clock_problems()
             bad |= bool(clocks)
-            reason = '; '.join([planning.waiting.get(name, ''), *clocks]).strip('; ')
+            waits = planning.waiting.get(name, '')
+            if status.state is VehicleState.UNLOCALIZED:
+                waits = 'start pose unknown, not found in the map yet'
+            reason = '; '.join([waits, *clocks]).strip('; ')
             text = status.state.value + (f': {reason}' if reason else '')
             parts[f'vehicle {name}'] = (WARN if bad else OK, text, values)
         return parts
@@ -112,13 +120,16 @@ class AgentStatistics:
     ) -> dict[str, Any]:
         name = status.vehicle
         deviation = np.sqrt(np.maximum(np.diag(status.covariance), 0.0))
-        values: dict[str, Any] = {
-            'state': status.state.value,
-            'x': status.pose.x,
-            'y': status.pose.y,
-            'heading': status.pose.theta,
-            'position_deviation_m': float(np.hypot(deviation[0], deviation[1])),
-            'heading_deviation_rad': float(deviation[2]),
+        values: dict[str, Any] = {'state': status.state.value}
+        if status.state is not VehicleState.UNLOCALIZED:
+            values |= {
+                'x': status.pose.x,
+                'y': status.pose.y,
+                'heading': status.pose.theta,
+                'position_deviation_m': float(np.hypot(deviation[0], deviation[1])),
+                'heading_deviation_rad': float(deviation[2]),
+            }
+        values |= {
             'goal': '' if status.goal is None else f'{status.goal.x:.2f} {status.goal.y:.2f}',
             'keyframes_per_second': self._rate(name),
             **inputs.losses(),

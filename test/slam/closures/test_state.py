@@ -56,6 +56,23 @@ def test_anchors_in_different_frames_are_not_compared():
     assert len(together.redundant(poses, known, frames=[-1, -1])) > 20
 
 
+def test_several_vehicles_share_the_anchors_of_a_place():
+    """The second lap of two vehicles adds hardly an anchor to those of the first."""
+    walls = np.vstack([OFFICE, FURNITURE])
+    route, later = along(*LAP, *LAP[1:]), along(*LAP[2:], *LAP[1:], *LAP[1:3])
+    vehicles = [Vehicle(route, way_scale=1.003), Vehicle(later, way_scale=0.998)]
+    run = drive(lambda *_: walls, vehicles)
+    thinning = Thinning(run.search.anchors)
+    for keyframe in thinning.redundant(run.graph.path(), run.graph.relative_covariance):
+        run.search.remove_anchor(keyframe)
+    one_lap = len(along(*LAP))
+    left = [anchor.vehicle for anchor in run.search.anchors]
+    assert len(run.true) > 3.8 * one_lap
+    assert len(left) < 2.2 * one_lap
+    assert 0.5 * one_lap < left.count(0)
+    assert 0.5 * one_lap < left.count(1)
+
+
 def test_anchors_of_places_seen_often_are_bounded_by_the_area():
     walls = np.vstack([OFFICE, FURNITURE])
     laps = along(*LAP, *LAP[1:], *LAP[1:], *LAP[1:])
