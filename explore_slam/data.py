@@ -239,6 +239,24 @@ class Plan:
         _check_finite(self, 'waypoints', self.waypoints)
 
 
+class FollowerState(Enum):
+    """What drives a vehicle along its plan is doing."""
+
+    WAITING = 'waiting'
+    DRIVING = 'driving'
+    ARRIVED = 'arrived'
+    BLOCKED = 'blocked'
+
+
+@dataclass(frozen=True)
+class FollowerReport:
+    """State of a navigator, its reason, and since when it holds (s; NaN: unknown)."""
+
+    state: FollowerState
+    reason: str = ''
+    since: float = math.nan
+
+
 class VehicleState(Enum):
     """Activity of a vehicle as known to the agent.
 

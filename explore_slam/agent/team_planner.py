@@ -3,7 +3,8 @@
 from dataclasses import replace
 
 from explore_slam.agent.agent import Agent
-from explore_slam.data import VehicleState, VehicleStatus
+from explore_slam.agent.vehicle_track import VehicleTrack
+from explore_slam.data import FollowerReport, FollowerState, VehicleState, VehicleStatus
 from explore_slam.exploration import (
     ExplorationConfig,
     ExplorationStatus,
@@ -12,8 +13,6 @@ from explore_slam.exploration import (
     PlanningResult,
     VehicleSnapshot,
 )
-
-_BLOCKED = 'blocked'  # first word of a path follower's report that it cannot proceed
 
 
 class TeamPlanner:
@@ -54,13 +53,13 @@ class TeamPlanner:
         for track in self._agent.tracks.values():
             track.plan = None
 
-    def report_follower(self, vehicle: str, text: str, now: float) -> None:
-        """Take the report of a path follower ('driving', 'blocked: reason', ...) at a time (s)."""
+    def report_follower(self, vehicle: str, report: FollowerReport, now: float) -> None:
+        """Take the report of a path follower at a time (s)."""
         track = self._agent.track(vehicle)
-        newly = text.startswith(_BLOCKED) and not track.follower.startswith(_BLOCKED)
+        newly = report.state is FollowerState.BLOCKED and not _is_blocked(track)
         if newly and track.plan is not None:
             self._planner.report_blocked(vehicle, track.plan.goal, now)
-        track.follower = text
+        track.follower = report
 
     def plan(self, now: float) -> PlanningResult:
         """Run one planning cycle at a time (s) and store plan and state in the agent's tracks."""
@@ -88,7 +87,7 @@ class TeamPlanner:
         return VehicleSnapshot(self._agent.map_pose(vehicle), active, self._agent.home(vehicle))
 
     def _state(self, vehicle: str, result: PlanningResult) -> VehicleState:
-        if self._agent.track(vehicle).follower.startswith(_BLOCKED):
+        if _is_blocked(self._agent.track(vehicle)):
             return VehicleState.BLOCKED
         if vehicle in result.plans:
             returning = result.status is ExplorationStatus.RETURNING
@@ -97,3 +96,7 @@ class TeamPlanner:
             ExplorationStatus.COMPLETE: VehicleState.DONE,
             ExplorationStatus.RETURNED: VehicleState.HOME,
         }.get(result.status, VehicleState.WAITING)
+
+
+def _is_blocked(track: VehicleTrack) -> bool:
+    return track.follower is not None and track.follower.state is FollowerState.BLOCKED

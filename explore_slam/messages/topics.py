@@ -88,7 +88,7 @@ class VehicleTopic(Topic):
     PARTICLES = 'particles', 'geometry_msgs/msg/PoseArray', BEST_EFFORT
     AGENT_ALIVE = 'agent_alive', 'std_msgs/msg/Empty', BEST_EFFORT, BEST_EFFORT
     VELOCITY_COMMAND = 'cmd_vel', 'geometry_msgs/msg/Twist', NEWEST, NEWEST
-    FOLLOWER_STATUS = 'follower_status', 'std_msgs/msg/String', RELIABLE, RELIABLE
+    FOLLOWER_STATUS = 'follower_status', 'diagnostic_msgs/msg/DiagnosticStatus', RELIABLE, RELIABLE
     BATTERY = 'battery', 'sensor_msgs/msg/BatteryState'
     MOTORS_ON = 'motors_on', 'std_msgs/msg/Bool'
     SONAR = 'sonar', 'sensor_msgs/msg/PointCloud2'

@@ -21,6 +21,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
 from explore_slam.agent import Agent, AgentConfig, TeamPlanner, explicit_mounts, warm_up
+from explore_slam.data import FollowerReport
 from explore_slam.errors import ExploreSlamError
 from explore_slam.messages.frame_pairing import FRAME
 from explore_slam.messages.sensor_mounts import SensorMounts
@@ -224,7 +225,7 @@ class AgentNode(Node):
         self.inbox.put('request', action.__name__, run, None)
         return future
 
-    def _on_navigator(self, vehicle: str, report: str) -> None:
+    def _on_navigator(self, vehicle: str, report: FollowerReport) -> None:
         now = now_seconds(self)
 
         def take(_: Any) -> None:
