@@ -32,7 +32,6 @@ from explore_slam.messages import (
 )
 from explore_slam.messages.follower_status import follower_status_message
 from explore_slam.messages.topics import (
-    RELIABLE,
     SENSOR_DATA,
     GlobalTopic,
     Topic,
@@ -40,7 +39,7 @@ from explore_slam.messages.topics import (
     VehicleTopic,
 )
 from explore_slam.nodes.driver_parameters import DriverNodeConfig
-from explore_slam.nodes.endpoints import publisher, subscribe
+from explore_slam.nodes.endpoints import publisher, subscribe, subscribe_latched_or_not
 from explore_slam.nodes.node_support import (
     OK,
     SILENCE,
@@ -84,10 +83,9 @@ class PathFollowerNode(Node):
         self._counts: dict[Topic, int] = dict.fromkeys(_INPUTS, 0)
         self._heartbeat: float | None = None  # monotonic s
         subscribe(self, VehicleTopic.AGENT_ALIVE, self._on_heartbeat)
-        # the agent's plans are latched; planners and tools of others publish without that, which
-        # a latched subscription does not match. A plan that arrives twice changes nothing.
-        subscribe(self, VehicleTopic.PLAN, self._on_plan)
-        subscribe(self, VehicleTopic.PLAN, self._on_plan, qos=RELIABLE)
+        # the agent's plans are latched, those of other planners and tools need not be; a plan that
+        # arrives twice changes nothing
+        subscribe_latched_or_not(self, VehicleTopic.PLAN, self._on_plan)
         subscribe(self, VehicleTopic.POSE, self._on_pose)
         # only the newest readings matter here: no burst is kept
         subscribe(self, TopicKind.ODOMETRY, self._on_odometry, qos=SENSOR_DATA)
