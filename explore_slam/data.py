@@ -102,11 +102,23 @@ class LaserScan:
         return self.angle_min + self.angle_increment * steps
 
 
+# numbers of coefficients of the models of lens distortion: plumb_bob k1, k2, p1, p2, k3 (Brown);
+# rational_polynomial k1, k2, p1, p2, k3 to k6; equidistant k1 to k4 of the angle (Kannala and
+# Brandt, 2006); inverse_brown_conrady the polynomial of plumb_bob, from distorted to ideal points
+DISTORTION_LENGTHS = {
+    'plumb_bob': (4, 5, 8),
+    'rational_polynomial': (8,),
+    'equidistant': (4,),
+    'inverse_brown_conrady': (5,),
+}
+
+
 @dataclass(frozen=True)
 class Intrinsics:
     """Pinhole camera: image size (pixels), focal lengths and principal point (pixels).
 
-    distortion: plumb_bob k1, k2, p1, p2, k3 of an unrectified image, () if it is rectified.
+    distortion: coefficients of the model for an unrectified image, () if it is rectified.
+    distortion_model: one of DISTORTION_LENGTHS; as in sensor_msgs and librealsense.
     """
 
     width: int
@@ -116,13 +128,19 @@ class Intrinsics:
     cx: float
     cy: float
     distortion: tuple[float, ...] = ()
+    distortion_model: str = 'plumb_bob'
 
     def __post_init__(self) -> None:
-        if len(self.distortion) not in (0, 4, 5, 8) or not all(
-            map(math.isfinite, self.distortion)
-        ):
+        if self.distortion_model not in DISTORTION_LENGTHS:
             raise DataError(
-                f'Intrinsics: distortion is {self.distortion}, expected 0, 4, 5 or 8 finite values'
+                f'Intrinsics: distortion_model is {self.distortion_model!r}, '
+                f'expected one of {list(DISTORTION_LENGTHS)}'
+            )
+        lengths = (0, *DISTORTION_LENGTHS[self.distortion_model])
+        if len(self.distortion) not in lengths or not all(map(math.isfinite, self.distortion)):
+            raise DataError(
+                f'Intrinsics: distortion is {self.distortion}, expected {lengths} finite values '
+                f'of the model {self.distortion_model}'
             )
         if self.width <= 0 or self.height <= 0:
             raise DataError(f'Intrinsics: image size is {self.width} x {self.height}')
@@ -237,6 +255,24 @@ class Plan:
         _check_stamp(self, self.stamp)
         _check_shape(self, 'waypoints', self.waypoints, (len(self.waypoints), 2))
         _check_finite(self, 'waypoints', self.waypoints)
+
+
+class FollowerState(Enum):
+    """What drives a vehicle along its plan is doing."""
+
+    WAITING = 'waiting'
+    DRIVING = 'driving'
+    ARRIVED = 'arrived'
+    BLOCKED = 'blocked'
+
+
+@dataclass(frozen=True)
+class FollowerReport:
+    """State of a navigator, its reason, and since when it holds (s; NaN: unknown)."""
+
+    state: FollowerState
+    reason: str = ''
+    since: float = math.nan
 
 
 class VehicleState(Enum):

@@ -1,25 +1,33 @@
 """Planning for the agent's team: feeds the planner, and carries out the operator's requests."""
 
+import logging
+import math
 from dataclasses import replace
 
 from explore_slam.agent.agent import Agent
-from explore_slam.data import VehicleState, VehicleStatus
+from explore_slam.agent.operator_areas import OperatorAreas
+from explore_slam.agent.vehicle_track import VehicleTrack
+from explore_slam.data import FollowerReport, FollowerState, Plan, VehicleState, VehicleStatus
+from explore_slam.errors import AgentError
 from explore_slam.exploration import (
     ExplorationConfig,
     ExplorationStatus,
+    Grid,
     Planner,
     PlanningMode,
     PlanningResult,
     VehicleSnapshot,
 )
+from explore_slam.geometry import Pose2
 
-_BLOCKED = 'blocked'  # first word of a path follower's report that it cannot proceed
+logger = logging.getLogger(__name__)
 
 
 class TeamPlanner:
     """Plans for the vehicles of an agent; explores unless paused or called home.
 
     mode: what the operator asked for.
+    areas: where the operator wants no vehicle to be.
     result: of the last planning cycle.
     """
 
@@ -27,13 +35,16 @@ class TeamPlanner:
         self._agent = agent
         self._planner = Planner(agent.config.exploration)
         self._searched = False
+        self._goals: dict[str, Pose2] = {}
+        self._guide = Planner(agent.config.exploration)
+        self.areas = OperatorAreas()
         self.mode = PlanningMode.EXPLORE
         self.result = PlanningResult(ExplorationStatus.STARTED, 'nothing searched yet')
 
     def configure(self, config: ExplorationConfig) -> None:
         """Replace the settings; if they differ, targets and blacklist are forgotten."""
         if config != self._planner.config:
-            self._planner = Planner(config)
+            self._planner, self._guide = Planner(config), Planner(config)
 
     def pause(self, paused: bool) -> None:
         """Stop all vehicles, or explore again; that confirms where the vehicles stand."""
@@ -46,21 +57,41 @@ class TeamPlanner:
         """Send every vehicle to its start pose."""
         self.mode = PlanningMode.RETURN_HOME
 
+    def set_goal(self, vehicle: str, goal: Pose2) -> None:
+        """Send one vehicle to a goal (m, rad) first; then it explores on.
+
+        AgentError for an unknown vehicle, and for a goal that no vehicle may enter.
+        """
+        self._agent.track(vehicle)
+        grid = self._agent.grid
+        bounds = self.areas.out_of_bounds(grid)
+        (cell,) = grid.to_cell([goal[:2]])
+        within = bool(grid.contains([cell])[0])
+        if bounds is not None and within and bounds[tuple(cell)]:
+            raise AgentError(
+                f'goal ({goal.x:.2f}, {goal.y:.2f}) of {vehicle} lies in a keep-out area or '
+                'outside of the area to explore'
+            )
+        self._goals[vehicle] = goal
+        # a planner keeps the homes that it saw first
+        self._guide = Planner(self._agent.config.exploration)
+
     def reset(self) -> None:
-        """Forget targets, blacklist and mode."""
+        """Forget targets, goals, blacklist and mode; the operator's areas remain."""
         self._planner = Planner(self._agent.config.exploration)
+        self._goals = {}
         self._searched = False
         self.mode = PlanningMode.EXPLORE
         for track in self._agent.tracks.values():
             track.plan = None
 
-    def report_follower(self, vehicle: str, text: str, now: float) -> None:
-        """Take the report of a path follower ('driving', 'blocked: reason', ...) at a time (s)."""
+    def report_follower(self, vehicle: str, report: FollowerReport, now: float) -> None:
+        """Take the report of a path follower at a time (s)."""
         track = self._agent.track(vehicle)
-        newly = text.startswith(_BLOCKED) and not track.follower.startswith(_BLOCKED)
+        newly = report.state is FollowerState.BLOCKED and not _is_blocked(track)
         if newly and track.plan is not None:
             self._planner.report_blocked(vehicle, track.plan.goal, now)
-        track.follower = text
+        track.follower = report
 
     def plan(self, now: float) -> PlanningResult:
         """Run one planning cycle at a time (s) and store plan and state in the agent's tracks."""
@@ -71,7 +102,20 @@ class TeamPlanner:
         }
         in_doubt = any(track.doubt for track in self._agent.tracks.values())
         mode = PlanningMode.PAUSED if in_doubt else self.mode
-        result = self._planner.plan(self._agent.grid, now, vehicles, mode)
+        grid = self.areas.view(self._agent.grid)
+        guided: dict[str, Plan] = {}
+        if mode is PlanningMode.EXPLORE:
+            guided = self._plan_to_goals(grid, now, vehicles)
+        free = {
+            name: known._replace(active=known.active and name not in self._goals)
+            for name, known in vehicles.items()
+        }
+        exploring = free if mode is PlanningMode.EXPLORE else vehicles
+        result = self._planner.plan(grid, now, exploring, mode)
+        if guided:
+            result = replace(result, plans={**result.plans, **guided}, searched=True)
+            if result.status is ExplorationStatus.PAUSED:  # all vehicles are on their way to goals
+                result = replace(result, status=ExplorationStatus.IN_PROGRESS)
         if not result.searched and not self._searched and mode is not PlanningMode.PAUSED:
             # without a map the exploration has not begun, which is not a pause
             result = replace(result, status=ExplorationStatus.STARTED)
@@ -82,13 +126,39 @@ class TeamPlanner:
         self.result = result
         return result
 
+    def _plan_to_goals(
+        self, grid: Grid, now: float, vehicles: dict[str, VehicleSnapshot]
+    ) -> dict[str, Plan]:
+        """Plan the paths of the vehicles that the operator has sent to a goal."""
+        arrival = self._agent.config.exploration.paths.arrival_distance
+        for name, goal in list(self._goals.items()):
+            known = vehicles.get(name)
+            if known is not None and math.dist(known.pose[:2], goal[:2]) <= arrival:
+                logger.info('%s has reached the goal of the operator; it explores on', name)
+                del self._goals[name]
+        if not self._goals:
+            return {}
+        guided = {
+            name: known._replace(
+                active=known.active and name in self._goals,
+                home=self._goals.get(name, known.home),
+            )
+            for name, known in vehicles.items()
+        }
+        result = self._guide.plan(grid, now, guided, PlanningMode.RETURN_HOME)
+        for name, reason in result.waiting.items():
+            if name in self._goals and 'cannot be reached' in reason:
+                logger.warning('%s: the goal of the operator cannot be reached', name)
+                del self._goals[name]
+        return {name: plan for name, plan in result.plans.items() if name in self._goals}
+
     def _snapshot(self, status: VehicleStatus) -> VehicleSnapshot:
         active = status.state not in (VehicleState.SILENT, VehicleState.LOST)
         vehicle = status.vehicle
         return VehicleSnapshot(self._agent.map_pose(vehicle), active, self._agent.home(vehicle))
 
     def _state(self, vehicle: str, result: PlanningResult) -> VehicleState:
-        if self._agent.track(vehicle).follower.startswith(_BLOCKED):
+        if _is_blocked(self._agent.track(vehicle)):
             return VehicleState.BLOCKED
         if vehicle in result.plans:
             returning = result.status is ExplorationStatus.RETURNING
@@ -97,3 +167,7 @@ class TeamPlanner:
             ExplorationStatus.COMPLETE: VehicleState.DONE,
             ExplorationStatus.RETURNED: VehicleState.HOME,
         }.get(result.status, VehicleState.WAITING)
+
+
+def _is_blocked(track: VehicleTrack) -> bool:
+    return track.follower is not None and track.follower.state is FollowerState.BLOCKED

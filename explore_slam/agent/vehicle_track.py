@@ -8,7 +8,7 @@ import numpy as np
 
 from explore_slam.agent.measurement_queue import MeasurementQueue, Stamped
 from explore_slam.agent.odometry import OdometryBuffer, Step
-from explore_slam.data import LaserScan, Plan, VehicleState
+from explore_slam.data import FollowerReport, LaserScan, Plan, VehicleState
 from explore_slam.geometry import IDENTITY, Array, Pose2
 from explore_slam.registration import PointCloud, ScanMatcher
 from explore_slam.slam import OdometryNoise, compound
@@ -58,7 +58,7 @@ class VehicleTrack:
     last_seen: float = -np.inf
     plan: Plan | None = None
     state: VehicleState = VehicleState.WAITING
-    follower: str = ''
+    follower: FollowerReport | None = None
     doubt: str = ''
     placed: bool = False
     displaced: bool = False

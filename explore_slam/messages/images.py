@@ -11,7 +11,15 @@ from explore_slam.messages.base import MessageFactory, header
 
 COLOR_CHANNELS = {'rgb8': 3, 'bgr8': 3, 'rgba8': 4, 'bgra8': 4, 'mono8': 1, '8UC1': 1, '8UC3': 3}
 DEPTH_TYPES: dict[str, type] = {'16UC1': np.uint16, 'mono16': np.uint16, '32FC1': np.float32}
-DISTORTION_MODELS = {'plumb_bob', 'rational_polynomial'}
+# names of sensor_msgs and of librealsense -> model of the record
+DISTORTION_MODELS = {
+    'plumb_bob': 'plumb_bob',
+    'brown_conrady': 'plumb_bob',
+    'rational_polynomial': 'rational_polynomial',
+    'equidistant': 'equidistant',
+    'kannala_brandt4': 'equidistant',
+    'inverse_brown_conrady': 'inverse_brown_conrady',
+}
 
 
 def _image_rows(message: Any, item_size: int, channels: int) -> NDArray[np.uint8]:
@@ -78,15 +86,28 @@ def image_message(
 def intrinsics_record(message: Any) -> Intrinsics:
     """Return the intrinsics in a sensor_msgs/CameraInfo: its matrix K and distortion D."""
     k, distortion = message.k, tuple(map(float, message.d))
-    if not any(distortion):
+    model = 'plumb_bob'
+    if not any(distortion):  # rectified, or a lens without distortion: the model does not matter
         distortion = ()
-    elif message.distortion_model not in DISTORTION_MODELS:
-        raise DataError(
-            f'camera info: distortion model {message.distortion_model!r}, '
-            f'expected one of {sorted(DISTORTION_MODELS)}'
-        )
+    else:
+        model, distortion = _distortion(message.distortion_model.lower(), distortion)
     size = (int(message.width), int(message.height))
-    return Intrinsics(*size, float(k[0]), float(k[4]), float(k[2]), float(k[5]), distortion)
+    return Intrinsics(*size, float(k[0]), float(k[4]), float(k[2]), float(k[5]), distortion, model)
+
+
+def _distortion(name: str, values: tuple[float, ...]) -> tuple[str, tuple[float, ...]]:
+    """Return model and coefficients of a record; DataError for a model that cannot be undone."""
+    if name == 'modified_brown_conrady' and len(values) >= 4 and values[2] == values[3] == 0.0:
+        name = 'plumb_bob'  # they differ in the tangential part alone
+    model = DISTORTION_MODELS.get(name)
+    if model is None:
+        raise DataError(
+            f'camera info: distortion model {name!r} cannot be undone, expected one of '
+            f'{sorted(DISTORTION_MODELS)}; publish rectified images (image_proc) instead'
+        )
+    if model == 'equidistant':
+        values = values[:4]  # librealsense fills up with a zero
+    return model, values
 
 
 def camera_info_message(
@@ -100,7 +121,9 @@ def camera_info_message(
         header=header(factory, stamp, frame),
         height=camera.height,
         width=camera.width,
-        distortion_model='rational_polynomial' if len(camera.distortion) == 8 else 'plumb_bob',
+        distortion_model=(
+            'rational_polynomial' if len(camera.distortion) == 8 else camera.distortion_model
+        ),
         d=factory.sequence(np.array(camera.distortion or [0.0] * 5)),
         k=np.array(k),
         r=np.eye(3).reshape(9),

@@ -18,6 +18,7 @@ class Qos(NamedTuple):
 
 RELIABLE = Qos(10)
 LATCHED = Qos(1, latched=True)
+AREAS = Qos(10, latched=True)  # several keep-out areas, which late subscribers must know
 NEWEST = Qos(1)  # an older command must not be carried out after a newer one was sent
 SENSOR_DATA = Qos(5, reliable=False)  # rclpy's qos_profile_sensor_data
 # odometry comes at up to 100 Hz: a burst must not push out readings that have not been taken yet
@@ -55,6 +56,7 @@ class Topic(Enum):
 _IMAGE = 'sensor_msgs/msg/Image'
 _COMPRESSED_IMAGE = 'sensor_msgs/msg/CompressedImage'
 _POSE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
+_POLYGON = 'geometry_msgs/msg/PolygonStamped'
 _ODOMETRY = 'nav_msgs/msg/Odometry'
 
 
@@ -82,13 +84,14 @@ class VehicleTopic(Topic):
     """What else lies in a vehicle's namespace: the agent's results for it, commands, status."""
 
     POSE = 'pose', _POSE, RELIABLE, RELIABLE
-    # the follower also subscribes with RELIABLE, for publishers that are not latched
+    # subscribed to without latching as well: endpoints.subscribe_latched_or_not
     PLAN = 'plan', 'nav_msgs/msg/Path', LATCHED, LATCHED
     TRAJECTORY = 'trajectory', 'nav_msgs/msg/Path', RELIABLE, RELIABLE
     PARTICLES = 'particles', 'geometry_msgs/msg/PoseArray', BEST_EFFORT
     AGENT_ALIVE = 'agent_alive', 'std_msgs/msg/Empty', BEST_EFFORT, BEST_EFFORT
     VELOCITY_COMMAND = 'cmd_vel', 'geometry_msgs/msg/Twist', NEWEST, NEWEST
-    FOLLOWER_STATUS = 'follower_status', 'std_msgs/msg/String', RELIABLE, RELIABLE
+    GOAL_POSE = 'goal_pose', 'geometry_msgs/msg/PoseStamped', RELIABLE, RELIABLE
+    FOLLOWER_STATUS = 'follower_status', 'diagnostic_msgs/msg/DiagnosticStatus', RELIABLE, RELIABLE
     BATTERY = 'battery', 'sensor_msgs/msg/BatteryState'
     MOTORS_ON = 'motors_on', 'std_msgs/msg/Bool'
     SONAR = 'sonar', 'sensor_msgs/msg/PointCloud2'
@@ -103,6 +106,9 @@ class TeamTopic(Topic):
     MAP_LANDMARKS = 'map_landmarks', 'sensor_msgs/msg/PointCloud2', LATCHED, LATCHED
     FRONTIERS = 'explore/frontiers', 'visualization_msgs/msg/MarkerArray', RELIABLE, RELIABLE
     STATUS = 'explore/status', 'std_msgs/msg/String', LATCHED, LATCHED
+    # subscribed to without latching as well: endpoints.subscribe_latched_or_not
+    AREA = 'explore/area', _POLYGON, AREAS, AREAS
+    KEEP_OUT = 'explore/keepout', _POLYGON, AREAS, AREAS
     RESUME = 'explore/resume', 'std_msgs/msg/Bool', RELIABLE, RELIABLE
 
 
@@ -114,6 +120,7 @@ class GlobalTopic(Topic):
 
     CLOCK = '/clock', 'rosgraph_msgs/msg/Clock'
     DIAGNOSTICS = '/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', RELIABLE, RELIABLE
+    SELECTED_GOAL_POSE = '/goal_pose', 'geometry_msgs/msg/PoseStamped', RELIABLE, RELIABLE
     SELECTED_INITIAL_POSE = '/initialpose', _POSE, RELIABLE, RELIABLE
     TF = '/tf', 'tf2_msgs/msg/TFMessage', TRANSFORMS, TRANSFORMS_HEARD
     TF_STATIC = '/tf_static', 'tf2_msgs/msg/TFMessage', LATCHED, STATIC_TRANSFORMS

@@ -22,6 +22,7 @@ from explore_slam.messages.topics import (
     DEPTH_TOPICS,
     Topic,
     TopicKind,
+    VehicleTopic,
 )
 from explore_slam.messages.transforms import frame_name
 from explore_slam.messages.vehicle_settings import VehicleConfig
@@ -71,6 +72,26 @@ def operator_pose(message: Any, map_frame: str) -> OperatorPose:
     return OperatorPose(pose, covariance)
 
 
+def operator_goal(message: Any, map_frame: str) -> Pose2:
+    """Return the goal in a PoseStamped; DataError where it cannot be used."""
+    frame = frame_name(message.header.frame_id)
+    if frame != map_frame:
+        raise DataError(f'goal is in frame {frame!r}, expected {map_frame!r}')
+    goal = planar_pose(message.pose)
+    if not goal.is_finite():
+        raise DataError(f'goal is {tuple(goal)}, expected finite values')
+    return goal
+
+
+def operator_polygon(message: Any, map_frame: str) -> list[tuple[float, float]]:
+    """Return the corners (m) of a PolygonStamped; DataError for another frame."""
+    frame = frame_name(message.header.frame_id)
+    points = [(float(point.x), float(point.y)) for point in message.polygon.points]
+    if points and frame != map_frame:
+        raise DataError(f'polygon is in frame {frame!r}, expected {map_frame!r}')
+    return points
+
+
 class VehicleInputs:
     """All subscriptions to the topics of one vehicle.
 
@@ -90,6 +111,7 @@ class VehicleInputs:
         inbox: Inbox,
         sink: MeasurementSink,
         set_pose: Take,
+        set_goal: Take,
         transforms: TransformListener,
         map_frame: str,
     ) -> None:
@@ -100,6 +122,7 @@ class VehicleInputs:
         self._inbox = inbox
         self._sink = sink
         self._set_pose = set_pose
+        self._set_goal = set_goal
         self._transforms = transforms
         self._map_frame = map_frame
         self._reader = VehicleReader(MEASUREMENT_KINDS, mounts)
@@ -119,6 +142,7 @@ class VehicleInputs:
             if expected:
                 self._expected += kind.expected
         self._subscribe(TopicKind.INITIAL_POSE, self._on_pose)
+        self._subscribe(VehicleTopic.GOAL_POSE, self._on_goal)
 
     @property
     def config(self) -> VehicleConfig:
@@ -220,6 +244,14 @@ class VehicleInputs:
             f'yaw {yaw:.2f} rad'
         )
         self._inbox.put('pose', self.vehicle, self._set_pose, (self.vehicle, given))
+
+    def _on_goal(self, message: Any) -> None:
+        """Send the vehicle where the operator says; DataError where that cannot be used."""
+        goal = operator_goal(message, self._map_frame)
+        self._node.get_logger().info(
+            f'{self.vehicle} is sent to x {goal.x:.2f} m, y {goal.y:.2f} m by the operator'
+        )
+        self._inbox.put('goal', self.vehicle, self._set_goal, (self.vehicle, goal))
 
     def losses(self) -> dict[str, int]:
         """Return the numbers of messages that could not be used so far, by reason."""

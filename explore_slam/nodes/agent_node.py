@@ -7,6 +7,7 @@ import logging
 import sys
 import threading
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,17 +22,30 @@ from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
 from explore_slam.agent import Agent, AgentConfig, TeamPlanner, explicit_mounts, warm_up
-from explore_slam.errors import ExploreSlamError
+from explore_slam.data import FollowerReport
+from explore_slam.errors import DataError, ExploreSlamError
+from explore_slam.geometry import Pose2
 from explore_slam.messages.frame_pairing import FRAME
 from explore_slam.messages.sensor_mounts import SensorMounts
-from explore_slam.messages.topics import GlobalTopic, TeamTopic, Topic, TopicKind
+from explore_slam.messages.topics import (
+    GlobalTopic,
+    TeamTopic,
+    Topic,
+    TopicKind,
+    VehicleTopic,
+)
 from explore_slam.messages.vehicle_settings import VehicleConfig
-from explore_slam.nodes.agent_inputs import LIMITS, OperatorPose, VehicleInputs
+from explore_slam.nodes.agent_inputs import (
+    LIMITS,
+    OperatorPose,
+    VehicleInputs,
+    operator_polygon,
+)
 from explore_slam.nodes.agent_outputs import AgentOutputs
 from explore_slam.nodes.agent_parameters import AgentNodeConfig
 from explore_slam.nodes.agent_statistics import AgentStatistics
 from explore_slam.nodes.driver_parameters import DriverNodeConfig
-from explore_slam.nodes.endpoints import publisher, subscribe
+from explore_slam.nodes.endpoints import publisher, subscribe, subscribe_latched_or_not
 from explore_slam.nodes.heartbeat import Heartbeat
 from explore_slam.nodes.inbox import Inbox, Item
 from explore_slam.nodes.map_outputs import map_message
@@ -123,6 +137,13 @@ class AgentNode(Node):
             GlobalTopic.SELECTED_INITIAL_POSE,
             lambda message: self._for_selected(TopicKind.INITIAL_POSE, message),
         )
+        subscribe(
+            self,
+            GlobalTopic.SELECTED_GOAL_POSE,
+            lambda message: self._for_selected(VehicleTopic.GOAL_POSE, message),
+        )
+        for topic in (TeamTopic.AREA, TeamTopic.KEEP_OUT):
+            subscribe_latched_or_not(self, topic, partial(self._on_polygon, topic))
         names = list(self.config.vehicles)
         given = explicit_mounts(self.config.agent)
         mounts = {
@@ -137,6 +158,7 @@ class AgentNode(Node):
                 self.inbox,
                 sink=self.agent,
                 set_pose=self._place,
+                set_goal=self._send_to_goal,
                 transforms=self._transforms,
                 map_frame=self.config.map_frame,
             )
@@ -153,6 +175,28 @@ class AgentNode(Node):
             )
         else:
             self._inputs[vehicle].take(topic, message)
+
+    def _send_to_goal(self, item: tuple[str, Pose2]) -> None:
+        self.planner.set_goal(*item)
+        self._due['plan'] = -np.inf
+
+    def _on_polygon(self, topic: TeamTopic, message: Any) -> None:
+        """Take an area to explore or a keep-out area."""
+        try:
+            corners = operator_polygon(message, self.config.map_frame)
+        except DataError as error:
+            self.get_logger().warning(f'{topic.value}: {error}; message omitted')
+            return
+
+        def take(_: Any) -> None:
+            areas = self.planner.areas
+            change = areas.set_area if topic is TeamTopic.AREA else areas.add_keep_out
+            change(corners)
+            self._due['plan'] = -np.inf  # no vehicle drives on into it
+            left_out = areas.area_left_out(self.agent.grid)
+            self.get_logger().info(f'{topic.value}: {left_out:.1f} m² of the map are left out')
+
+        self.inbox.put('request', topic.value, take, None)
 
     def _place(self, item: tuple[str, OperatorPose]) -> None:
         vehicle, given = item
@@ -224,7 +268,7 @@ class AgentNode(Node):
         self.inbox.put('request', action.__name__, run, None)
         return future
 
-    def _on_navigator(self, vehicle: str, report: str) -> None:
+    def _on_navigator(self, vehicle: str, report: FollowerReport) -> None:
         now = now_seconds(self)
 
         def take(_: Any) -> None:
@@ -272,7 +316,10 @@ class AgentNode(Node):
                 self._publish_diagnostics()
             except ExploreSlamError as error:
                 source = item.source if item is not None else 'agent'
-                self.get_logger().warning(f'{source}: {error}', throttle_duration_sec=2.0)
+                if item is not None and item.kind not in LIMITS:  # of the operator, who waits
+                    self.get_logger().warning(f'{source}: {error}')
+                else:
+                    self.get_logger().warning(f'{source}: {error}', throttle_duration_sec=2.0)
             except Exception as error:
                 if not self.inbox.closed:
                     self.get_logger().error(f'{type(error).__name__}: {error}')

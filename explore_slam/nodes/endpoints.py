@@ -4,6 +4,7 @@ import contextlib
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
@@ -56,6 +57,24 @@ def subscribe(
         callback,
         qos_profile(topic.requested if qos is None else qos),
     )
+
+
+def subscribe_latched_or_not(
+    node: Node, topic: Topic, callback: Callable[[Any], None], vehicle: str = ''
+) -> None:
+    """Subscribe to publishers that are latched and to those that are not, as many tools are.
+
+    A latched message arrives twice at a late subscriber: the callback must not mind.
+    """
+    quiet = SubscriptionEventCallbacks(use_default_callbacks=False)  # the other one matches
+    for latched in (True, False):
+        node.create_subscription(
+            message_class(topic.message_type),
+            relative_name(topic, vehicle),
+            callback,
+            qos_profile(topic.requested._replace(latched=latched)),
+            event_callbacks=quiet if latched else None,
+        )
 
 
 class TransformBroadcaster:

@@ -1,7 +1,8 @@
 """Node `path_follower` of one vehicle: plan, pose, odom and scan in, cmd_vel out.
 
-Publishes `follower_status` (std_msgs/String: 'driving', 'arrived', 'waiting: REASON',
-'blocked: REASON') at every change and twice a second, and /diagnostics.
+Publishes `follower_status` (diagnostic_msgs/DiagnosticStatus: its message is waiting, driving,
+arrived or blocked; its values are the reason and since when) at every change and twice a second,
+and /diagnostics.
 """
 
 import sys
@@ -17,8 +18,9 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import LaserScan
-from std_msgs.msg import Empty, String
+from std_msgs.msg import Empty
 
+from explore_slam.data import FollowerReport, FollowerState
 from explore_slam.errors import DataError
 from explore_slam.messages import (
     odometry_record,
@@ -28,8 +30,8 @@ from explore_slam.messages import (
     seconds,
     twist_message,
 )
+from explore_slam.messages.follower_status import follower_status_message
 from explore_slam.messages.topics import (
-    RELIABLE,
     SENSOR_DATA,
     GlobalTopic,
     Topic,
@@ -37,7 +39,7 @@ from explore_slam.messages.topics import (
     VehicleTopic,
 )
 from explore_slam.nodes.driver_parameters import DriverNodeConfig
-from explore_slam.nodes.endpoints import publisher, subscribe
+from explore_slam.nodes.endpoints import publisher, subscribe, subscribe_latched_or_not
 from explore_slam.nodes.node_support import (
     OK,
     SILENCE,
@@ -56,7 +58,7 @@ from explore_slam.nodes.node_support import (
 from explore_slam.nodes.ros_types import MESSAGES
 from explore_slam.nodes.transform_listener import own_mounts
 from explore_slam.settings import values_of
-from explore_slam.vehicle import FollowerState, PathFollower, PathFollowerConfig, VelocityCommand
+from explore_slam.vehicle import PathFollower, PathFollowerConfig, VelocityCommand
 
 _REPORT_PERIOD = 0.5  # s
 _ACKNOWLEDGE_TIMEOUT = 0.2  # s for the last command to arrive
@@ -75,15 +77,15 @@ class PathFollowerNode(Node):
         self._mounts = own_mounts(self, self.vehicle, self.follower.config.laser_mount)
         self._command: VelocityCommand | None = None
         self._reported = -1.0
+        self._since = 0.0  # s; since when the state holds
         self._driven = -1.0
         self._malformed = 0
         self._counts: dict[Topic, int] = dict.fromkeys(_INPUTS, 0)
         self._heartbeat: float | None = None  # monotonic s
         subscribe(self, VehicleTopic.AGENT_ALIVE, self._on_heartbeat)
-        # the agent's plans are latched; planners and tools of others publish without that, which
-        # a latched subscription does not match. A plan that arrives twice changes nothing.
-        subscribe(self, VehicleTopic.PLAN, self._on_plan)
-        subscribe(self, VehicleTopic.PLAN, self._on_plan, qos=RELIABLE)
+        # the agent's plans are latched, those of other planners and tools need not be; a plan that
+        # arrives twice changes nothing
+        subscribe_latched_or_not(self, VehicleTopic.PLAN, self._on_plan)
         subscribe(self, VehicleTopic.POSE, self._on_pose)
         # only the newest readings matter here: no burst is kept
         subscribe(self, TopicKind.ODOMETRY, self._on_odometry, qos=SENSOR_DATA)
@@ -163,6 +165,8 @@ class PathFollowerNode(Node):
         command = self.follower.command(now, age)
         changed = self._command is None or command.state is not self._command.state
         self._command = command
+        if changed:
+            self._since = now
         if command.state is FollowerState.DRIVING or now < self._driven:
             self._driven = now
         if now - self._driven < _QUIET_AFTER:
@@ -174,7 +178,7 @@ class PathFollowerNode(Node):
     def _report(self, command: VelocityCommand) -> None:
         state = command.state.value
         text = f'{state}: {command.reason}' if command.reason else state
-        self._status.publish(String(data=text))
+        self._publish_status(command.state, command.reason)
         progress, plan = self.follower.progress, self.follower.plan
         values = {
             'state': state,
@@ -192,10 +196,15 @@ class PathFollowerNode(Node):
         parts = {'path follower': (OK if fine else WARN, text, values)}
         self._diagnostics.publish(diagnostics_message(self, parts, self.vehicle))
 
+    def _publish_status(self, state: FollowerState, reason: str) -> None:
+        report = FollowerReport(state, reason, self._since)
+        self._status.publish(follower_status_message(MESSAGES, self.vehicle, report))
+
     def stop(self) -> None:
         """Command zero velocity and wait until it has arrived: the last message is easily lost."""
         self._velocity.publish(twist_message(MESSAGES, 0.0, 0.0))
-        self._status.publish(String(data='waiting: path follower has ended'))
+        self._since = now_seconds(self)
+        self._publish_status(FollowerState.WAITING, 'path follower has ended')
         for output in (self._velocity, self._status):
             output.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGE_TIMEOUT))
 

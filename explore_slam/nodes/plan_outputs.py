@@ -5,7 +5,7 @@ from functools import partial
 
 from rclpy.node import Node
 
-from explore_slam.data import Plan
+from explore_slam.data import FollowerReport, Plan
 from explore_slam.nodes.agent_parameters import AgentNodeConfig
 from explore_slam.nodes.navigators import maker
 
@@ -17,7 +17,7 @@ class PlanOutputs:
     """
 
     def __init__(
-        self, node: Node, config: AgentNodeConfig, report: Callable[[str, str], None]
+        self, node: Node, config: AgentNodeConfig, report: Callable[[str, FollowerReport], None]
     ) -> None:
         make = maker(config.navigator)
         self._navigators = {

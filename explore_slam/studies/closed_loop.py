@@ -12,6 +12,7 @@ import numpy as np
 
 from explore_slam.agent import Agent, AgentConfig, TeamPlanner
 from explore_slam.data import (
+    FollowerReport,
     LandmarkObservations,
     LaserScan,
     OdometryReading,
@@ -39,7 +40,7 @@ class TeamGuide(Protocol):
 
     result: PlanningResult
 
-    def report_follower(self, vehicle: str, text: str, now: float) -> None:
+    def report_follower(self, vehicle: str, report: FollowerReport, now: float) -> None:
         """Take the report of a path follower at a time (s)."""
 
     def plan(self, now: float) -> PlanningResult:
@@ -125,7 +126,7 @@ class ClosedLoop:
         for name, follower in self.followers.items():
             command = follower.command(now)
             self.simulator.set_velocity(name, command.linear, command.angular)
-            self.planner.report_follower(name, command.state.value, now)
+            self.planner.report_follower(name, FollowerReport(command.state, command.reason), now)
         if now < self._next_plan:
             return None
         self._next_plan = now + self.config.planning_period

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from explore_slam.agent import Agent
+from explore_slam.data import FollowerReport, FollowerState
 from explore_slam.errors import EvaluationError
 from explore_slam.exploration import (
     ExplorationStatus,
@@ -52,10 +53,10 @@ class Patrol:
         self.reached = 0
         self.result = PlanningResult(ExplorationStatus.RETURNING, 'patrol begins')
 
-    def report_follower(self, vehicle: str, text: str, now: float) -> None:
+    def report_follower(self, vehicle: str, report: FollowerReport, now: float) -> None:
         """Take the report of a path follower; a blocked vehicle gets another waypoint."""
         del now
-        if text.startswith('blocked'):
+        if report.state is FollowerState.BLOCKED:
             self._blocked.add(vehicle)
 
     def plan(self, now: float) -> PlanningResult:

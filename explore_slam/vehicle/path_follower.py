@@ -7,11 +7,10 @@ benchmarks/vehicle_following.py (slalom, corners, obstacles; odometry and scans 
 
 import math
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 
-from explore_slam.data import LaserScan, OdometryReading, Plan
+from explore_slam.data import FollowerState, LaserScan, OdometryReading, Plan
 from explore_slam.geometry import Array, Pose2, to_world
 from explore_slam.vehicle.clearance import free_distance, scan_points
 from explore_slam.vehicle.config import PathFollowerConfig
@@ -29,15 +28,6 @@ _TURN_HYSTERESIS = 0.35  # of turn_in_place_angle: turning on the spot ends at t
 _GENTLE_CURVATURE = 0.5  # 1/m; below it the straight line ahead must be free too
 _BRAKING_SHARE = 0.6  # of follow_acceleration, relied upon for braking before obstacles
 _RESTART_ROOM = 0.05  # m more than the stop distance to start again after an obstacle
-
-
-class FollowerState(Enum):
-    """State of the follower with respect to its plan."""
-
-    WAITING = 'waiting'
-    DRIVING = 'driving'
-    ARRIVED = 'arrived'
-    BLOCKED = 'blocked'
 
 
 @dataclass(frozen=True)

@@ -58,13 +58,33 @@ def back_project(pixels: Array, depths: Array, camera: Intrinsics) -> Array:
 def camera_rays(pixels: Array, camera: Intrinsics) -> Array:
     """Return x/z and y/z (N, 2) of pixels (N, 2) (u, v), with lens distortion removed."""
     if any(camera.distortion) and len(pixels):
+        if camera.distortion_model == 'inverse_brown_conrady':
+            return _inverse_brown_conrady(pixels, camera)
         matrix = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0, 0, 1.0]])
         points = np.ascontiguousarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
-        rays = cv2.undistortPoints(points, matrix, np.array(camera.distortion))
+        fisheye = camera.distortion_model == 'equidistant'
+        undistort = cv2.fisheye.undistortPoints if fisheye else cv2.undistortPoints
+        rays = undistort(points, matrix, np.array(camera.distortion))
         return np.asarray(rays, dtype=np.float64).reshape(-1, 2)
     center = np.array([camera.cx, camera.cy])
     undistorted: Array = (pixels - center) / np.array([camera.fx, camera.fy])
     return undistorted
+
+
+def _inverse_brown_conrady(pixels: Array, camera: Intrinsics) -> Array:
+    """Return x/z and y/z (N, 2): the model of librealsense that maps distorted to ideal points."""
+    k1, k2, p1, p2, k3 = camera.distortion
+    x = (pixels[:, 0] - camera.cx) / camera.fx
+    y = (pixels[:, 1] - camera.cy) / camera.fy
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    return np.stack(
+        [
+            x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+            y * radial + 2.0 * p2 * x * y + p1 * (r2 + 2.0 * y * y),
+        ],
+        axis=1,
+    )
 
 
 def point_covariances(

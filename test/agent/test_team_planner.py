@@ -5,12 +5,14 @@ import pytest
 from synthetic import SyntheticVehicle, SyntheticWorld
 
 from explore_slam.agent import Agent, AgentConfig, TeamPlanner
-from explore_slam.data import OdometryReading, VehicleState
+from explore_slam.data import FollowerReport, FollowerState, OdometryReading, VehicleState
 from explore_slam.errors import AgentError
 from explore_slam.exploration import ExplorationConfig, ExplorationStatus, PlanningMode
 from explore_slam.geometry import Pose2
 from explore_slam.settings import with_values
 
+DRIVING = FollowerReport(FollowerState.DRIVING)
+BLOCKED = FollowerReport(FollowerState.BLOCKED, 'obstacle')
 START = Pose2(-1.0, -1.5, 0.0)
 CONFIG = with_values(AgentConfig(), {'particles': 20, 'empty_searches': 1})
 
@@ -96,15 +98,15 @@ def test_a_room_that_is_known_is_done():
 def test_a_follower_that_becomes_blocked_is_reported_once():
     agent, planner, _ = make()
     first = planner.plan(1.0).plans['robot1']
-    planner.report_follower('robot1', 'driving', 1.5)
+    planner.report_follower('robot1', DRIVING, 1.5)
     assert planner.plan(2.0).plans['robot1'] is first
-    planner.report_follower('robot1', 'blocked: obstacle', 2.5)
+    planner.report_follower('robot1', BLOCKED, 2.5)
     second = planner.plan(3.0).plans['robot1']
     assert second is not first
     assert agent.track('robot1').state is VehicleState.BLOCKED
-    planner.report_follower('robot1', 'blocked: obstacle', 3.5)
+    planner.report_follower('robot1', BLOCKED, 3.5)
     assert planner.plan(4.0).plans['robot1'] is second
-    planner.report_follower('robot1', 'driving', 4.5)
+    planner.report_follower('robot1', DRIVING, 4.5)
     planner.plan(5.0)
     assert agent.track('robot1').state is VehicleState.DRIVING
 
@@ -112,7 +114,7 @@ def test_a_follower_that_becomes_blocked_is_reported_once():
 def test_a_report_of_an_unknown_vehicle_is_refused():
     _, planner, _ = make()
     with pytest.raises(AgentError, match="unknown vehicle 'robot9'"):
-        planner.report_follower('robot9', 'driving', 1.0)
+        planner.report_follower('robot9', DRIVING, 1.0)
 
 
 def test_reset_forgets_plan_and_mode():

@@ -10,7 +10,13 @@ import pytest
 import rclpy
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseArray, PoseWithCovarianceStamped
+from geometry_msgs.msg import (
+    Point32,
+    PolygonStamped,
+    PoseArray,
+    PoseStamped,
+    PoseWithCovarianceStamped,
+)
 from nav_msgs.msg import OccupancyGrid, Odometry, Path
 from nav_msgs.srv import GetMap
 from rcl_interfaces.msg import Parameter, ParameterValue
@@ -399,6 +405,58 @@ def test_poses_of_the_operator_are_checked_and_go_to_the_selected_vehicle(live):
     assert 'is placed by the operator' not in log_of(folder)
     send('/map', spread)
     logged('robot2 is placed by the operator')
+    processes.check()
+
+
+def test_goals_and_areas_of_the_operator_are_taken_from_topics(live):
+    """As RViz and `ros2 topic pub` send them: without latching."""
+    team, folder, processes = live
+    outs = {
+        name: team.node.create_publisher(kind, name, 10)
+        for name, kind in (
+            ('robot1/goal_pose', PoseStamped),
+            ('/goal_pose', PoseStamped),
+            ('explore/keepout', PolygonStamped),
+            ('explore/area', PolygonStamped),
+        )
+    }
+    team.wait_for(lambda: all(out.get_subscription_count() for out in outs.values()))
+    team.drive(3)
+
+    def goal(name, x, y, frame='map'):
+        message = PoseStamped(pose=messages.pose_message(MESSAGES, Pose2(x, y, 0.0)))
+        message.header.frame_id = frame
+        outs[name].publish(message)
+
+    def polygon(name, corners, frame='map'):
+        message = PolygonStamped()
+        message.header.frame_id = frame
+        message.polygon.points = [Point32(x=float(x), y=float(y)) for x, y in corners]
+        outs[name].publish(message)
+
+    def logged(text):
+        team.wait_for(lambda: text in log_of(folder), 20.0)
+
+    square = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]
+    polygon('explore/keepout', square, 'odom')
+    logged("explore/keepout: polygon is in frame 'odom', expected 'map'")
+    polygon('explore/keepout', square[:2])
+    logged('polygon has 2 corners, expected at least 3')
+    polygon('explore/keepout', square)
+    logged('explore/keepout: 1.0 m² of the map are left out')
+    goal('robot1/goal_pose', 0.0, 0.0)
+    logged('goal (0.00, 0.00) of robot1 lies in a keep-out area')
+    polygon('explore/keepout', [])
+    logged('explore/keepout: 0.0 m² of the map are left out')
+    polygon('explore/area', square)
+    team.wait_for(lambda: 'explore/area: ' in log_of(folder), 20.0)
+    polygon('explore/area', [])
+    goal('robot1/goal_pose', 1.0, 1.0, 'robot1/odom')
+    logged("goal is in frame 'robot1/odom', expected 'map'")
+    team.set_parameter('selected_vehicle', string_value='robot2')
+    team.spin(0.5)
+    goal('/goal_pose', 1.0, 1.0)
+    logged('robot2 is sent to x 1.00 m, y 1.00 m by the operator')
     processes.check()
 
 

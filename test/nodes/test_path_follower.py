@@ -10,16 +10,16 @@ import time
 import numpy as np
 import pytest
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Path
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from ros_domain import own_domain
-from std_msgs.msg import String
 
 from explore_slam import messages
 from explore_slam.data import LaserScan, OdometryReading
 from explore_slam.geometry import Pose2
+from explore_slam.messages.follower_status import follower_report
 from explore_slam.nodes.ros_types import MESSAGES, message_class
 
 DOMAIN = str(own_domain(71))
@@ -36,7 +36,7 @@ class Harness:
         self.pose, self.velocity, self.states, self.parts = Pose2(0, 0, 0), (0.0, 0.0), [], []
         self.commands = []
         self.node.create_subscription(Twist, 'cmd_vel', self.on_velocity, 10)
-        self.node.create_subscription(String, 'follower_status', self.on_state, 10)
+        self.node.create_subscription(DiagnosticStatus, 'follower_status', self.on_state, 10)
         self.node.create_subscription(DiagnosticArray, '/diagnostics', self.parts.append, 10)
         self.plan = self.node.create_publisher(Path, 'plan', LATCHED)
         kinds = {
@@ -58,8 +58,11 @@ class Harness:
         return self.states[-1] if self.states else ''
 
     def on_state(self, message):
-        if not self.states or self.states[-1] != message.data:
-            self.states.append(message.data)
+        report = follower_report(message)
+        text = f'{report.state.value}: {report.reason}' if report.reason else report.state.value
+        assert 0.0 < report.since <= self.now()
+        if not self.states or self.states[-1] != text:
+            self.states.append(text)
 
     def now(self):
         return self.node.get_clock().now().nanoseconds * 1e-9

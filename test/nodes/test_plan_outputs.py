@@ -5,17 +5,19 @@ import sys
 import numpy as np
 import pytest
 import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
 from nav_msgs.msg import Path
 from rclpy.executors import SingleThreadedExecutor
 from ros_domain import own_domain
-from std_msgs.msg import String
 
-from explore_slam.data import Plan
+from explore_slam.data import FollowerReport, FollowerState, Plan
 from explore_slam.errors import ConfigError
 from explore_slam.geometry import Pose2
+from explore_slam.messages.follower_status import follower_status_message
 from explore_slam.nodes.agent_parameters import AgentNodeConfig
 from explore_slam.nodes.navigators import NAVIGATORS
 from explore_slam.nodes.plan_outputs import PlanOutputs
+from explore_slam.nodes.ros_types import MESSAGES
 from explore_slam.settings import with_values
 
 DOMAIN = own_domain(96)
@@ -74,7 +76,7 @@ def test_the_follower_gets_paths_and_its_status_is_reported(node):
     outputs = PlanOutputs(node, AgentNodeConfig(), lambda *report: reports.append(report))
     other = rclpy.create_node('follower', namespace='/robot1', context=node.context)
     other.create_subscription(Path, 'plan', heard.append, 10)
-    status = other.create_publisher(String, 'follower_status', 10)
+    status = other.create_publisher(DiagnosticStatus, 'follower_status', 10)
     executor = SingleThreadedExecutor(context=node.context)
     for part in (node, other):
         executor.add_node(part)
@@ -94,9 +96,11 @@ def test_the_follower_gets_paths_and_its_status_is_reported(node):
     outputs.send(2.0, {})
     spin_until(lambda: len(heard) > 1)
     assert heard[1].poses == []
-    status.publish(String(data='blocked: obstacle'))
+    status.publish(DiagnosticStatus(message='lost in thought'))  # no word of the list: omitted
+    report = FollowerReport(FollowerState.BLOCKED, 'obstacle', 12.5)
+    status.publish(follower_status_message(MESSAGES, 'robot1', report))
     spin_until(lambda: reports)
-    assert reports == [('robot1', 'blocked: obstacle')]
+    assert reports == [('robot1', report)]
     other.destroy_node()
 
 

@@ -8,6 +8,7 @@ import pytest
 
 from explore_slam.cli import benchmark
 from explore_slam.cli.main import build_parser
+from explore_slam.data import FollowerReport, FollowerState
 from explore_slam.errors import ConfigError, EvaluationError
 from explore_slam.settings import with_values
 from explore_slam.simulation import world_path
@@ -60,7 +61,7 @@ def test_a_blocked_vehicle_and_one_that_takes_too_long_get_other_waypoints():
 
     first = goal(2.0)
     assert goal(4.0) == first
-    patrol.report_follower('robot1', 'blocked', 5.0)
+    patrol.report_follower('robot1', FollowerReport(FollowerState.BLOCKED), 5.0)
     second = goal(6.0)
     assert second != first
     assert goal(8.0) == second

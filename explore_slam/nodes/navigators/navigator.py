@@ -5,10 +5,10 @@ from typing import Protocol
 
 from rclpy.node import Node
 
-from explore_slam.data import Plan
+from explore_slam.data import FollowerReport, Plan
 
-#: Called with each report: 'driving', 'arrived', 'waiting: REASON' or 'blocked: REASON'.
-type Report = Callable[[str], None]
+#: Called with each report of the navigator.
+type Report = Callable[[FollowerReport], None]
 
 
 class Navigator(Protocol):
