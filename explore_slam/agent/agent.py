@@ -117,8 +117,7 @@ class Agent:
             return
         if track.odometry.restarts != restarts:
             placement.displace(track)
-            pose, _ = self.belief.estimate(track.name)
-            self.belief.set_pose(track.name, pose, placement.DISPLACED)
+            self.belief.displace(track.name, placement.DISPLACED)
         if reading.stamp < before:
             self._restart_clock(track)
         self.now = max(self.now, reading.stamp)

@@ -44,7 +44,12 @@ def doubt(track: VehicleTrack, reason: str) -> None:
 
 
 def check_first_reading(track: VehicleTrack, odometry: Pose2) -> None:
-    """Compare the first odometry reading with zero, where the base stands after its start."""
+    """Compare the first odometry reading with zero, where the base stands after its start.
+
+    Where a vehicle of unknown start stands is not in doubt but to be found.
+    """
+    if track.start is None:
+        return
     if away(odometry, Pose2(0.0, 0.0, 0.0)) and not track.doubt and not track.placed:
         x, y, theta = odometry
         doubt(
@@ -93,7 +98,7 @@ def check_update(track: VehicleTrack, summary: UpdateSummary) -> None:
         and summary.associated >= _CONFIRMING
         and summary.associated >= _CONFIRMING_SHARE * summary.observed
     )
-    if track.displaced and (summary.relocated or confirmed):
+    if track.displaced and (summary.relocated or summary.joined or confirmed):
         track.displaced = False
         logger.info('%s: relocalized by its landmarks; it may drive again', track.name)
 

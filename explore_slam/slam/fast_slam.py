@@ -190,13 +190,26 @@ class FastSlam(Checkpointed):
         spread = checks.check_motion_covariance('covariance', covariance)
         if number in self._apart:
             self._join_at(number, known, spread)
-            return
-        self._poses[number] = np.asarray(known)
-        self._pending[number] = PendingMotion.of(rotated(spread, known.theta))
+        else:
+            self._restart_at(number, known, spread)
+
+    def displace(self, vehicle: str, covariance: Array) -> None:
+        """Note that a vehicle was moved unobserved; covariance (3, 3) of where it is in its frame.
+
+        A vehicle in a frame of its own remains there.
+        """
+        number = self._number(vehicle)
+        spread = checks.check_motion_covariance('covariance', covariance)
+        self._restart_at(number, self.estimate(vehicle)[0], spread)
+
+    def _restart_at(self, number: int, pose: Pose2, covariance: Array) -> None:
+        """Continue at a pose, covariance (3, 3), that the motion does not lead to."""
+        self._poses[number] = np.asarray(pose)
+        self._pending[number] = PendingMotion.of(rotated(covariance, pose.theta))
         self._chain_covariances[number] = None
         self._relocalizers[number].reset()
         if self.joint is not None:
-            self.joint.restart(number, known, spread)
+            self.joint.restart(number, pose, covariance)
         self._predicted[number] = True
 
     def restart_clock(self, vehicle: str) -> None:

@@ -79,6 +79,10 @@ class TeamBelief(Checkpointed):
         """See FastSlam.set_pose."""
         self.filter_of(vehicle).set_pose(vehicle, pose, covariance)
 
+    def displace(self, vehicle: str, covariance: Array) -> None:
+        """See FastSlam.displace."""
+        self.filter_of(vehicle).displace(vehicle, covariance)
+
     def restart_clock(self, vehicle: str) -> None:
         """See FastSlam.restart_clock."""
         self.filter_of(vehicle).restart_clock(vehicle)

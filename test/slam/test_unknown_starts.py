@@ -140,6 +140,18 @@ def test_a_known_pose_joins_too(apart):
     assert math.hypot(start.x, start.y) < 0.7  # the path came along: the first step is 0.4 m
 
 
+def test_a_vehicle_that_was_moved_unobserved_stays_in_its_frame(apart):
+    slam, _, _ = apart
+    before = slam.estimate('b')[0]
+    slam.displace('b', np.diag([1.0, 1.0, 0.5]))
+    assert not slam.is_in_map('b')
+    pose, P = slam.estimate('b')
+    np.testing.assert_allclose(pose, before, atol=0.1)
+    assert 1.8 < P[0, 0] + P[1, 1] < 2.3
+    with pytest.raises(SlamError, match='covariance'):
+        slam.displace('b', -np.eye(3))
+
+
 def test_what_cannot_join_is_refused_and_changes_nothing(apart):
     slam, _, driven = apart
     good = closures(driven, (2, 3), (5, 6))
