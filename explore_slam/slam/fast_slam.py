@@ -998,7 +998,7 @@ class FastSlam(Checkpointed):
         return ~np.isin(np.array(self.path.vehicles, np.int64), list(self._apart))
 
     def trajectory(self, vehicle: str) -> tuple[Array, Array]:
-        """Return stamps (T,) and poses (T, 3) of the keyframes of a vehicle, best lineage."""
+        """Return stamps (T,) and poses (T, 3) of a vehicle's keyframes on the most likely path."""
         chosen = self.path.of_vehicle(self._number(vehicle))
         return np.array(self.path.stamps)[chosen], self.best_path()[chosen]
 
