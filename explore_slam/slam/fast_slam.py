@@ -911,7 +911,7 @@ class FastSlam(Checkpointed):
         """Return mean and covariance (3, 3) of a motion that is not predicted yet.
 
         They are in the frame of the vehicle before it. steps: increments and their covariances as
-        for `predict`, so that those of the wheels are corrected by the calibration.
+        for `predict`, so that those of wheel odometry are corrected by the calibration.
         """
         number, total = self._number(vehicle), Segment.empty()
         for increment, covariance in steps:
