@@ -213,12 +213,12 @@ class Agent:
         return pose, covariance
 
     def map_pose(self, vehicle: str) -> Pose2:
-        """Return the pose of a vehicle relative to the grid: on the best particle's path."""
+        """Return the pose of a vehicle relative to the grid: the end of the most likely path."""
         track = self.track(vehicle)
         return self._team.pose_at(track, track.odometry.last)
 
     def trajectory(self, vehicle: str) -> tuple[Array, Array]:
-        """Return stamps (T,) and poses (T, 3) of the keyframes on the best particle's path."""
+        """Return stamps (T,) and poses (T, 3) of the keyframes on the most likely path."""
         self.track(vehicle)
         return self.belief.trajectory(vehicle)
 

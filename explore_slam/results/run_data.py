@@ -76,7 +76,7 @@ class LandmarkCloud(Protocol):
 class VehicleRun:
     """The trajectories of one vehicle in the map frame; those that are not known are empty.
 
-    estimated: path of the best particle at the end, interpolated by odometry between keyframes;
+    estimated: most likely path at the end, interpolated by odometry between keyframes;
     online: pose as estimated at each time; odometry: dead reckoning from the start pose; truth:
     as measured from outside the vehicle. estimates: mean and covariance as published.
     """
@@ -252,7 +252,7 @@ class RunRecorder:
     ) -> RunData:
         """Return the data of the run.
 
-        trajectories: vehicle -> stamps (T,) and keyframe poses (T, 3) of the best particle.
+        trajectories: vehicle -> stamps (T,) and keyframe poses (T, 3) on the most likely path.
         calibrations: of the wheel odometry, which leads from keyframe to keyframe.
         extra: further metrics (collisions, duration, counts of dropped records).
         """

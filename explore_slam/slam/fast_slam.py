@@ -924,7 +924,7 @@ class FastSlam(Checkpointed):
         """Return mean and covariance (3, 3) of a motion that is not predicted yet.
 
         They are in the frame of the vehicle before it. steps: increments and their covariances as
-        for `predict`, so that those of the wheels are corrected by the calibration.
+        for `predict`, so that those of wheel odometry are corrected by the calibration.
         """
         number, total = self._number(vehicle), Segment.empty()
         for increment, covariance in steps:
@@ -1011,7 +1011,7 @@ class FastSlam(Checkpointed):
         return ~np.isin(np.array(self.path.vehicles, np.int64), list(self._apart))
 
     def trajectory(self, vehicle: str) -> tuple[Array, Array]:
-        """Return stamps (T,) and poses (T, 3) of the keyframes of a vehicle, best lineage."""
+        """Return stamps (T,) and poses (T, 3) of a vehicle's keyframes on the most likely path."""
         chosen = self.path.of_vehicle(self._number(vehicle))
         return np.array(self.path.stamps)[chosen], self.best_path()[chosen]
 

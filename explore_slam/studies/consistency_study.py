@@ -61,8 +61,8 @@ class ConsistencyStudy:
 class ConsistencyRun:
     """Figures of one vehicle in one run; NaN where there is no ground truth or no path.
 
-    position_rms: of the online pose (m). best_path_rms: of the path of the best particle at the
-    end (m). duration: simulated time of the run (s). See results.consistency for the others.
+    position_rms: of the online pose (m). best_path_rms: of the most likely path at
+    the end (m). duration: simulated time of the run (s). See results.consistency for the others.
     """
 
     seed: int

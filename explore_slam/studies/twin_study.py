@@ -1,7 +1,7 @@
 """False closures and false joins where rooms are equal: drives through twin corridors.
 
-The wheels drift by up to half a period of the rooms over a corridor, so that the next room is as
-near as the right one. One vehicle laps the corridors; a second one starts in the middle of the
+Wheel odometry drifts by up to half a period of the rooms over a corridor, so that the next room is
+as near as the right one. One vehicle laps the corridors; a second one starts in the middle of the
 second corridor, where nothing but equal rooms is in sight.
 """
 
@@ -35,7 +35,7 @@ PERIOD = 0.5  # s between scans
 STEP, TURN = 0.25, 0.35  # m, rad between scans
 FIELD_OF_VIEW, BEAMS, RANGE = math.pi, 181, 20.0  # rad, number, m: a SICK LMS200 indoors
 RANGE_DEVIATION = 0.01  # m
-# Noise of the wheels beside the scale error: deviations per scan (m, m, rad).
+# Noise of wheel odometry beside the scale error: deviations per scan (m, m, rad).
 WHEEL_DEVIATIONS = np.array([0.003, 0.002, 0.003])
 # What is off by more is false: a wrong room is 3 m off, a slide along a wall 0.5 m and more.
 WRONG = (0.6, 0.1)  # m, rad
@@ -73,7 +73,7 @@ class TwinStudy:
 class TwinRun(NamedTuple):
     """Figures of a run.
 
-    drift_m: of the wheels over a corridor. ends_revisited: lobbies that a vehicle came back to;
+    drift_m: of the odometry over a corridor. ends_revisited: lobbies that a vehicle came back to;
     ends_closed: those with a right closure. joined_after_m: way of the second vehicle when a
     closure first tied it to the first one, NaN if none did. error_m: mean distance of all
     keyframes in the map from the truth.

@@ -15,7 +15,7 @@ from explore_slam.studies.closed_loop import ClosedLoop, ClosedLoopConfig
 SMALL = Path(__file__).resolve().parents[2] / 'config' / 'worlds' / 'small.yaml'
 CONFIG = with_values(
     ClosedLoopConfig(),
-    {'particles': 60, 'time_limit': 12.0, 'feature_orientation': 'upright'},
+    {'particles': 60, 'time_limit': 8.0, 'feature_orientation': 'upright'},
 )
 
 
@@ -36,7 +36,7 @@ def test_vehicles_drive_map_and_know_where_they_are(runs):
     assert metrics['collisions'] == {'robot1': 0, 'robot2': 0}
     assert metrics['coverage'] > 0.5
     assert metrics['mean_online_position_rms'] < 0.05
-    assert sum(found['distance'] for found in metrics['vehicles'].values()) > 1.0
+    assert sum(found['distance'] for found in metrics['vehicles'].values()) > 0.7
 
 
 def test_reachable_area_is_what_the_vehicle_can_cover():

@@ -160,12 +160,30 @@ def test_two_imports_are_the_same_bag(small_mrclam, tmp_path):
     assert first == second
 
 
+def first_minute(folder: Path, out: Path) -> Path:
+    """Copy an MR.CLAM data set up to a minute after the robots' odometry begins."""
+    out.mkdir()
+    begin = max(
+        np.loadtxt(folder / f'Robot{number}_Odometry.dat', usecols=0, max_rows=1)
+        for number in range(1, 6)
+    )
+    for path in folder.glob('*.dat'):
+        lines = path.read_text().splitlines(keepends=True)
+        if path.name.startswith('Robot'):
+            lines = [
+                line for line in lines if line[0] == '#' or float(line.split()[0]) < begin + 60.0
+            ]
+        (out / path.name).write_text(''.join(lines))
+    return out
+
+
 @pytest.mark.data
 def test_the_recording_mrclam6(recordings, tmp_path):
-    counts = mrclam.import_mrclam(recordings('mrclam6'), tmp_path / 'bag')
+    folder = first_minute(recordings('mrclam6'), tmp_path / 'set')
+    counts = mrclam.import_mrclam(folder, tmp_path / 'bag')
     assert {topic.split('/')[1] for topic in counts} == {f'robot{n}' for n in range(1, 6)}
     with BagReader(tmp_path / 'bag') as bag:
-        assert (bag.end - bag.start) * 1e-9 == pytest.approx(755.9, abs=0.2)
+        assert (bag.end - bag.start) * 1e-9 == pytest.approx(60.0, abs=1.0)
         assert Replay(bag).start_poses()['robot5'].is_finite()
 
 

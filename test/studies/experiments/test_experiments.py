@@ -35,7 +35,7 @@ def walks():
 @pytest.fixture(scope='module')
 def first():
     return experiment1.run(
-        experiment1.Options(seeds=(0, 1), particles=100, paper_particles=50, filter_runs=2)
+        experiment1.Options(seeds=(0, 1), particles=60, paper_particles=40, filter_runs=2)
     )
 
 
@@ -205,9 +205,8 @@ def command(*words):
 
 
 def test_command_runs_an_experiment(tmp_path, capsys):
-    arguments = command(
-        '1', '--seeds', '4', '--particles', '20', '--without-isam2', '--output', str(tmp_path)
-    )
+    words = ['1', '--seeds', '4', '--particles', '10', '--landmarks', '12', '--without-isam2']
+    arguments = command(*words, '--output', str(tmp_path))
     assert experiment.run(arguments) == 0
     out, err = capsys.readouterr()
     assert 'Table II' in out
