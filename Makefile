@@ -50,6 +50,7 @@ $(VENV)/.ready: requirements.txt requirements-ros.txt setup.py package.xml $(CON
 
 $(VENV)/.ready-dev: requirements-dev.txt $(VENV)/.ready
 	@echo "Installing what tests and benchmarks need ..."
+	@$(PY) tools/build_messages.py nav2_msgs
 	@$(PIP) install -q -r requirements-dev.txt $(if $(CONSTRAINTS),-c $(CONSTRAINTS)) 2> >(grep -v 'is ignored: it is neither' >&2)
 	@touch $@
 

@@ -29,6 +29,12 @@ class VehicleConfig(Section):
         tier='basic',
     )
     use_laser: bool = setting(True, 'Whether the vehicle has a laser scanner', tier='basic')
+    navigator: str = setting(
+        'follower',
+        'What drives the vehicle along its plans: follower, or nav2 by the action '
+        '<vehicle>/navigate_to_pose',
+        tier='basic',
+    )
     laser_mount: tuple[float, ...] = setting(
         _UNSET,
         'Pose x (m), y (m), yaw (rad) of the laser in the vehicle frame, where /tf_static does '

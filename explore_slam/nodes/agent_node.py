@@ -70,7 +70,7 @@ POLL_PERIOD = 0.05  # s that the worker waits for an item before it does periodi
 _RELEASE_PERIOD = 0.2  # s between looks at messages that wait for transforms
 # parameters that other nodes rely on, or that the agent is built from: fixed after the start
 FIXED = {
-    'vehicles', 'start_poses', 'seed', 'frame_queue', 'map_frame', 'run_directory', 'navigator',
+    'vehicles', 'start_poses', 'seed', 'frame_queue', 'map_frame', 'run_directory',
     *values_of(VehicleConfig()),
 }  # fmt: skip
 _DEFAULTS = AgentConfig()
@@ -106,7 +106,8 @@ class AgentNode(Node):
         self.planner.pause(not self.config.explore)
         self.inbox = Inbox({**LIMITS, FRAME.name: self.config.frame_queue})
         self.outputs = AgentOutputs(self, self.config)
-        self.plans = PlanOutputs(self, self.config, self._on_navigator)
+        navigators = {name: one.navigator for name, one in self.vehicle_configs.items()}
+        self.plans = PlanOutputs(self, navigators, self.config.map_frame, self._on_navigator)
         self.statistics = AgentStatistics()
         self.outputs.status('exploration_started' if self.config.explore else 'exploration_paused')
         self._transforms = TransformListener(self, self.config.vehicles)

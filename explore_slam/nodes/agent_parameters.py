@@ -13,7 +13,6 @@ from explore_slam.messages.vehicle_settings import (
     split_vehicle_values,
 )
 from explore_slam.nodes import shared_parameters
-from explore_slam.nodes.navigators import NAVIGATORS
 from explore_slam.settings import (
     Section,
     read_parameters,
@@ -36,9 +35,6 @@ class AgentNodeConfig(Section):
         tier='basic',
     )
     seed: int = setting(0, 'Seed of all random numbers', low=0)
-    navigator: str = setting(
-        'follower', 'What drives the vehicles along their plans', choices=tuple(NAVIGATORS)
-    )
     selected_vehicle: str = setting(
         '',
         'Vehicle that gets what RViz sends to /initialpose and /goal_pose; empty: the only one of '

@@ -6,23 +6,26 @@ from functools import partial
 from rclpy.node import Node
 
 from explore_slam.data import FollowerReport, Plan
-from explore_slam.nodes.agent_parameters import AgentNodeConfig
 from explore_slam.nodes.navigators import maker
 
 
 class PlanOutputs:
     """The navigator of each vehicle, and the plan that it has been sent last.
 
+    navigators: vehicle -> name of its navigator. map_frame: frame of the plans.
     report: called with (vehicle, report) for every report of a navigator.
     """
 
     def __init__(
-        self, node: Node, config: AgentNodeConfig, report: Callable[[str, FollowerReport], None]
+        self,
+        node: Node,
+        navigators: Mapping[str, str],
+        map_frame: str,
+        report: Callable[[str, FollowerReport], None],
     ) -> None:
-        make = maker(config.navigator)
         self._navigators = {
-            vehicle: make(node, vehicle, config.map_frame, partial(report, vehicle))
-            for vehicle in config.vehicles
+            vehicle: maker(name)(node, vehicle, map_frame, partial(report, vehicle))
+            for vehicle, name in navigators.items()
         }
         self._last: dict[str, Plan | None] = {}
 

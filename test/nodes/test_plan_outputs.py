@@ -14,11 +14,9 @@ from explore_slam.data import FollowerReport, FollowerState, Plan
 from explore_slam.errors import ConfigError
 from explore_slam.geometry import Pose2
 from explore_slam.messages.follower_status import follower_status_message
-from explore_slam.nodes.agent_parameters import AgentNodeConfig
-from explore_slam.nodes.navigators import NAVIGATORS
+from explore_slam.nodes.navigators import NAVIGATORS, maker
 from explore_slam.nodes.plan_outputs import PlanOutputs
 from explore_slam.nodes.ros_types import MESSAGES
-from explore_slam.settings import with_values
 
 DOMAIN = own_domain(96)
 
@@ -55,10 +53,9 @@ def test_another_navigator_is_a_module_and_a_line(node, monkeypatch):
     module.make = Obedient
     monkeypatch.setitem(sys.modules, 'obedient_navigator', module)
     monkeypatch.setitem(NAVIGATORS, 'obedient', 'obedient_navigator')
-    config = AgentNodeConfig()
-    object.__setattr__(config, 'navigator', 'obedient')  # the choices were read at import
     reports = []
-    outputs = PlanOutputs(node, config, lambda *report: reports.append(report))
+    names = {'robot1': 'obedient', 'robot2': 'obedient'}
+    outputs = PlanOutputs(node, names, 'map', lambda *report: reports.append(report))
     first, second = plan('robot1', 1.0), plan('robot1', 2.0)
     for stamp, plans in enumerate(
         ({'robot1': first}, {'robot1': first}, {'robot1': second}, {}, {})
@@ -73,7 +70,8 @@ def test_another_navigator_is_a_module_and_a_line(node, monkeypatch):
 
 def test_the_follower_gets_paths_and_its_status_is_reported(node):
     heard, reports = [], []
-    outputs = PlanOutputs(node, AgentNodeConfig(), lambda *report: reports.append(report))
+    names = {'robot1': 'follower', 'robot2': 'follower'}
+    outputs = PlanOutputs(node, names, 'map', lambda *report: reports.append(report))
     other = rclpy.create_node('follower', namespace='/robot1', context=node.context)
     other.create_subscription(Path, 'plan', heard.append, 10)
     status = other.create_publisher(DiagnosticStatus, 'follower_status', 10)
@@ -106,4 +104,4 @@ def test_the_follower_gets_paths_and_its_status_is_reported(node):
 
 def test_an_unknown_navigator_is_refused():
     with pytest.raises(ConfigError, match="navigator is 'magic', expected one of"):
-        with_values(AgentNodeConfig(), {'navigator': 'magic'})
+        maker('magic')
