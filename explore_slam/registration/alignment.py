@@ -18,11 +18,9 @@ _CAUCHY = 0.05  # m, scale of the robust weight
 _MOST_RESIDUAL = 0.2  # m, in the root mean square
 _AGREEMENT = 0.7  # least cosine between the normals of a return and of its surface
 _FEWEST = 15
-# The residuals' standard deviation (m), and the share of the returns whose errors are
-# independent: neighbouring beams see the same unevenness. Of 0.1, 0.3 and 1.0 this drifts least
-# on the Intel, ACES and Belgioioso logs (benchmarks/laser_yardstick.py).
-RANGE_DEVIATION = 0.03
+# Share of the returns whose errors are independent: neighbouring beams see the same unevenness.
 INDEPENDENT_SHARE = 0.3
+LEAST_DEVIATION = 0.005  # m, of a return; above it, that of the residuals
 # rad, standard deviation of a fitted normal: without it a featureless corridor seems to hold
 # information along its axis, which is nothing but noise of the normals.
 NORMAL_DEVIATION = 0.05
@@ -121,10 +119,12 @@ def _iterate(
     pose = np.array(start)
     information, matched, rms = np.zeros((3, 3)), 0, 0.0
     for _ in range(_ITERATIONS):
-        A, b, matched, rms = _normal_equations(surface, points, normals, pose, reach)
+        A, b, matched, rms, deviation = _normal_equations(surface, points, normals, pose, reach)
         if matched < _FEWEST:
             break
-        information, b = _without_normal_noise(A, b)
+        # the returns are as noisy as their residuals
+        certainty = 1.0 / max(deviation, LEAST_DEVIATION) ** 2
+        information, b = _without_normal_noise(certainty * A, certainty * b)
         # error of the prior in the vehicle frame
         c, s = math.cos(pose[2]), math.sin(pose[2])
         dx, dy = prior[0] - pose[0], prior[1] - pose[1]
@@ -167,10 +167,14 @@ def _without_normal_noise(A: Array, b: Array) -> tuple[Array, Array]:
 @kernel
 def _normal_equations(
     surface: SurfaceMap, points: Array, normals: Array, pose: Array, reach: float
-) -> tuple[Array, Array, int, float]:
-    """Return A (3, 3), b (3,) of A δ = b, the returns matched and their root mean square (m)."""
+) -> tuple[Array, Array, int, float, float]:
+    """Return A (3, 3), b (3,) of A δ = b for returns with a variance of 1 m².
+
+    Also the number of returns matched, the root mean square of their residuals (m), and their
+    standard deviation (m) with the robust weights.
+    """
     A, b, matched, squares = np.zeros((3, 3)), np.zeros(3), 0, 0.0
-    scale = INDEPENDENT_SHARE / RANGE_DEVIATION**2
+    weights, weighted = 0.0, 0.0
     c, s = math.cos(pose[2]), math.sin(pose[2])
     for n in range(len(points)):
         px, py = points[n, 0], points[n, 1]
@@ -183,7 +187,10 @@ def _normal_equations(
         residual = nx * (surface.points[k, 0] - x) + ny * (surface.points[k, 1] - y)
         matched += 1
         squares += min(residual * residual, _MOST_RESIDUAL**2)
-        weight = scale / (1.0 + (residual / _CAUCHY) ** 2)
+        robust = 1.0 / (1.0 + (residual / _CAUCHY) ** 2)
+        weights += robust
+        weighted += robust * residual * residual
+        weight = INDEPENDENT_SHARE * robust
         jx, jy = c * nx + s * ny, c * ny - s * nx
         jt = jy * px - jx * py
         A[0, 0] += weight * jx * jx
@@ -196,4 +203,5 @@ def _normal_equations(
         b[1] += weight * jy * residual
         b[2] += weight * jt * residual
     A[1, 0], A[2, 0], A[2, 1] = A[0, 1], A[0, 2], A[1, 2]
-    return A, b, matched, math.sqrt(squares / max(matched, 1))
+    rms, deviation = math.sqrt(squares / max(matched, 1)), math.sqrt(weighted / max(weights, 1e-9))
+    return A, b, matched, rms, deviation

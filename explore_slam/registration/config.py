@@ -16,7 +16,7 @@ class ScanMatchingConfig(Section):
         40.0, 'Returns beyond this range are not matched', unit='m', low=0.5, high=200.0
     )
     matching_window: int = setting(
-        12, 'Number of kept scans that a new scan is matched with', unit='scans', low=1, high=200
+        30, 'Number of kept scans that a new scan is matched with', unit='scans', low=1, high=200
     )
     matching_window_distance: float = setting(
         0.2, 'Minimum travel between the scans that are kept', unit='m', low=0.01, high=10.0

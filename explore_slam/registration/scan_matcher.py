@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from explore_slam.data import LaserScan
 from explore_slam.errors import RegistrationError
 from explore_slam.geometry import IDENTITY, Array, Pose2, moved_enough
-from explore_slam.registration.alignment import RANGE_DEVIATION, Alignment, Prior
+from explore_slam.registration.alignment import Alignment, Prior
 from explore_slam.registration.cloud import PointCloud, scan_cloud
 from explore_slam.registration.config import ScanMatchingConfig
 from explore_slam.registration.correlation import SearchWindow
@@ -28,8 +28,6 @@ _FEWEST_POINTS = 15
 # own error. Were all kept scans equal, it would be (2 / (n + 1))², 0.02; but the last two or three
 # share most surfaces with the next one.
 _WINDOW_DRIFT = 0.5
-# m, least standard deviation of a return; above it, that of the residuals
-_LEAST_DEVIATION = 0.005
 # rad; at 6 m half a step is one cell of 0.05 m off, which the alignment makes good.
 _ANGLE_STEP = math.radians(1.5)
 _SIGMAS = 3.0  # the window covers the odometry's error
@@ -270,8 +268,7 @@ def _scan_match(
     apart (benchmarks/scan_matching_noise.py).
     """
     certainty = np.linalg.inv(covariance)
-    deviation = max(found.rms, _LEAST_DEVIATION)
-    information = (RANGE_DEVIATION / deviation) ** 2 * found.information
+    information = found.information
     left = np.linalg.inv(information + certainty)
     white = left @ information @ left
     drift = left @ certainty @ left
