@@ -48,8 +48,11 @@ class SurfaceMap(NamedTuple):
         columns, rows = (((points.max(axis=0) - low) / _CELL).astype(np.int64) + 1).tolist()
         x, y = low.tolist()
         order = np.argsort(_element_keys(points, normals, x, y, columns), kind='stable')
-        rough = cls(x, y, columns, rows, *_elements(points, normals, order, x, y, columns, rows))
-        return rough._replace(**dict(zip(('points', 'normals'), _smoothed(rough), strict=True)))
+        first, means, directions, counts = _elements(
+            points, normals, order, x, y, columns, rows
+        )
+        rough = cls(x, y, columns, rows, first, means, directions)
+        return cls(x, y, columns, rows, first, *_smoothed(rough, counts))
 
 
 @kernel
@@ -80,12 +83,12 @@ def _elements(
     y: float,
     columns: int,
     rows: int,
-) -> tuple[NDArray[np.int64], Array, Array]:
-    """Return the first element of each cell, means (n, 2) and mean normals (n, 2)."""
+) -> tuple[NDArray[np.int64], Array, Array, Array]:
+    """Return the first element of each cell, means (n, 2), mean normals (n, 2), points of each."""
     keys = _element_keys(points, normals, x, y, columns)
     per_cell = round(_CELL / _ELEMENT) ** 2 * _ORIENTATIONS
     first = np.zeros(columns * rows + 1, np.int64)
-    means, directions = np.empty_like(points), np.empty_like(normals)
+    means, directions, counts = np.empty_like(points), np.empty_like(normals), np.empty(len(points))
     count, begin = 0, 0
     while begin < len(order):
         key, end = keys[order[begin]], begin
@@ -100,12 +103,13 @@ def _elements(
         length = math.hypot(nx, ny)
         means[count, 0], means[count, 1] = px / (end - begin), py / (end - begin)
         directions[count, 0], directions[count, 1] = nx / length, ny / length
+        counts[count] = end - begin
         first[key // per_cell + 1] += 1
         count += 1
         begin = end
     for cell in range(columns * rows):
         first[cell + 1] += first[cell]
-    return first, means[:count], directions[:count]
+    return first, means[:count], directions[:count], counts[:count]
 
 
 @kernel
@@ -135,8 +139,11 @@ def nearest_element(
 
 
 @kernel
-def _smoothed(surface: SurfaceMap) -> tuple[Array, Array]:
-    """Return points (n, 2) moved along the normals onto the averaged surface, and its normals."""
+def _smoothed(surface: SurfaceMap, counts: Array) -> tuple[Array, Array]:
+    """Return points (n, 2) moved along the normals onto the averaged surface, and its normals.
+
+    counts (n,): points that each element is the mean of.
+    """
     points, normals = np.empty_like(surface.points), np.empty_like(surface.normals)
     reach = 2.5 * _SMOOTHING
     for k in range(len(points)):
@@ -157,7 +164,7 @@ def _smoothed(surface: SurfaceMap) -> tuple[Array, Array]:
                     continue
                 if nx * surface.normals[j, 0] + ny * surface.normals[j, 1] < _ALIKE:
                     continue
-                weight = math.exp(-0.5 * square / _SMOOTHING**2)
+                weight = counts[j] * math.exp(-0.5 * square / _SMOOTHING**2)
                 total += weight
                 mx += weight * surface.normals[j, 0]
                 my += weight * surface.normals[j, 1]
