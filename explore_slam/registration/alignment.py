@@ -18,9 +18,11 @@ _CAUCHY = 0.05  # m, scale of the robust weight
 _MOST_RESIDUAL = 0.2  # m, in the root mean square
 _AGREEMENT = 0.7  # least cosine between the normals of a return and of its surface
 _FEWEST = 15
-# Share of the returns whose errors are independent: neighbouring beams see the same unevenness.
-INDEPENDENT_SHARE = 0.3
 LEAST_DEVIATION = 0.005  # m, of a return; above it, that of the residuals
+# Beams over which errors of neighbours are correlated: those of real walls, which are uneven, up
+# to 15 beams, simulated ones hardly (benchmarks/scan_matching_noise.py).
+_CORRELATED_BEAMS = 20
+_LEAST_SHARE = 0.05  # of the returns that is independent
 # rad, standard deviation of a fitted normal: without it a featureless corridor seems to hold
 # information along its axis, which is nothing but noise of the normals.
 NORMAL_DEVIATION = 0.05
@@ -119,11 +121,13 @@ def _iterate(
     pose = np.array(start)
     information, matched, rms = np.zeros((3, 3)), 0, 0.0
     for _ in range(_ITERATIONS):
-        A, b, matched, rms, deviation = _normal_equations(surface, points, normals, pose, reach)
+        A, b, rms, residuals = _normal_equations(surface, points, normals, pose, reach)
+        matched = len(residuals)
         if matched < _FEWEST:
             break
-        # the returns are as noisy as their residuals
-        certainty = 1.0 / max(deviation, LEAST_DEVIATION) ** 2
+        # the returns are as noisy as their residuals, and as independent
+        deviation, share = _noise(residuals)
+        certainty = share / max(deviation, LEAST_DEVIATION) ** 2
         information, b = _without_normal_noise(certainty * A, certainty * b)
         # error of the prior in the vehicle frame
         c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -165,16 +169,35 @@ def _without_normal_noise(A: Array, b: Array) -> tuple[Array, Array]:
 
 
 @kernel
+def _noise(residuals: Array) -> tuple[float, float]:
+    """Return standard deviation (m) and independent share of residuals (n,) in order of the beams.
+
+    The sum of n equally correlated errors has the variance of n / share independent ones with
+    1 / share = 1 + 2 Σ ρ(k): the autocorrelation ρ, with the weights of Bartlett's window (Newey
+    and West, 1987).
+    """
+    count = len(residuals)
+    variance = np.dot(residuals, residuals) / count
+    inflation = 1.0
+    for k in range(1, min(_CORRELATED_BEAMS, count - 1) + 1):
+        product = np.dot(residuals[k:], residuals[:-k]) / count
+        taper = 1.0 - k / (_CORRELATED_BEAMS + 1.0)
+        inflation += 2.0 * taper * product / max(variance, 1e-12)
+    share = 1.0 / max(inflation, 1.0)
+    return math.sqrt(variance), max(share, _LEAST_SHARE)
+
+
+@kernel
 def _normal_equations(
     surface: SurfaceMap, points: Array, normals: Array, pose: Array, reach: float
-) -> tuple[Array, Array, int, float, float]:
-    """Return A (3, 3), b (3,) of A δ = b for returns with a variance of 1 m².
+) -> tuple[Array, Array, float, Array]:
+    """Return A (3, 3), b (3,) of A δ = b for independent returns with a variance of 1 m².
 
-    Also the number of returns matched, the root mean square of their residuals (m), and their
-    standard deviation (m) with the robust weights.
+    Also the root mean square (m) of the residuals of the returns matched, and these residuals
+    (n,), bounded by the robust weights.
     """
     A, b, matched, squares = np.zeros((3, 3)), np.zeros(3), 0, 0.0
-    weights, weighted = 0.0, 0.0
+    residuals = np.empty(len(points))
     c, s = math.cos(pose[2]), math.sin(pose[2])
     for n in range(len(points)):
         px, py = points[n, 0], points[n, 1]
@@ -185,12 +208,10 @@ def _normal_equations(
             continue
         nx, ny = surface.normals[k, 0], surface.normals[k, 1]
         residual = nx * (surface.points[k, 0] - x) + ny * (surface.points[k, 1] - y)
-        matched += 1
         squares += min(residual * residual, _MOST_RESIDUAL**2)
-        robust = 1.0 / (1.0 + (residual / _CAUCHY) ** 2)
-        weights += robust
-        weighted += robust * residual * residual
-        weight = INDEPENDENT_SHARE * robust
+        weight = 1.0 / (1.0 + (residual / _CAUCHY) ** 2)
+        residuals[matched] = math.sqrt(weight) * residual
+        matched += 1
         jx, jy = c * nx + s * ny, c * ny - s * nx
         jt = jy * px - jx * py
         A[0, 0] += weight * jx * jx
@@ -203,5 +224,4 @@ def _normal_equations(
         b[1] += weight * jy * residual
         b[2] += weight * jt * residual
     A[1, 0], A[2, 0], A[2, 1] = A[0, 1], A[0, 2], A[1, 2]
-    rms, deviation = math.sqrt(squares / max(matched, 1)), math.sqrt(weighted / max(weights, 1e-9))
-    return A, b, matched, rms, deviation
+    return A, b, math.sqrt(squares / max(matched, 1)), residuals[:matched]

@@ -27,7 +27,7 @@ _FEWEST_POINTS = 15
 # Variance of the step of the window's frame when a scan is kept, as a share of that of the scan's
 # own error. Were all kept scans equal, it would be (2 / (n + 1))², 0.02; but the last two or three
 # share most surfaces with the next one.
-_WINDOW_DRIFT = 0.5
+_WINDOW_DRIFT = 0.2
 # rad; at 6 m half a step is one cell of 0.05 m off, which the alignment makes good.
 _ANGLE_STEP = math.radians(1.5)
 _SIGMAS = 3.0  # the window covers the odometry's error
