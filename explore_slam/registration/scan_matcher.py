@@ -37,8 +37,10 @@ _LEAST_SCORE = 0.1
 # The score falls by this at two standard deviations of the odometry from the prediction.
 _PENALTY = 0.025
 _REACH = 0.4  # m, of the alignment at first
+_LAST_REACH = 0.15  # m, of one that begins at an alignment
 # A pose this far (m, rad) from the odometry's is believed only if there is no other like it.
 _WIDE_OVERLAP = 0.6
+_DOOR = 0.7  # of the least overlap: enough near the odometry's pose if nothing else fits
 _MODES_APART = (0.5, math.radians(10.0))
 _OTHER_MODE = 0.92  # share of the best score at which another mode makes a match ambiguous
 _SURPRISE = 5.0  # Mahalanobis distance from the odometry above which a match is looked at twice
@@ -192,19 +194,43 @@ class ScanMatcher:
     ) -> ScanMatch | RefusedScan:
         """Search near the odometry first, and in the widest window where nothing fits there."""
         covariance = covariance + np.diag(_LEAST_DEVIATIONS**2)
-        found = _register(local_map, cloud, prior, covariance, _window(prior, covariance))
-        if found is not None and found.share >= self.config.matching_overlap:
-            match = _scan_match(found, prior, covariance, self._window_moved)
-            if match.innovation < _SURPRISE or match.overlap >= _WIDE_OVERLAP:
-                return match
+        near = _register(local_map, cloud, prior, covariance, _window(prior, covariance))
+        likely = near is not None and _distance(near.pose, prior, covariance) < _SURPRISE
+        if near is not None and near.share >= self.config.matching_overlap:
+            if likely or near.share >= _WIDE_OVERLAP:
+                return self._believed(local_map, cloud, near, prior, covariance)
         window = SearchWindow(prior, *_MOST_WINDOW)
         slipped = np.diag([*_MOST_WINDOW[:1] * 2, _MOST_WINDOW[1]]) ** 2
         found = _register(local_map, cloud, prior, slipped, window)
         if found is None or found.share < _WIDE_OVERLAP:
+            # Through a door, little of what is known remains in sight, but the wheels are right.
+            if near is not None and likely and near.share >= _DOOR * self.config.matching_overlap:
+                return self._believed(local_map, cloud, near, prior, covariance)
             return RefusedScan(Refusal.LITTLE_OVERLAP, prior)
         if _is_ambiguous(local_map, cloud, window, found.pose):
             return RefusedScan(Refusal.AMBIGUOUS, prior)
         return _scan_match(found, prior, slipped, self._window_moved)
+
+    def _believed(
+        self, local_map: LocalMap, cloud: PointCloud, found: Alignment, prior: Pose2, P: Array
+    ) -> ScanMatch:
+        """Return the match, with the odometry as uncertain as its distance from the scan shows.
+
+        P (3, 3) is scaled until the squared Mahalanobis distance is what is expected of it: wheels
+        that slip in one direction are believed less in all (covariance matching; Mehra, 1972).
+        """
+        scale = _distance(found.pose, prior, P) ** 2 / 3.0
+        if scale > 1.0:
+            P = scale * P
+            weaker = Prior(prior, np.linalg.inv(P))
+            found = local_map.align(cloud, found.pose, _LAST_REACH, weaker) or found
+        return _scan_match(found, prior, P, self._window_moved)
+
+
+def _distance(pose: Pose2, prior: Pose2, covariance: Array) -> float:
+    """Return the Mahalanobis distance of a pose from the odometry's."""
+    off = np.asarray(prior.between(pose))
+    return math.sqrt(max(float(off @ np.linalg.solve(covariance, off)), 0.0))
 
 
 def _check_prior(prior: Pose2, covariance: Array) -> None:
@@ -274,7 +300,6 @@ def _scan_match(
     drift = left @ certainty @ left
     if window_moved:
         drift = drift + _WINDOW_DRIFT * white
-    off = np.asarray(prior.between(found.pose))
     return ScanMatch(
         found.pose,
         white,
@@ -282,5 +307,5 @@ def _scan_match(
         information,
         found.share,
         found.rms,
-        math.sqrt(max(float(off @ certainty @ off), 0.0)),
+        _distance(found.pose, prior, covariance),
     )

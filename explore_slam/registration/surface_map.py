@@ -48,9 +48,7 @@ class SurfaceMap(NamedTuple):
         columns, rows = (((points.max(axis=0) - low) / _CELL).astype(np.int64) + 1).tolist()
         x, y = low.tolist()
         order = np.argsort(_element_keys(points, normals, x, y, columns), kind='stable')
-        first, means, directions, counts = _elements(
-            points, normals, order, x, y, columns, rows
-        )
+        first, means, directions, counts = _elements(points, normals, order, x, y, columns, rows)
         rough = cls(x, y, columns, rows, first, means, directions)
         return cls(x, y, columns, rows, first, *_smoothed(rough, counts))
 
@@ -88,7 +86,11 @@ def _elements(
     keys = _element_keys(points, normals, x, y, columns)
     per_cell = round(_CELL / _ELEMENT) ** 2 * _ORIENTATIONS
     first = np.zeros(columns * rows + 1, np.int64)
-    means, directions, counts = np.empty_like(points), np.empty_like(normals), np.empty(len(points))
+    means, directions, counts = (
+        np.empty_like(points),
+        np.empty_like(normals),
+        np.empty(len(points)),
+    )
     count, begin = 0, 0
     while begin < len(order):
         key, end = keys[order[begin]], begin

@@ -46,11 +46,12 @@ class Anchor:
 class Query:
     """The last anchors of a vehicle as one cloud in the frame of the newest.
 
-    surfaces: returns with a normal, for alignment; points (n, 2): all, thinned for correlation;
-    way (m): driven from the first to the newest of the anchors.
+    middle: the anchor halfway; surfaces: returns with a normal, for alignment; points (n, 2): all,
+    thinned for correlation; way (m): driven from the first to the newest of the anchors.
     """
 
     anchor: Anchor
+    middle: Anchor
     surfaces: PointCloud
     points: Array
     way: float
@@ -233,7 +234,8 @@ class Anchors:
         step = 1 + (len(on_surfaces) - 1) // _QUERY_SURFACES
         taken = np.arange(len(on_surfaces)) % step == 0
         way = anchor.way - chosen[0].way
-        return Query(anchor, on_surfaces.only(taken), cloud.query_points, way)
+        middle = chosen[len(chosen) // 2]
+        return Query(anchor, middle, on_surfaces.only(taken), cloud.query_points, way)
 
     def region_numbers(self, vehicle: int) -> list[int]:
         """Return the numbers of the regions that a vehicle has anchors in, ascending."""

@@ -11,12 +11,13 @@ from explore_slam.registration import Alignment, LocalMap
 from explore_slam.slam.closures.anchors import Query
 from explore_slam.slam.closures.config import ClosureConfig
 
-# A closure is worth this many independent returns: the Mahalanobis distances of right closures
-# then have a median of 2 to 5, where 2.4 is expected (Intel, ACES, Belgioioso). Much less than
-# returns there are, because errors of the map within a region are common to all of them.
-_INDEPENDENT_RETURNS = 3.6
-_ALIGNMENT_SHARE = 0.3  # the share of independent returns that the alignment counts with
+# m, m, rad: deviations by which a query and a region are bent where no covariance is given: what
+# the front end drifts over half their way (Intel; benchmarks/scan_matching_noise.py).
+_BENT = (0.02, 0.02, 0.003)
 _PROFILE: Array = np.linspace(-2.0, 2.0, 81)  # m along the weakest direction
+# m from the best score within which the profile is that of the likelihood's own Gaussian, and the
+# alignment says more
+_PEAK_HALF = 0.1
 _TEMPERATURE = 0.02  # of the scores: differences below it mean nothing
 _LEAST_INFORMATION = 1e-2  # 1/m², 1/rad²: a deviation of 10 m
 
@@ -66,14 +67,16 @@ def acceptable(found: Alignment | None, config: ClosureConfig) -> bool:
     )
 
 
-def closure_information(local_map: LocalMap, query: Query, found: Alignment) -> Array:
+def closure_information(
+    local_map: LocalMap, query: Query, found: Alignment, bent: Array | None = None
+) -> Array:
     """Return the information (3, 3) of the query's pose in the frame of the map.
 
-    The score along the weakest direction says how far the query can slide: the variance of its
-    profile is added to the covariance.
+    The covariance has three parts: that of the returns; bent (3, 3), in the axes of the map, by
+    which the scans of query and map are misplaced among themselves; and, along the weakest
+    direction, that of the profile of the score, which says how far the query can slide.
     """
-    scale = _INDEPENDENT_RETURNS / (_ALIGNMENT_SHARE * found.matched)
-    information = scale * found.information + _LEAST_INFORMATION * np.eye(3)
+    information = found.information + _LEAST_INFORMATION * np.eye(3)
     c, s = math.cos(found.pose.theta), math.sin(found.pose.theta)
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     weakest, _ = found.weakest_direction()
@@ -83,9 +86,11 @@ def closure_information(local_map: LocalMap, query: Query, found: Alignment) -> 
     )
     weights = np.exp((scores - scores.max()) / _TEMPERATURE)
     weights /= weights.sum()
-    mean = weights @ _PROFILE
+    off = np.abs(_PROFILE - _PROFILE[np.argmax(scores)])
+    slide = weights @ np.maximum(off - _PEAK_HALF, 0.0) ** 2
     covariance = turn @ np.linalg.inv(information) @ turn.T
-    covariance[:2, :2] += (weights @ (_PROFILE - mean) ** 2) * np.outer(u, u)
+    covariance += np.diag(_BENT) ** 2 if bent is None else bent
+    covariance[:2, :2] += slide * np.outer(u, u)
     result: Array = np.linalg.inv(covariance)
     return result
 

@@ -9,7 +9,7 @@
 
 import math
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -26,6 +26,7 @@ from explore_slam.slam.closures.agreement import (
     span,
 )
 from explore_slam.slam.closures.anchors import (
+    QUERY_WAY,
     REGION_SPACING,
     Anchor,
     Anchors,
@@ -57,6 +58,7 @@ _REGIONS_DISAGREE = (0.5, 0.15)  # m, rad
 _OTHER_MODES_WITHIN = 2.0  # m; other modes are searched at least this far
 _SMALL_WINDOW, _SMALL_CORRECTION = 1.0, 0.5  # m; a closure within both needs no agreement
 _AGREEMENT_SPAN = 1.5  # m of way
+_LEAST_SPACING = 0.1  # m of way between closures that add information
 _PENDING_WAY = 12.0  # m; older candidates are forgotten
 _BODY = 3.0  # m; nearer than this another vehicle may be in the scans
 # A closure is taken back when its squared Mahalanobis distance stays above this (chi-square with
@@ -86,6 +88,8 @@ class LoopSearch:
         self.closures: list[Closure] = []
         self.pending: list[Candidate] = []
         self._closed_at: dict[int, float] = {}  # way of each vehicle at its last closure
+        # vehicle and way at both ends of the closures that the next may share scans with
+        self._accepted: list[tuple[int, float, int, float]] = []
         self._inconsistent: dict[tuple[int, int], int] = {}
 
     def add_anchor(
@@ -138,7 +142,7 @@ class LoopSearch:
             if (match := self._match(query, region, window, poses)) is not None
         ]
         passed = [
-            self._candidate(query, match, poses)
+            self._candidate(query, match, poses, covariance)
             for match in sorted(found, key=lambda match: -match.score)
             if acceptable(match.alignment, self.config)
             and not self._is_ambiguous(match, found, query)
@@ -293,7 +297,7 @@ class LoopSearch:
         return self._accept(group)
 
     def _candidate(
-        self, query: Query, match: _Found, poses: Array
+        self, query: Query, match: _Found, poses: Array, covariance: RelativeCovariance | None
     ) -> tuple[Candidate, SearchWindow]:
         """Tie the query to the anchor of the region that is nearest to where it was found."""
         region, alignment = match.region, match.alignment
@@ -303,7 +307,10 @@ class LoopSearch:
         turn = float(pose[2]) - alignment.pose.theta
         c, s = math.cos(turn), math.sin(turn)
         R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        information = R @ closure_information(region.map, query, alignment) @ R.T
+        bent = None
+        if covariance is not None:
+            bent = R.T @ _bent(query, region, a, float(pose[2]), covariance) @ R
+        information = R @ closure_information(region.map, query, alignment, bent) @ R.T
         closure = Closure(
             a.keyframe,
             query.anchor.keyframe,
@@ -316,7 +323,7 @@ class LoopSearch:
         return Candidate(a, query.anchor, closure), match.window
 
     def _accept(self, group: Sequence[Candidate]) -> list[Closure]:
-        accepted = [candidate.closure for candidate in reversed(group)]
+        accepted = [self._with_shared_error(candidate) for candidate in reversed(group)]
         self.closures += accepted
         taken = {id(candidate) for candidate in group}
         self.pending = [c for c in self.pending if id(c) not in taken]
@@ -330,6 +337,29 @@ class LoopSearch:
             end = self.anchors.of_keyframe(keyframe)
             self._closed_at[end.vehicle] = max(self._closed_at.get(end.vehicle, 0.0), end.way)
 
+    def _with_shared_error(self, candidate: Candidate) -> Closure:
+        """Return the closure with the information that it adds to those on the same way.
+
+        Two queries share the scans of the way that they have in common, and their errors. Of
+        closures at a spacing d, with errors that are correlated by the share in common of the
+        way q of a query, d / q are as good as independent.
+        """
+        a, b = candidate.a, candidate.b
+        self._accepted = [
+            other
+            for other in self._accepted
+            if other[2] != b.vehicle or b.way - other[3] < QUERY_WAY
+        ]
+        spacings = [
+            abs(b.way - b_way)
+            for a_vehicle, a_way, b_vehicle, b_way in self._accepted
+            if (a_vehicle, b_vehicle) == (a.vehicle, b.vehicle) and abs(a.way - a_way) < QUERY_WAY
+        ]
+        self._accepted.append((a.vehicle, a.way, b.vehicle, b.way))
+        spacing = min(max(min(spacings, default=QUERY_WAY), _LEAST_SPACING), QUERY_WAY)
+        information = spacing / QUERY_WAY * candidate.closure.information
+        return replace(candidate.closure, information=information)
+
     # ---- state
 
     def state_dict(self) -> State:
@@ -340,6 +370,7 @@ class LoopSearch:
             'closures': np.array(rows).reshape(-1, 17),
             'pending': candidate_rows(self.pending),
             'closed_at': np.array(list(self._closed_at.items()), np.float64).reshape(-1, 2),
+            'accepted': np.array(self._accepted, np.float64).reshape(-1, 4),
             'inconsistent': np.array(
                 [(*key, count) for key, count in self._inconsistent.items()], np.int64
             ).reshape(-1, 3),
@@ -353,6 +384,7 @@ class LoopSearch:
         made.closures = [Closure.from_row(row) for row in state['closures']]
         made.pending = candidates_of_rows(state['pending'], made.anchors)
         made._closed_at = {int(vehicle): float(way) for vehicle, way in state['closed_at']}
+        made._accepted = [(int(a), v, int(b), w) for a, v, b, w in state['accepted'].tolist()]
         made._inconsistent = {(int(a), int(b)): int(n) for a, b, n in state['inconsistent']}
         return made
 
@@ -388,3 +420,23 @@ class LoopSearch:
 def _is_same_place(one: Candidate, other: Candidate) -> bool:
     """Tell whether two candidates of one query lead to the same part of a vehicle's way."""
     return one.a.vehicle == other.a.vehicle and abs(one.a.way - other.a.way) < _REGIONS_APART
+
+
+def _bent(
+    query: Query, region: Region, a: Anchor, heading: float, covariance: RelativeCovariance
+) -> Array:
+    """Return how far scans are misplaced among themselves: (3, 3) in the axes of anchor a.
+
+    heading (rad): of the query in the frame of a. A scan of the query is off against the newest
+    by as much as the middle one is; a map around a by as much as either half of it, the mean of
+    two. In the simulated office single closures then have a squared Mahalanobis distance from the
+    truth of 1.3 to 2.1 on average.
+    """
+    n = len(region.anchors)
+    sides = np.array([region.anchors[n // 4].keyframe, region.anchors[3 * n // 4].keyframe])
+    middle = np.array([query.middle.keyframe], np.int64)
+    c, s = math.cos(heading), math.sin(heading)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    own = turn @ covariance(query.anchor.keyframe, middle)[0] @ turn.T
+    total: Array = own + 0.5 * covariance(a.keyframe, sides.astype(np.int64)).mean(axis=0)
+    return total
