@@ -196,9 +196,9 @@ class ScanMatcher:
         covariance = covariance + np.diag(_LEAST_DEVIATIONS**2)
         near = _register(local_map, cloud, prior, covariance, _window(prior, covariance))
         likely = near is not None and _distance(near.pose, prior, covariance) < _SURPRISE
-        if near is not None and near.share >= self.config.matching_overlap:
-            if likely or near.share >= _WIDE_OVERLAP:
-                return self._believed(local_map, cloud, near, prior, covariance)
+        believable = near is not None and (likely or near.share >= _WIDE_OVERLAP)
+        if near is not None and believable and near.share >= self.config.matching_overlap:
+            return self._believed(local_map, cloud, near, prior, covariance)
         window = SearchWindow(prior, *_MOST_WINDOW)
         slipped = np.diag([*_MOST_WINDOW[:1] * 2, _MOST_WINDOW[1]]) ** 2
         found = _register(local_map, cloud, prior, slipped, window)
