@@ -20,7 +20,7 @@ _AGREEMENT = 0.7  # least cosine between the normals of a return and of its surf
 _FEWEST = 15
 LEAST_DEVIATION = 0.005  # m, of a return; above it, that of the residuals
 # Beams over which errors of neighbours are correlated: those of real walls, which are uneven, up
-# to 15 beams, simulated ones hardly (benchmarks/scan_matching_noise.py).
+# to 15 beams (autocorrelation of the residuals on the Intel log), simulated ones hardly.
 _CORRELATED_BEAMS = 20
 _LEAST_SHARE = 0.05  # of the returns that is independent
 # rad, standard deviation of a fitted normal: without it a featureless corridor seems to hold

@@ -12,7 +12,8 @@ from explore_slam.slam.closures.anchors import Query
 from explore_slam.slam.closures.config import ClosureConfig
 
 # m, m, rad: deviations by which a query and a region are bent where no covariance is given: what
-# the front end drifts over half their way (Intel; benchmarks/scan_matching_noise.py).
+# the front end drifts over half their way (Intel, against the optimized path;
+# benchmarks/laser_yardstick.py).
 _BENT = (0.02, 0.02, 0.003)
 _PROFILE: Array = np.linspace(-2.0, 2.0, 81)  # m along the weakest direction
 # m from the best score within which the profile is that of the likelihood's own Gaussian, and the
