@@ -25,8 +25,8 @@ from explore_slam.registration.local_map import LocalMap
 _LEAST_DEVIATIONS = np.array([1e-4, 1e-4, 1e-4])  # m, m, rad, of any motion
 _FEWEST_POINTS = 15
 # Variance of the step of the window's frame when a scan is kept, as a share of that of the scan's
-# own error. Were all kept scans equal, it would be (2 / (n + 1))², 0.004; but the last few share most
-# surfaces with the next one. Of 0.05, 0.1, 0.2 and 0.5, with this one the squared Mahalanobis
+# own error. Were all kept scans equal, it would be (2 / (n + 1))², 0.004; but the last few share
+# most surfaces with the next one. Of 0.05, 0.1, 0.2 and 0.5, with this one the squared Mahalanobis
 # distances over 100 scans are nearest to 3 on all data: 1.6 to 2.8 in the simulated office, 4.6 to
 # 5.4 on ACES, Belgioioso and Intel against the path with loops closed.
 _WINDOW_DRIFT = 0.2
