@@ -2,13 +2,12 @@
 
 Of each visit of a landmark a few observations are kept, of each vehicle a few visits. Whatever a
 keyframe holds beyond that is dropped with the keyframe: its observations are lost, never
-summarized, and the motions to and from it become one. On the path it stays where it was estimated
-relative to its neighbours.
+summarized, and the motions to and from it become one.
 """
 
 import numpy as np
 
-from explore_slam.geometry import Array, between
+from explore_slam.geometry import Array
 from explore_slam.slam.graph import checks, motion
 from explore_slam.slam.graph.config import GraphConfig
 from explore_slam.slam.graph.factors import Integers
@@ -89,8 +88,6 @@ def drop_if_free(storage: Storage, row: int) -> None:
     ):
         return
     after = int(np.flatnonzero(keyframes['live'] & (keyframes['previous'] == row))[0])
-    for end in (row, after):
-        _remember_path(storage, end)
     calibration = storage.calibration_of(row)
     first, second = (
         keyframes['motion'][end] + keyframes['motion_sensitivity'][end] @ calibration
@@ -114,53 +111,26 @@ def drop_if_free(storage: Storage, row: int) -> None:
     storage.touch([row])
 
 
-def _remember_path(storage: Storage, end: int) -> None:
-    """Make the estimated path from the live keyframe before one to it the motion between them.
-
-    What landmarks have said of a keyframe goes with it: from then on it hangs where it was
-    estimated, relative to its neighbours.
-    """
-    keyframes = storage.keyframes
-    rows = _rows_between(storage, end)
-    chain = keyframes['chain'][:, :, None]
-    path = np.concatenate(
-        [chain[[keyframes['previous'][end]]], _hung(storage, rows, chain), chain[[end]]]
-    )[:, :, 0]
-    keyframes['increment'][rows] = between(path[:-1], path[1:])
-    keyframes['sensitivity'][rows] = 0.0
-
-
-def _rows_between(storage: Storage, end: int) -> list[int]:
-    """Return the rows of the dropped keyframes before a live one, and of that one."""
-    before, previous = storage.keyframes['before'], storage.keyframes['previous']
-    rows = [end]
-    while before[rows[-1]] != previous[end]:
-        rows.append(int(before[rows[-1]]))
-    return rows[::-1]
-
-
-def _hung(storage: Storage, rows: list[int], chains: Array) -> Array:
-    """Return the poses (n, 3, M) of dropped keyframes; rows: see `_rows_between`."""
-    keyframes, end = storage.keyframes, rows[-1]
-    hung = np.empty((len(rows) - 1, *chains.shape[1:]))
-    motion.hang_between(
-        chains[keyframes['previous'][end]],
-        chains[end],
-        keyframes['increment'][rows]
-        + keyframes['sensitivity'][rows] @ storage.calibration_of(end),
-        keyframes['covariance'][rows],
-        checks.EXACT_DEVIATION**2,
-        hung,
-    )
-    return hung
-
-
 def hang_dropped(storage: Storage, rows: Integers, chains: Array, poses: Array) -> None:
     """Fill in the poses (K, 3, M) of dropped keyframes between given ones.
 
     rows: of the live keyframes that are given. chains (K, 3, M): where their motions end.
     """
-    before, previous = storage.keyframes['before'], storage.keyframes['previous']
+    keyframes = storage.keyframes
+    before, previous = keyframes['before'], keyframes['previous']
     for end in rows[before[rows] != previous[rows]].tolist():
-        dropped = _rows_between(storage, end)
-        poses[dropped[:-1]] = _hung(storage, dropped, chains)
+        between = [end]
+        while before[between[-1]] != previous[end]:
+            between.append(int(before[between[-1]]))
+        between.reverse()
+        hung = np.empty((len(between) - 1, *poses.shape[1:]))
+        motion.hang_between(
+            chains[previous[end]],
+            chains[end],
+            keyframes['increment'][between]
+            + keyframes['sensitivity'][between] @ storage.calibration_of(end),
+            keyframes['covariance'][between],
+            checks.EXACT_DEVIATION**2,
+            hung,
+        )
+        poses[between[:-1]] = hung

@@ -291,19 +291,6 @@ def test_keyframes_dropped_at_a_known_calibration_are_compounded_exactly(bounded
         )
 
 
-def test_a_keyframe_that_goes_stays_where_its_landmarks_had_it(bounded_world):
-    """A bulge that only observations show, long before the next keyframe that is kept."""
-    graph = bounded_world().graph
-    graph.add_start(0, 0, [0.0, 0.0, 0.0])
-    for k in range(1, 60):
-        bulge = 0.2 if 10 <= k < 20 else 0.0  # estimated by the caller from what was observed
-        graph.add_keyframe(0, k, [0.4, 0.0, 0.0], NOISE, estimate=[0.4 * k, bulge, 0.0])
-    path = graph.path()
-    assert not np.isin(np.arange(5, 30), graph.live_keyframes()).any()
-    np.testing.assert_allclose(path[10:20, 1], 0.2, atol=1e-9)
-    np.testing.assert_allclose(path[20:50, 1], 0.0, atol=1e-9)
-
-
 def test_dropped_keyframes_hang_by_the_calibrated_motion(bounded_world):
     """Wheels that turn 1.1 times too far: straight legs and turns, and nothing seen between."""
     graph = bounded_world().graph
