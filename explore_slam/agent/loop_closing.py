@@ -1,4 +1,4 @@
-"""Loops closed by laser: scans hang on the filter's keyframes, later scans are searched on them.
+"""Loops closed by laser: later scans are matched with those attached to the filter's keyframes.
 
 Vehicles of unknown start are searched in the whole map, every few metres. That takes up to a
 second; it is done in slices, some regions of the map with every scan that arrives, so that no
@@ -36,7 +36,7 @@ logger = logging.getLogger(__name__)
 # Keyframes of a vehicle that rests follow each other in time: they show the same.
 _ANCHOR_DISTANCE, _ANCHOR_HEADING = 0.1, 0.1  # m, rad
 _THINNING_SPACING = 10  # anchors between two searches for redundant ones
-# Global searches of a vehicle of unknown start: the way between two of them, and how many regions
+# Global searches of a vehicle of unknown start: distance driven between two, and how many regions
 # are searched per scan of the team. On Intel, cut in two (`benchmark mapping --cut 1325 --starts
 # unknown`), such a slice of four took 0.08 s in the median and 0.3 s at most, on two busy cores.
 _QUERY_SPACING = 1.0  # m
@@ -44,10 +44,10 @@ _REGIONS_PER_SCAN = 4
 
 
 class _Last(NamedTuple):
-    """The newest keyframe of a vehicle that has an anchor, and the way (m) until there."""
+    """The newest keyframe of a vehicle with an anchor, and the distance driven (m) until there."""
 
     keyframe: Keyframe
-    way: float
+    distance_driven: float
 
 
 class ClosureCounts(NamedTuple):
@@ -60,31 +60,32 @@ class ClosureCounts(NamedTuple):
 class Join(NamedTuple):
     """A vehicle whose map was tied to that of others by closures for the first time.
 
-    way (m): driven until then. relative: pose, right afterwards, of its keyframe at stamp (s) in
-    the frame of the other's keyframe at other_stamp (s); one of the closures measured it.
+    distance_driven (m): until then. relative: pose, right afterwards, of its keyframe at stamp (s)
+    in the frame of the other's keyframe at other_stamp (s); one of the closures measured it.
     """
 
     vehicle: str
     stamp: float
-    way: float
+    distance_driven: float
     other: str
     other_stamp: float
     relative: Pose2
 
 
 class LoopClosing:
-    """Anchors of all vehicles, the search for closures, and what the belief was told of them."""
+    """Anchors of all vehicles, the search for closures, and their factors in the filter."""
 
     def __init__(self, config: ClosureConfig) -> None:
         self.search = LoopSearch(config)
         self.thinning = Thinning(self.search.anchors)
         self.global_search = GlobalSearch(config, self.search.anchors)
         self._searching: tuple[str, Iterator[list[Closure]]] | None = None
-        self._searched: dict[int, float] = {}  # way (m) at a vehicle's newest global search
+        # distance driven (m) at a vehicle's newest global search
+        self._searched: dict[int, float] = {}
         self._tied: set[tuple[int, int]] = set()  # pairs of vehicles that closures have tied
         self._joins: list[Join] = []
         self._last: dict[int, _Last] = {}
-        self._ways: dict[int, float] = {}
+        self._distances_driven: dict[int, float] = {}
         self._numbers: dict[tuple[int, int], int] = {}  # of closures in the belief
         self._redraws = 0
 
@@ -102,7 +103,7 @@ class LoopClosing:
         cloud: PointCloud,
         stamp: float,
     ) -> ClosureCounts:
-        """Hang a scan on the keyframe before it, if it is the first there, and search for loops.
+        """Attach a scan to the keyframe before it, if it is the first there, and search for loops.
 
         offset: motion since the keyframe; cloud: in the vehicle frame at the stamp (s).
         """
@@ -110,14 +111,19 @@ class LoopClosing:
             return ClosureCounts()
         number = belief.vehicles.index(vehicle)
         last = self._last.get(number)
-        way = self._ways.get(number, 0.0)
+        distance_driven = self._distances_driven.get(number, 0.0)
         if last is not None:
             moved = last.keyframe.odometry.between(keyframe.odometry)
             if not moved_enough(moved, _ANCHOR_DISTANCE, _ANCHOR_HEADING):
                 return ClosureCounts()
-            way = last.way + math.hypot(moved.x, moved.y)
-        self._last[number], self._ways[number] = _Last(keyframe, way), way
-        self.search.add_anchor(keyframe.number, number, cloud.moved(offset), way, stamp)
+            distance_driven = last.distance_driven + math.hypot(moved.x, moved.y)
+        self._last[number], self._distances_driven[number] = (
+            _Last(keyframe, distance_driven),
+            distance_driven,
+        )
+        self.search.add_anchor(
+            keyframe.number, number, cloud.moved(offset), distance_driven, stamp
+        )
         belief.pin(keyframe.number)
         found = self.search.search(
             keyframe.number,
@@ -158,10 +164,13 @@ class LoopClosing:
 
     def _begin_global_search(self, belief: TeamBelief, number: int, keyframe: int) -> None:
         """Search for a vehicle in the map, at the anchor of a keyframe, if that is due."""
-        way = self._ways[number]
-        if self._searching or way - self._searched.get(number, -math.inf) < _QUERY_SPACING:
+        distance_driven = self._distances_driven[number]
+        if (
+            self._searching
+            or distance_driven - self._searched.get(number, -math.inf) < _QUERY_SPACING
+        ):
             return
-        self._searched[number] = way
+        self._searched[number] = distance_driven
         settled = [n for n, name in enumerate(belief.vehicles) if belief.is_in_map(name)]
         steps = self.global_search.search(keyframe, belief.best_path(), settled)
         self._searching = belief.vehicles[number], steps
@@ -177,8 +186,8 @@ class LoopClosing:
         self._numbers |= dict(zip(map(_key, found), numbers, strict=True))
         self.search.adopt(found)
         self._note_ties(belief, found)
-        way = self._ways[belief.vehicles.index(vehicle)]
-        logger.info('%s joined the map after driving %.1f m', vehicle, way)
+        distance_driven = self._distances_driven[belief.vehicles.index(vehicle)]
+        logger.info('%s joined the map after driving %.1f m', vehicle, distance_driven)
 
     def _note_ties(self, belief: TeamBelief, found: Sequence[Closure]) -> None:
         """Note the vehicles that closures tie together for the first time."""
@@ -194,7 +203,7 @@ class LoopClosing:
                 Join(
                     belief.vehicles[newcomer.vehicle],
                     belief.stamp_of(newcomer.keyframe),
-                    self._ways[newcomer.vehicle],
+                    self._distances_driven[newcomer.vehicle],
                     belief.vehicles[other.vehicle],
                     belief.stamp_of(other.keyframe),
                     Pose2.from_array(between(path[other.keyframe], path[newcomer.keyframe])),
@@ -238,7 +247,9 @@ class LoopClosing:
             'searched': np.array(list(self._searched.items()), np.float64).reshape(-1, 2),
             'tied': np.array(sorted(self._tied), np.int64).reshape(-1, 2),
             'judged': np.array(sorted(self.thinning.judged), np.int64),
-            'ways': np.array(list(self._ways.items()), np.float64).reshape(-1, 2),
+            'distances_driven': np.array(list(self._distances_driven.items()), np.float64).reshape(
+                -1, 2
+            ),
             'numbers': np.array(
                 [(*key, number) for key, number in self._numbers.items()], np.int64
             ).reshape(-1, 3),
@@ -255,9 +266,15 @@ class LoopClosing:
         anchors = made.search.anchors
         pending = part('global_search', state)
         made.global_search = GlobalSearch.from_state(pending, config, anchors)
-        made._searched = {int(vehicle): way for vehicle, way in state['searched'].tolist()}
+        made._searched = {
+            int(vehicle): distance_driven
+            for vehicle, distance_driven in state['searched'].tolist()
+        }
         made._tied = {(a, b) for a, b in state['tied'].tolist()}
-        made._ways = {int(vehicle): way for vehicle, way in state['ways'].tolist()}
+        made._distances_driven = {
+            int(vehicle): distance_driven
+            for vehicle, distance_driven in state['distances_driven'].tolist()
+        }
         made._numbers = {(a, b): number for a, b, number in state['numbers'].tolist()}
         made._redraws = int(state['redraws'])
         return made

@@ -118,7 +118,7 @@ def _join_notes(
 ) -> list[str]:
     """Return what became of the vehicles of unknown start; apart: those not in the map."""
     joined = [
-        f'{join.vehicle} joined the map of {join.other} after driving {join.way:.1f} m'
+        f'{join.vehicle} joined the map of {join.other} after driving {join.distance_driven:.1f} m'
         for join in agent.take_joins()
         if starts[join.vehicle] is None
     ]

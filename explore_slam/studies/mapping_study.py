@@ -154,7 +154,7 @@ def join_figures(logs: Mapping[str, VehicleLog], joins: Sequence[Join]) -> dict[
         figures['met_after_m'] = max(way for way in met if way is not None)
     first = {join.vehicle: join for join in reversed(joins)}
     if set(first) >= set(names[1:]):
-        figures['joined_after_m'] = max(join.way for join in first.values())
+        figures['joined_after_m'] = max(join.distance_driven for join in first.values())
     errors = []
     for join in joins:
         here, there = (

@@ -214,7 +214,7 @@ def _judged(
         false_closures=false,
         ends_revisited=len(revisited),
         ends_closed=len(revisited & closed),
-        joined_after_m=joins[0].way if joins else math.nan,
+        joined_after_m=joins[0].distance_driven if joins else math.nan,
         false_joins=len(wrong),
         error_m=float(np.mean(errors)),
         seconds=seconds,

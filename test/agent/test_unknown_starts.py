@@ -95,7 +95,7 @@ def test_it_joins_where_it_is(joined):
     drive, before = joined
     (join,) = before['joins']
     assert (join.vehicle, join.other) == ('robot2', 'robot1')
-    assert 6.0 < join.way < 30.0
+    assert 6.0 < join.distance_driven < 30.0
     here, there = (
         drive.routes[name][round(stamp / 0.3)]
         for name, stamp in ((join.vehicle, join.stamp), (join.other, join.other_stamp))

@@ -1,4 +1,4 @@
-"""Candidates wait until enough others, from other scans, tell the same."""
+"""Candidates wait until enough others, from other scans, agree with them."""
 
 import math
 from collections.abc import Sequence
@@ -10,11 +10,13 @@ from explore_slam.geometry import Array, between, compose
 from explore_slam.slam.closures.anchors import Anchor, Anchors
 from explore_slam.slam.closures.closure import Closure
 
-# What two right candidates may differ by: their own errors, and drift over the way between them
-# on both sides (Intel, ACES, Belgioioso).
+# What two right candidates may differ by: their own errors, and drift over the distance between
+# them on both sides (Intel, ACES, Belgioioso).
 _POSITION = (0.15, 0.03)  # m, m per m
 _HEADING = (0.03, 0.004)  # rad, rad per m
-_WAY_BETWEEN_VEHICLES = 3.0  # m, stands for the unknown way between anchors of two vehicles
+_DISTANCE_BETWEEN_VEHICLES = (
+    3.0  # m, assumed for the unknown distance between anchors of two vehicles
+)
 
 
 @dataclass(frozen=True)
@@ -27,9 +29,9 @@ class Candidate:
 
 
 def agree(one: Candidate, other: Candidate, poses: Array) -> bool:
-    """Tell whether two candidates of the same two vehicles say the same.
+    """Return whether two candidates between the same two vehicles are consistent.
 
-    The way from one's a to the other's b is the same through either closure.
+    The motion from one's a to the other's b is the same through either closure.
     """
     along_b = between(poses[one.b.keyframe], poses[other.b.keyframe])
     along_a = between(poses[one.a.keyframe], poses[other.a.keyframe])
@@ -37,15 +39,15 @@ def agree(one: Candidate, other: Candidate, poses: Array) -> bool:
         compose(np.asarray(one.closure.pose), along_b),
         compose(along_a, np.asarray(other.closure.pose)),
     )
-    way = abs(one.b.way - other.b.way)
-    way += (
-        abs(one.a.way - other.a.way)
+    distance_driven = abs(one.b.distance_driven - other.b.distance_driven)
+    distance_driven += (
+        abs(one.a.distance_driven - other.a.distance_driven)
         if one.a.vehicle == other.a.vehicle
-        else (_WAY_BETWEEN_VEHICLES)
+        else (_DISTANCE_BETWEEN_VEHICLES)
     )
     return (
-        math.hypot(off[0], off[1]) < _POSITION[0] + _POSITION[1] * way
-        and abs(off[2]) < _HEADING[0] + _HEADING[1] * way
+        math.hypot(off[0], off[1]) < _POSITION[0] + _POSITION[1] * distance_driven
+        and abs(off[2]) < _HEADING[0] + _HEADING[1] * distance_driven
     )
 
 
@@ -72,9 +74,9 @@ def largest_agreement(
 
 
 def span(group: Sequence[Candidate]) -> float:
-    """Return the way (m) over which the queries of candidates lie."""
-    ways = [candidate.b.way for candidate in group]
-    return max(ways) - min(ways)
+    """Return the distance driven (m) over which the queries of candidates lie."""
+    distances_driven = [candidate.b.distance_driven for candidate in group]
+    return max(distances_driven) - min(distances_driven)
 
 
 def candidate_rows(candidates: Sequence[Candidate]) -> Array:

@@ -16,11 +16,11 @@ from explore_slam.slam.checkpoint import State, text_array, text_value
 
 Integers = NDArray[np.int64]
 
-REGION_SPACING = 3.0  # m of way between the centres of regions; neighbours overlap
-REGION_HALF = 5.0  # m of way on either side of the centre that a region's map is made of
+REGION_SPACING = 3.0  # m driven between the centres of regions; neighbours overlap
+REGION_HALF = 5.0  # m driven on either side of the centre that a region's map is made of
 _MOST_IN_REGION = 40  # anchors; more of them are taken in turn
-_QUERY_ANCHORS = 12  # spread over the way
-QUERY_WAY = 6.0  # m; one scan is ambiguous, 6 m of building hardly ever are
+_QUERY_ANCHORS = 12  # spread over the query
+QUERY_LENGTH = 6.0  # m; one scan is ambiguous, 6 m of building hardly ever are
 # A region's map is used again until a pose in it has moved by this: a fifth of a grid cell.
 _SAME_POSITION = 0.01  # m
 _SAME_HEADING = 0.003  # rad
@@ -32,12 +32,12 @@ _QUERY_SURFACES = 600  # returns with a normal that are aligned; more change not
 class Anchor:
     """A keyframe with a cloud in the frame of its vehicle.
 
-    way (m): driven by the vehicle until there; stamp (s).
+    distance_driven (m): by the vehicle until there; stamp (s).
     """
 
     keyframe: int
     vehicle: int
-    way: float
+    distance_driven: float
     stamp: float
     cloud: PointCloud
 
@@ -47,14 +47,14 @@ class Query:
     """The last anchors of a vehicle as one cloud in the frame of the newest.
 
     middle: the anchor halfway; surfaces: returns with a normal, for alignment; points (n, 2): all,
-    thinned for correlation; way (m): driven from the first to the newest of the anchors.
+    thinned for correlation; distance_driven (m): from the first to the newest of the anchors.
     """
 
     anchor: Anchor
     middle: Anchor
     surfaces: PointCloud
     points: Array
-    way: float
+    distance_driven: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,17 +77,21 @@ class Region:
 
 @dataclass
 class _Trail:
-    """Anchors of one vehicle in the order of its way; added counts removed ones too."""
+    """Anchors of one vehicle in the order of its path; added counts removed ones too."""
 
     anchors: list[Anchor] = field(default_factory=list)
-    ways: list[float] = field(default_factory=list)
+    distances_driven: list[float] = field(default_factory=list)
     added: int = 0
 
-    def around(self, way: float, half: float, newest_way: float) -> list[Anchor]:
-        """Return the anchors within half (m of way), none beyond newest_way."""
-        ways = np.array(self.ways)
-        first = int(np.searchsorted(ways, way - half, 'left'))
-        last = int(np.searchsorted(ways, min(way + half, newest_way), 'right'))
+    def around(self, distance_driven: float, half: float, newest_distance: float) -> list[Anchor]:
+        """Return the anchors within half (m driven), none beyond newest_way."""
+        distances_driven = np.array(self.distances_driven)
+        first = int(np.searchsorted(distances_driven, distance_driven - half, 'left'))
+        last = int(
+            np.searchsorted(
+                distances_driven, min(distance_driven + half, newest_distance), 'right'
+            )
+        )
         found = self.anchors[first:last]
         step = 1 + (len(found) - 1) // _MOST_IN_REGION
         return found[::step]
@@ -98,7 +102,7 @@ class AnchorTable(NamedTuple):
 
     keyframes: Integers
     vehicles: Integers
-    ways: Array
+    distances_driven: Array
     stamps: Array
 
 
@@ -131,7 +135,7 @@ class Anchors:
         return {
             'keyframes': table.keyframes,
             'vehicles': table.vehicles,
-            'ways': table.ways,
+            'distances_driven': table.distances_driven,
             'stamps': table.stamps,
             'counts': np.array([len(cloud) for cloud in clouds], np.int64),
             'clouds': np.concatenate(
@@ -147,13 +151,16 @@ class Anchors:
         """Make the anchors that `state_dict` returned."""
         made = cls()
         parts = np.split(state['clouds'], np.cumsum(state['counts'])[:-1])
-        columns = (state[name].tolist() for name in ('keyframes', 'vehicles', 'ways', 'stamps'))
-        for (keyframe, vehicle, way, stamp), part in zip(
+        columns = (
+            state[name].tolist()
+            for name in ('keyframes', 'vehicles', 'distances_driven', 'stamps')
+        )
+        for (keyframe, vehicle, distance_driven, stamp), part in zip(
             zip(*columns, strict=True), parts, strict=False
         ):
             points, normals, times = np.split(part, (2, 4), axis=1)
             cloud = PointCloud(points.copy(), normals.copy(), times.ravel())
-            made.add(Anchor(keyframe, vehicle, way, stamp, cloud))
+            made.add(Anchor(keyframe, vehicle, distance_driven, stamp, cloud))
         for vehicle, added in state['added'].tolist():
             made._trails.setdefault(vehicle, _Trail()).added = added
         first = 0
@@ -170,10 +177,12 @@ class Anchors:
         known = len(self._rows)
         if known < len(self):
             new = list(self._by_keyframe.values())[known:]
-            rows = [(a.keyframe, a.vehicle, a.way, a.stamp) for a in new]
+            rows = [(a.keyframe, a.vehicle, a.distance_driven, a.stamp) for a in new]
             self._rows = np.concatenate([self._rows, np.array(rows, dtype=np.float64)])
-        keyframes, vehicles, ways, stamps = self._rows.T
-        return AnchorTable(keyframes.astype(np.int64), vehicles.astype(np.int64), ways, stamps)
+        keyframes, vehicles, distances_driven, stamps = self._rows.T
+        return AnchorTable(
+            keyframes.astype(np.int64), vehicles.astype(np.int64), distances_driven, stamps
+        )
 
     def of_keyframe(self, keyframe: int) -> Anchor:
         """Return the anchor of a keyframe."""
@@ -183,22 +192,22 @@ class Anchors:
         return found
 
     def add(self, anchor: Anchor) -> None:
-        """Add an anchor at the end of its vehicle's way."""
+        """Add an anchor at the end of its vehicle's path."""
         if anchor.keyframe in self._by_keyframe:
             raise SlamError(f'keyframe {anchor.keyframe} has an anchor already')
         trail = self._trails.setdefault(anchor.vehicle, _Trail())
-        if not (np.isfinite(anchor.way) and np.isfinite(anchor.stamp)):
+        if not (np.isfinite(anchor.distance_driven) and np.isfinite(anchor.stamp)):
             raise SlamError(
-                f'anchor {anchor.keyframe}: way is {anchor.way} m and stamp {anchor.stamp} s, '
-                'expected finite values'
+                f'anchor {anchor.keyframe}: distance_driven is {anchor.distance_driven} m and '
+                f'stamp {anchor.stamp} s, expected finite values'
             )
-        if trail.ways and anchor.way < trail.ways[-1]:
+        if trail.distances_driven and anchor.distance_driven < trail.distances_driven[-1]:
             raise SlamError(
-                f'anchor {anchor.keyframe} lies at {anchor.way} m of way, '
-                f'expected at least {trail.ways[-1]} m'
+                f'anchor {anchor.keyframe} lies at {anchor.distance_driven} m driven, '
+                f'expected at least {trail.distances_driven[-1]} m'
             )
         trail.anchors.append(anchor)
-        trail.ways.append(anchor.way)
+        trail.distances_driven.append(anchor.distance_driven)
         trail.added += 1
         self._by_keyframe[anchor.keyframe] = anchor
 
@@ -207,7 +216,7 @@ class Anchors:
         anchor = self.of_keyframe(keyframe)
         trail = self._trails[anchor.vehicle]
         at = trail.anchors.index(anchor)
-        del trail.anchors[at], trail.ways[at], self._by_keyframe[keyframe]
+        del trail.anchors[at], trail.distances_driven[at], self._by_keyframe[keyframe]
         self._rows = np.empty((0, 4))
         self._maps = {k: r for k, r in self._maps.items() if anchor not in r.anchors}
 
@@ -215,15 +224,19 @@ class Anchors:
         """Return how many anchors of a vehicle were ever added."""
         return self._trails[vehicle].added
 
-    def newest_way(self, vehicle: int) -> float:
-        """Return the way (m) of a vehicle at its newest anchor."""
-        return self._trails[vehicle].ways[-1]
+    def newest_distance(self, vehicle: int) -> float:
+        """Return the distance driven (m) of a vehicle at its newest anchor."""
+        return self._trails[vehicle].distances_driven[-1]
 
-    def query(self, anchor: Anchor, poses: Array, way: float = QUERY_WAY) -> Query:
-        """Return the anchor and those on the way just driven as one cloud in its frame."""
+    def query(self, anchor: Anchor, poses: Array, distance_driven: float = QUERY_LENGTH) -> Query:
+        """Return the anchor and those just passed as one cloud in its frame."""
         trail = self._trails[anchor.vehicle]
         recent = trail.anchors[: trail.anchors.index(anchor) + 1]
-        recent = [other for other in recent if anchor.way - other.way <= way]
+        recent = [
+            other
+            for other in recent
+            if anchor.distance_driven - other.distance_driven <= distance_driven
+        ]
         spread = np.linspace(0, len(recent) - 1, min(len(recent), _QUERY_ANCHORS))
         chosen = [recent[n] for n in np.round(spread).astype(int)]
         offsets = between(
@@ -233,28 +246,33 @@ class Anchors:
         on_surfaces = cloud.only(cloud.on_surfaces)
         step = 1 + (len(on_surfaces) - 1) // _QUERY_SURFACES
         taken = np.arange(len(on_surfaces)) % step == 0
-        way = anchor.way - chosen[0].way
+        distance_driven = anchor.distance_driven - chosen[0].distance_driven
         middle = chosen[len(chosen) // 2]
-        return Query(anchor, middle, on_surfaces.only(taken), cloud.query_points, way)
+        return Query(anchor, middle, on_surfaces.only(taken), cloud.query_points, distance_driven)
 
     def region_numbers(self, vehicle: int) -> list[int]:
         """Return the numbers of the regions that a vehicle has anchors in, ascending."""
         trail = self._trails.get(vehicle)
-        ways = [] if trail is None else trail.ways
-        return sorted({round(way / REGION_SPACING) for way in ways})
+        distances_driven = [] if trail is None else trail.distances_driven
+        return sorted(
+            {round(distance_driven / REGION_SPACING) for distance_driven in distances_driven}
+        )
 
     def region(
-        self, vehicle: int, number: int, poses: Array, newest_way: float = math.inf
+        self, vehicle: int, number: int, poses: Array, newest_distance: float = math.inf
     ) -> Region | None:
         """Return the map of a region, None where it has no anchors up to newest_way (m).
 
-        number: of the centre, in steps of REGION_SPACING along the way of the vehicle.
+        number: of the centre, in steps of REGION_SPACING of distance driven by the vehicle.
         """
-        way = number * REGION_SPACING
-        anchors = self._trails[vehicle].around(way, REGION_HALF, newest_way)
+        distance_driven = number * REGION_SPACING
+        anchors = self._trails[vehicle].around(distance_driven, REGION_HALF, newest_distance)
         if not anchors:
             return None
-        centre = min(anchors, key=lambda anchor: (abs(anchor.way - way), anchor.keyframe))
+        centre = min(
+            anchors,
+            key=lambda anchor: (abs(anchor.distance_driven - distance_driven), anchor.keyframe),
+        )
         offsets = between(
             pose_of(poses, centre.keyframe),
             np.array([pose_of(poses, anchor.keyframe) for anchor in anchors]),

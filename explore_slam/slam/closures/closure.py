@@ -1,4 +1,4 @@
-"""Closures: relative poses that laser scans tell of keyframes far apart on the way."""
+"""Closures: relative poses measured by laser between keyframes far apart along the path."""
 
 import math
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ _LEAST_INFORMATION = 1e-2  # 1/m², 1/rad²: a deviation of 10 m
 
 @dataclass(frozen=True, eq=False)
 class Closure:
-    """The pose of keyframe b in the frame of keyframe a, as their scans tell.
+    """The pose of keyframe b in the frame of keyframe a, as measured with their scans.
 
     information (3, 3): of its components, in the axes of a. score: mean likelihood of the
     returns; overlap: share of the returns on surfaces of a's region; rms (m) of their distances.
@@ -40,9 +40,9 @@ class Closure:
     rms: float
 
     def query_pose(self, poses: Array) -> Array:
-        """Return the pose (3,) of b that the closure tells, given the pose of a."""
-        told: Array = compose(poses[self.keyframe_a], np.asarray(self.pose))
-        return told
+        """Return the pose (3,) of b that the closure predicts, given the pose of a."""
+        predicted: Array = compose(poses[self.keyframe_a], np.asarray(self.pose))
+        return predicted
 
     def row(self) -> Array:
         """Return all values as one row (17,)."""
@@ -60,7 +60,7 @@ class Closure:
 
 
 def acceptable(found: Alignment | None, config: ClosureConfig) -> bool:
-    """Tell whether enough returns lie well enough on the surfaces."""
+    """Return whether enough returns lie well enough on the surfaces."""
     return (
         found is not None
         and found.share >= config.closure_overlap
@@ -97,6 +97,6 @@ def closure_information(
 
 
 def apart(a: Array, b: Array, distance: float, turn: float) -> bool:
-    """Tell whether two poses (3,) differ by more than a distance (m) or a turn (rad)."""
+    """Return whether two poses (3,) differ by more than a distance (m) or a turn (rad)."""
     far = math.hypot(a[0] - b[0], a[1] - b[1]) > distance
     return far or abs(wrap_angle(float(a[2] - b[2]))) > turn

@@ -13,7 +13,7 @@ class ClosureConfig(Section):
     closure_every: int = setting(
         2, 'Loops are searched at every n-th anchor of a vehicle', low=1, high=100
     )
-    closure_least_way: float = setting(
+    closure_minimum_distance: float = setting(
         10.0,
         'Anchors of the same vehicle are candidates after this distance driven',
         unit='m',

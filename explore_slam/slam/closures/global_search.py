@@ -33,21 +33,21 @@ from explore_slam.slam.closures.closure import Closure, apart, closure_informati
 from explore_slam.slam.closures.config import ClosureConfig
 from explore_slam.slam.closures.uniqueness import Fit, fit_of, trail_of
 
-QUERY_WAY = 8.0  # m
-_LEAST_QUERY_WAY = 6.0  # m; less does not tell rooms apart
+QUERY_LENGTH = 8.0  # m
+_MINIMUM_QUERY_LENGTH = 6.0  # m; less does not distinguish rooms
 _WINDOW = 0.5 * 2.0 * REGION_SPACING + 1.0  # m: half the distance of the centres used, and 1 m
 _ANGLE_STEP = math.radians(2.0)
 _SAME_PLACE = (2.0, math.radians(45.0))  # m, rad: one region per place and heading is enough
 _REACH = 0.4  # m
 _MODES_APART = (0.5, 0.17)  # m, rad
 # Share of the returns that must lie on known surfaces: of what the newcomer has seen around the
-# way that it has in common with the map, this may not have been mapped yet (Intel: 0.5 to 0.65).
+# path that it has in common with the map, this may not have been mapped yet (Intel: 0.5 to 0.65).
 _LEAST_OVERLAP = 0.5
 _SURROUNDINGS = 8.0  # m around a match: all that is known there
 _MOST_AROUND = 40  # anchors; more of them are taken in turn
 _AGREEMENTS = 4  # candidates from different scans
-_AGREEMENT_SPAN = 6.0  # m of way
-_PENDING_WAY = 30.0  # m
+_AGREEMENT_SPAN = 6.0  # m driven
+_PENDING_DISTANCE = 30.0  # m
 
 
 @dataclass(frozen=True)
@@ -95,9 +95,9 @@ class GlobalSearch:
         if anchor.vehicle in settled:
             raise SlamError(f'vehicle {anchor.vehicle} is settled, expected one of unknown start')
         pose_of(poses, keyframe)
-        query = self.anchors.query(anchor, poses, QUERY_WAY)
+        query = self.anchors.query(anchor, poses, QUERY_LENGTH)
         regions = []
-        if query.way >= _LEAST_QUERY_WAY:
+        if query.distance_driven >= _MINIMUM_QUERY_LENGTH:
             regions = list(self._regions(poses, settled))
         return self._search(query, regions, poses, settled)
 
@@ -202,7 +202,10 @@ class GlobalSearch:
         """Hold the candidate; return those that agree with it, if they are enough for a join."""
         b = candidate.b
         self.pending = [
-            c for c in self.pending if c.b.vehicle != b.vehicle or b.way - c.b.way < _PENDING_WAY
+            c
+            for c in self.pending
+            if c.b.vehicle != b.vehicle
+            or b.distance_driven - c.b.distance_driven < _PENDING_DISTANCE
         ]
         group = largest_agreement(candidate, self.pending, poses)
         self.pending.append(candidate)
@@ -217,7 +220,7 @@ class GlobalSearch:
     def _fits(
         self, group: Collection[Candidate], poses: Array, settled: Collection[int]
     ) -> Iterator[Fit | None]:
-        """Yield how the way of the newcomer fits into the map where a group of candidates says."""
+        """Yield how the newcomer's path fits into the map where a group of candidates says."""
         frame = join_transform([member.closure for member in group], poses)
         vehicle = next(iter(group)).b.vehicle
         present = [anchor for anchor in self.anchors if anchor.keyframe < len(poses)]
@@ -228,13 +231,13 @@ class GlobalSearch:
 
 
 def join_transform(closures: Collection[Closure], poses: Array) -> Pose2:
-    """Return the pose of the newcomer's frame in the map that the closures tell on average."""
+    """Return the pose of the newcomer's frame in the map that the closures predict on average."""
     if not closures:
         raise SlamError('no closures, expected one or more')
-    told = []
+    predicted = []
     for closure in closures:
         in_map = Pose2.from_array(closure.query_pose(poses))
-        told.append(in_map.compose(Pose2.from_array(poses[closure.keyframe_b]).inverse()))
-    values = np.array(told)
+        predicted.append(in_map.compose(Pose2.from_array(poses[closure.keyframe_b]).inverse()))
+    values = np.array(predicted)
     heading = math.atan2(np.sin(values[:, 2]).mean(), np.cos(values[:, 2]).mean())
     return Pose2(float(values[:, 0].mean()), float(values[:, 1].mean()), wrap_angle(heading))

@@ -26,7 +26,7 @@ from explore_slam.slam.closures.agreement import (
     span,
 )
 from explore_slam.slam.closures.anchors import (
-    QUERY_WAY,
+    QUERY_LENGTH,
     REGION_SPACING,
     Anchor,
     Anchors,
@@ -51,15 +51,15 @@ _NEAR = 2.5  # m beyond the window at which a region still overlaps
 _WIDE = 3.0  # m; a wider window is searched more coarsely, in more regions and less often
 _ANGLE_STEP, _WIDE_ANGLE_STEP = math.radians(1.0), math.radians(1.5)
 _REGIONS, _WIDE_REGIONS = 3, 9
-_REGIONS_APART = 6.0  # m of way: nearer ones hold the same anchors
+_REGIONS_APART = 6.0  # m driven: nearer ones hold the same anchors
 _REACH = 0.4  # m, of the alignment at first
 _MODES_APART = (0.5, 0.17)  # m, rad
 _REGIONS_DISAGREE = (0.5, 0.15)  # m, rad
 _OTHER_MODES_WITHIN = 2.0  # m; other modes are searched at least this far
 _SMALL_WINDOW, _SMALL_CORRECTION = 1.0, 0.5  # m; a closure within both needs no agreement
-_AGREEMENT_SPAN = 1.5  # m of way
-_LEAST_SPACING = 0.1  # m of way between closures that add information
-_PENDING_WAY = 12.0  # m; older candidates are forgotten
+_AGREEMENT_SPAN = 1.5  # m driven
+_LEAST_SPACING = 0.1  # m driven between closures that add information
+_PENDING_DISTANCE = 12.0  # m; older candidates are forgotten
 _BODY = 3.0  # m; nearer than this another vehicle may be in the scans
 # A closure is taken back when its squared Mahalanobis distance stays above this (chi-square with
 # 3 degrees of freedom: 1 in 1e5) in as many checks.
@@ -87,16 +87,18 @@ class LoopSearch:
         self.anchors = Anchors()
         self.closures: list[Closure] = []
         self.pending: list[Candidate] = []
-        self._closed_at: dict[int, float] = {}  # way of each vehicle at its last closure
+        self._closed_at: dict[
+            int, float
+        ] = {}  # distance driven by each vehicle at its last closure
         # vehicle and way at both ends of the closures that the next may share scans with
         self._accepted: list[tuple[int, float, int, float]] = []
         self._inconsistent: dict[tuple[int, int], int] = {}
 
     def add_anchor(
-        self, keyframe: int, vehicle: int, cloud: PointCloud, way: float, stamp: float
+        self, keyframe: int, vehicle: int, cloud: PointCloud, distance_driven: float, stamp: float
     ) -> None:
         """Add a keyframe with a cloud in the vehicle's frame; see Anchor."""
-        self.anchors.add(Anchor(keyframe, vehicle, way, stamp, cloud))
+        self.anchors.add(Anchor(keyframe, vehicle, distance_driven, stamp, cloud))
 
     def adopt(self, closures: Sequence[Closure]) -> None:
         """Take over closures that were found elsewhere, to recheck them with the others."""
@@ -120,8 +122,8 @@ class LoopSearch:
 
         poses (K, 3): of all keyframes, by number, in the map. covariance: function of the
         query's keyframe and others (n,) that returns the covariances (n, 3, 3) of their relative
-        poses; without it, errors grow with the way. tied: vehicles whose poses are in the same
-        frame as the query's; default: all.
+        poses; without it, errors grow with the distance driven. tied: vehicles whose poses are in
+        the same frame as the query's; default: all.
         """
         anchor = self.anchors.of_keyframe(keyframe)
         if poses.ndim != 2 or poses.shape[1] != 3 or not np.isfinite(poses).all():
@@ -178,20 +180,23 @@ class LoopSearch:
         )
         turns = np.minimum(_LEAST_WINDOW[1] + _SIGMAS * deviations[:, 1], _WIDEST_TURN)
         chosen: list[tuple[Region, SearchWindow]] = []
-        ways: list[tuple[int, float]] = []
+        distances_driven: list[tuple[int, float]] = []
         for k, (distance, region_number, other) in enumerate(nearest):
             most = _REGIONS if reaches[k] < _WIDE else _WIDE_REGIONS
-            way = region_number * REGION_SPACING
-            taken = any(v == other.vehicle and abs(w - way) < _REGIONS_APART for v, w in ways)
+            distance_driven = region_number * REGION_SPACING
+            taken = any(
+                v == other.vehicle and abs(w - distance_driven) < _REGIONS_APART
+                for v, w in distances_driven
+            )
             if distance > reaches[k] + _NEAR or taken or len(chosen) >= most:
                 continue
             newest = math.inf
             if other.vehicle == anchor.vehicle:
-                newest = anchor.way - 0.5 * self.config.closure_least_way
+                newest = anchor.distance_driven - 0.5 * self.config.closure_minimum_distance
             region = self.anchors.region(other.vehicle, region_number, poses, newest)
             if region is None:
                 continue
-            ways.append((other.vehicle, way))
+            distances_driven.append((other.vehicle, distance_driven))
             centre = between(poses[region.centre.keyframe], poses[anchor.keyframe])
             step = _ANGLE_STEP if reaches[k] < _WIDE else _WIDE_ANGLE_STEP
             chosen.append(
@@ -209,7 +214,9 @@ class LoopSearch:
         off = poses[table.keyframes, :2] - poses[anchor.keyframe, :2]
         distances = np.hypot(off[:, 0], off[:, 1])
         own = table.vehicles == anchor.vehicle
-        passed = own & (anchor.way - table.ways >= self.config.closure_least_way)
+        passed = own & (
+            anchor.distance_driven - table.distances_driven >= self.config.closure_minimum_distance
+        )
         body = (distances < _BODY) & (
             np.abs(table.stamps - anchor.stamp) < self.config.closure_delay
         )
@@ -220,7 +227,7 @@ class LoopSearch:
         best: dict[tuple[int, int], tuple[float, int, Anchor]] = {}
         candidates = np.flatnonzero(wanted)
         for n in candidates[np.argsort(distances[candidates], kind='stable')]:
-            number = round(float(table.ways[n]) / REGION_SPACING)
+            number = round(float(table.distances_driven[n]) / REGION_SPACING)
             key = (int(table.vehicles[n]), number)
             if key not in best:
                 other = self.anchors.of_keyframe(int(table.keyframes[n]))
@@ -228,18 +235,19 @@ class LoopSearch:
         return sorted(best.values(), key=lambda entry: (entry[0], entry[2].keyframe))
 
     def _deviations(self, anchor: Anchor, others: Sequence[Anchor]) -> Array:
-        """Return deviations (n, 2) m, rad that grow with the way since the last closure."""
-        own = anchor.way - self._closed_at.get(anchor.vehicle, 0.0)
-        ways = np.array(
+        """Return deviations (n, 2) m, rad that grow with the distance since the last closure."""
+        own = anchor.distance_driven - self._closed_at.get(anchor.vehicle, 0.0)
+        distances_driven = np.array(
             [
                 own
                 if other.vehicle == anchor.vehicle
-                else own + max(other.way - self._closed_at.get(other.vehicle, 0.0), 0.0)
+                else own
+                + max(other.distance_driven - self._closed_at.get(other.vehicle, 0.0), 0.0)
                 for other in others
             ]
         )
         rates = np.array([self.config.closure_drift, self.config.closure_heading_drift])
-        deviations: Array = ways[:, None] * rates
+        deviations: Array = distances_driven[:, None] * rates
         return deviations
 
     # ---- matching and tests
@@ -257,7 +265,7 @@ class LoopSearch:
         return _Found(region, window, peak.pose, peak.score, alignment, pose)
 
     def _is_ambiguous(self, match: _Found, found: Sequence[_Found], query: Query) -> bool:
-        """Tell whether another region or another pose in the window fits nearly as well."""
+        """Return whether another region or another pose in the window fits nearly as well."""
         needed = self.config.closure_other_mode * match.score
         if any(
             other.score > needed and apart(other.pose, match.pose, *_REGIONS_DISAGREE)
@@ -288,7 +296,10 @@ class LoopSearch:
         ):
             return self._accept([candidate])
         self.pending = [
-            c for c in self.pending if c.b.vehicle != b.vehicle or b.way - c.b.way < _PENDING_WAY
+            c
+            for c in self.pending
+            if c.b.vehicle != b.vehicle
+            or b.distance_driven - c.b.distance_driven < _PENDING_DISTANCE
         ]
         group = largest_agreement(candidate, self.pending, poses)
         self.pending.append(candidate)
@@ -335,7 +346,9 @@ class LoopSearch:
         """Note how far the vehicles of a closure had driven at its ends."""
         for keyframe in (closure.keyframe_a, closure.keyframe_b):
             end = self.anchors.of_keyframe(keyframe)
-            self._closed_at[end.vehicle] = max(self._closed_at.get(end.vehicle, 0.0), end.way)
+            self._closed_at[end.vehicle] = max(
+                self._closed_at.get(end.vehicle, 0.0), end.distance_driven
+            )
 
     def _with_shared_error(self, candidate: Candidate) -> Closure:
         """Return the closure with the information that it adds to those on the same way.
@@ -348,16 +361,17 @@ class LoopSearch:
         self._accepted = [
             other
             for other in self._accepted
-            if other[2] != b.vehicle or b.way - other[3] < QUERY_WAY
+            if other[2] != b.vehicle or b.distance_driven - other[3] < QUERY_LENGTH
         ]
         spacings = [
-            abs(b.way - b_way)
+            abs(b.distance_driven - b_way)
             for a_vehicle, a_way, b_vehicle, b_way in self._accepted
-            if (a_vehicle, b_vehicle) == (a.vehicle, b.vehicle) and abs(a.way - a_way) < QUERY_WAY
+            if (a_vehicle, b_vehicle) == (a.vehicle, b.vehicle)
+            and abs(a.distance_driven - a_way) < QUERY_LENGTH
         ]
-        self._accepted.append((a.vehicle, a.way, b.vehicle, b.way))
-        spacing = min(max(min(spacings, default=QUERY_WAY), _LEAST_SPACING), QUERY_WAY)
-        information = spacing / QUERY_WAY * candidate.closure.information
+        self._accepted.append((a.vehicle, a.distance_driven, b.vehicle, b.distance_driven))
+        spacing = min(max(min(spacings, default=QUERY_LENGTH), _LEAST_SPACING), QUERY_LENGTH)
+        information = spacing / QUERY_LENGTH * candidate.closure.information
         return replace(candidate.closure, information=information)
 
     # ---- state
@@ -383,7 +397,9 @@ class LoopSearch:
         made.anchors = Anchors.from_state(part('anchors', state))
         made.closures = [Closure.from_row(row) for row in state['closures']]
         made.pending = candidates_of_rows(state['pending'], made.anchors)
-        made._closed_at = {int(vehicle): float(way) for vehicle, way in state['closed_at']}
+        made._closed_at = {
+            int(vehicle): float(distance_driven) for vehicle, distance_driven in state['closed_at']
+        }
         made._accepted = [(int(a), v, int(b), w) for a, v, b, w in state['accepted'].tolist()]
         made._inconsistent = {(int(a), int(b)): int(n) for a, b, n in state['inconsistent']}
         return made
@@ -418,8 +434,11 @@ class LoopSearch:
 
 
 def _is_same_place(one: Candidate, other: Candidate) -> bool:
-    """Tell whether two candidates of one query lead to the same part of a vehicle's way."""
-    return one.a.vehicle == other.a.vehicle and abs(one.a.way - other.a.way) < _REGIONS_APART
+    """Return whether two candidates of one query lead to the same part of a vehicle's path."""
+    return (
+        one.a.vehicle == other.a.vehicle
+        and abs(one.a.distance_driven - other.a.distance_driven) < _REGIONS_APART
+    )
 
 
 def _bent(

@@ -12,7 +12,7 @@ from explore_slam.slam.checkpoint import State
 from explore_slam.slam.closures.anchors import Anchor, Anchors
 from explore_slam.slam.closures.loop_search import RelativeCovariance
 
-_RECENT_WAY = 15.0  # m of each vehicle that are kept: queries and the nearest loops need them
+_RECENT_DISTANCE = 15.0  # m of each vehicle that are kept: queries and the nearest loops need them
 _SAME_PLACE = 1.5  # m; older anchors nearer than this may show the same
 _MOST_OLDER = 8  # anchors of the same place that are compared, the nearest
 _OVERLAP = 0.9  # share of the returns that older anchors show too
@@ -53,9 +53,9 @@ class Thinning:
         """
         gone: list[int] = []
         removed: set[int] = set()
-        newest = {anchor.vehicle: anchor.way for anchor in self.anchors}
+        newest = {anchor.vehicle: anchor.distance_driven for anchor in self.anchors}
         for anchor in self.anchors:
-            settled = newest[anchor.vehicle] - anchor.way > _RECENT_WAY
+            settled = newest[anchor.vehicle] - anchor.distance_driven > _RECENT_DISTANCE
             if not settled or anchor.keyframe in self.judged:
                 continue
             self.judged.add(anchor.keyframe)
@@ -78,7 +78,10 @@ class Thinning:
                 continue
             if frames is not None and frames[other.vehicle] != frames[anchor.vehicle]:
                 continue
-            same_visit = other.vehicle == anchor.vehicle and anchor.way - other.way < _RECENT_WAY
+            same_visit = (
+                other.vehicle == anchor.vehicle
+                and anchor.distance_driven - other.distance_driven < _RECENT_DISTANCE
+            )
             distance = math.hypot(poses[other.keyframe, 0] - x, poses[other.keyframe, 1] - y)
             if not same_visit and distance < _SAME_PLACE:
                 near.append((distance, other.keyframe, other))

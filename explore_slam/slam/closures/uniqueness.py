@@ -18,8 +18,8 @@ from explore_slam.geometry import Array, to_world
 from explore_slam.registration import thinned
 from explore_slam.slam.closures.anchors import Anchor, Integers
 
-TRAIL_WAY = 20.0  # m of the vehicle's way that are compared with the map
-_SPACING = 0.8  # m of way between the anchors that are compared
+TRAIL_LENGTH = 20.0  # m driven by the vehicle that are compared with the map
+_SPACING = 0.8  # m driven between the anchors that are compared
 _CELL = 0.2  # m
 _SHIFT = 12.0  # m; poses farther away from the join are rivals that the search itself finds
 _SIGHT = 8.0  # m; returns farther away are left out
@@ -35,7 +35,7 @@ _LEAST_RETURNS = 100  # that count: 20 m of wall in cells of _CELL
 
 
 class Fit(NamedTuple):
-    """How a way fits into the map at the pose of a join, and at the best other one.
+    """How a path fits into the map at the pose of a join, and at the best other one.
 
     score: mean likelihood (0 to 1) of the returns that fall where the map has been seen; returns:
     their number; rival: the best score elsewhere, 0 if there is none.
@@ -62,12 +62,12 @@ class _Map(NamedTuple):
 
 
 def trail_of(anchors: Sequence[Anchor]) -> list[Anchor]:
-    """Return the anchors of a vehicle, oldest first, that its newest way is compared with."""
+    """Return the anchors, oldest first, of the part of a vehicle's path that is compared."""
     chosen: list[Anchor] = []
     for anchor in reversed(anchors):
-        if anchors[-1].way - anchor.way > TRAIL_WAY:
+        if anchors[-1].distance_driven - anchor.distance_driven > TRAIL_LENGTH:
             break
-        if not chosen or chosen[-1].way - anchor.way >= _SPACING:
+        if not chosen or chosen[-1].distance_driven - anchor.distance_driven >= _SPACING:
             chosen.append(anchor)
     return chosen[::-1]
 
@@ -75,7 +75,7 @@ def trail_of(anchors: Sequence[Anchor]) -> list[Anchor]:
 def fit_of(
     trail: Sequence[Anchor], placed: Array, known: Sequence[Anchor], poses: Array
 ) -> Iterator[Fit | None]:
-    """Compare a way with the map: yield None after each part of the work, the result at the end.
+    """Compare a path with the map: yield None after each part of the work, the result at the end.
 
     trail: anchors of a vehicle, with their poses placed (n, 3) in the map by a join; known:
     anchors of the map, with their poses (m, 3).

@@ -19,14 +19,14 @@ def along(*corners, step=STEP):
     """Return poses along a line through corners, turning on the spot in steps of 30 degrees."""
     poses, heading = [], None
     for a, b in itertools.pairwise(corners):
-        way = math.dist(a, b)
+        distance_driven = math.dist(a, b)
         new = math.atan2(b[1] - a[1], b[0] - a[0])
         if heading is not None:
             turn = wrap_angle(new - heading)
             parts = max(math.ceil(abs(turn) / 0.52), 1)
             poses += [Pose2(*a, heading + turn * k / parts) for k in range(1, parts)]
         heading = new
-        parts = math.ceil(way / step)
+        parts = math.ceil(distance_driven / step)
         x, y = np.linspace(a, b, parts, endpoint=False).T
         poses += [Pose2(*at, heading) for at in zip(x.tolist(), y.tolist(), strict=True)]
     return poses
@@ -57,7 +57,7 @@ class Vehicle:
     way_scale: float = 1.0
     turn_scale: float = 1.0
     noise: float = 0.0  # m and rad per keyframe
-    start: Pose2 | None = None  # as told; default: right
+    start: Pose2 | None = None  # as given; default: right
 
 
 @dataclass
@@ -67,7 +67,7 @@ class Drive:
     search: LoopSearch
     graph: JointGraph
     true: list[Pose2] = field(default_factory=list)
-    way: dict[int, float] = field(default_factory=dict)
+    distance_driven: dict[int, float] = field(default_factory=dict)
     factors: list[int] = field(default_factory=list)
 
     def errors(self):
@@ -95,22 +95,26 @@ def drive(world_at, vehicles, seed=0, config=None, calibrated=False, sight=math.
             run.true.append(true)
             if v not in last:
                 run.graph.add_start(v, keyframe, np.array(vehicle.start or true))
-                run.way[v] = 0.0
+                run.distance_driven[v] = 0.0
             else:
                 u = np.array(last[v].between(true))
-                way, turn = math.hypot(u[0], u[1]), abs(u[2])
+                distance_driven, turn = math.hypot(u[0], u[1]), abs(u[2])
                 u[:2] *= vehicle.way_scale
                 u[2] *= vehicle.turn_scale
                 u += vehicle.noise * random.normal(size=3) * (0.3, 0.3, 0.1)
                 deviations = np.array(
-                    [0.03 * way + 0.004, 0.01 * way + 0.004, 0.003 * way + 0.02 * turn + 0.001]
+                    [
+                        0.03 * distance_driven + 0.004,
+                        0.01 * distance_driven + 0.004,
+                        0.003 * distance_driven + 0.02 * turn + 0.001,
+                    ]
                 )
                 run.graph.add_keyframe(v, keyframe, u, np.diag(deviations**2))
-                run.way[v] += way
+                run.distance_driven[v] += distance_driven
             last[v] = true
             scan = scan_of(world_at(keyframe, v), true, 0.01, random, stamp=float(k), sight=sight)
             cloud = scan_cloud(scan, farthest=20.0)
-            run.search.add_anchor(keyframe, v, cloud, run.way[v], float(k))
+            run.search.add_anchor(keyframe, v, cloud, run.distance_driven[v], float(k))
             covariance = run.graph.relative_covariance if calibrated else None
             new = run.search.search(keyframe, run.graph.path(), covariance)
             believed = [add(run.graph, c, robust=False) for c in new]

@@ -18,7 +18,7 @@ UNKNOWN = Pose2(-7.0, 4.0, 2.2)  # of the newcomer's frame in the map
 
 
 def joined(walls, first, second, random=None):
-    """Let vehicle 1 drive along second in a frame of its own; return what joins, and its way."""
+    """Let vehicle 1 drive along second in a frame of its own; return closures, distance driven."""
     random = random or np.random.default_rng(1)
     anchors, poses = Anchors(), []
     search = GlobalSearch(ClosureConfig(), anchors)
@@ -26,30 +26,30 @@ def joined(walls, first, second, random=None):
         cloud = scan_cloud(scan_of(walls, pose, 0.01, random), farthest=20.0)
         anchors.add(Anchor(k, 0, 0.5 * k, float(k), cloud))
         poses.append(tuple(pose))
-    way, steps = 0.0, 0
+    distance_driven, steps = 0.0, 0
     for k, pose in enumerate(second):
         if k == len(second) // 4:  # candidates survive a checkpoint
             search = GlobalSearch.from_state(search.state_dict(), search.config, anchors)
         number = len(first) + k
         cloud = scan_cloud(scan_of(walls, pose, 0.01, random), farthest=20.0)
-        way += math.dist(pose[:2], second[max(k - 1, 0)][:2])
-        anchors.add(Anchor(number, 1, way, 1000.0 + k, cloud))
+        distance_driven += math.dist(pose[:2], second[max(k - 1, 0)][:2])
+        anchors.add(Anchor(number, 1, distance_driven, 1000.0 + k, cloud))
         poses.append(tuple(UNKNOWN.inverse().compose(pose)))
         if k % 3 == 0:
             for closures in search.search(number, np.array(poses), [0]):
                 steps += 1
                 if closures:
-                    return closures, way, np.array(poses), steps
-    return [], way, np.array(poses), steps
+                    return closures, distance_driven, np.array(poses), steps
+    return [], distance_driven, np.array(poses), steps
 
 
 def test_a_newcomer_is_joined_to_the_map():
     walls = np.vstack([OFFICE, FURNITURE])
     first = along(*LAP)
     second = along(LAP[3], LAP[2], LAP[1], LAP[0], LAP[3])
-    closures, way, poses, steps = joined(walls, first, second)
+    closures, distance_driven, poses, steps = joined(walls, first, second)
     assert len(closures) >= 4
-    assert way < 30.0
+    assert distance_driven < 30.0
     assert steps > 12  # it can be interrupted
     off = np.array(UNKNOWN.between(join_transform(closures, poses)))
     assert math.hypot(off[0], off[1]) < 0.15
@@ -96,8 +96,10 @@ def test_candidates_of_a_removed_anchor_are_forgotten():
             steps = search.search(number, np.array(poses), [0])
             next(steps)
             # what comes during the search is not part of it
-            way = 0.5 * (len(first) + k)
-            anchors.add(Anchor(number + 1, 0, way, 1000.0 + k, anchors.of_keyframe(k).cloud))
+            distance_driven = 0.5 * (len(first) + k)
+            anchors.add(
+                Anchor(number + 1, 0, distance_driven, 1000.0 + k, anchors.of_keyframe(k).cloud)
+            )
             poses.append(tuple(first[k]))
             list(steps)
     assert len(search.pending) >= 2

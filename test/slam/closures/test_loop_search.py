@@ -67,8 +67,8 @@ def test_two_vehicles_close_on_each_others_way():
     world = np.vstack([OFFICE, FURNITURE])
     first = along(*LAP[:3])
     second = along((12.4, 8.4), (12.4, 1.5), (2.0, 1.4))
-    told = Pose2(12.7, 8.1, second[0].theta + 0.03)
-    run = drive(lambda *_: world, [Vehicle(first), Vehicle(second, start=told)])
+    predicted = Pose2(12.7, 8.1, second[0].theta + 0.03)
+    run = drive(lambda *_: world, [Vehicle(first), Vehicle(second, start=predicted)])
     between_vehicles = [
         c
         for c in run.search.closures
@@ -139,7 +139,7 @@ def test_bad_input_is_named_and_changes_nothing():
         search.add_anchor(0, 0, cloud, 2.0, 0.0)
     with pytest.raises(SlamError, match='expected at least 1'):
         search.add_anchor(1, 0, cloud, 0.5, 0.0)
-    with pytest.raises(SlamError, match='way is nan'):
+    with pytest.raises(SlamError, match='distance_driven is nan'):
         search.add_anchor(1, 0, cloud, math.nan, 0.0)
     with pytest.raises(SlamError, match='keyframe 7 has no anchor'):
         search.search(7, np.zeros((8, 3)))

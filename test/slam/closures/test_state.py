@@ -16,13 +16,13 @@ def test_a_restored_search_goes_on_bit_by_bit(tmp_path):
     walls, path = np.vstack([OFFICE, FURNITURE]), along(*LAP, *LAP[1:])
     poses = np.array(path)
     poses[:, :2] *= 1.004
-    ways = np.cumsum([0.0, *np.hypot(*np.diff(poses[:, :2], axis=0).T)])
+    distances_driven = np.cumsum([0.0, *np.hypot(*np.diff(poses[:, :2], axis=0).T)])
     random = np.random.default_rng(3)
     clouds = [scan_cloud(scan_of(walls, pose, 0.01, random)) for pose in path]
 
     def go_on(search, numbers):
         for k in numbers:
-            search.add_anchor(k, 0, clouds[k], float(ways[k]), float(k))
+            search.add_anchor(k, 0, clouds[k], float(distances_driven[k]), float(k))
             search.search(k, poses * (1.0 + 1e-5 * k))
 
     cut = len(path) * 2 // 3

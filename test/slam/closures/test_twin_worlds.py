@@ -58,7 +58,7 @@ def test_a_featureless_corridor_closes_nothing():
     path = along((0.0, 0.0), (30.0, 0.0), (0.0, 0.3), (30.0, 0.0))
     run = drive(lambda *_: walls, [Vehicle(path, way_scale=1.02)])
     distances, turns = run.errors()
-    # what cannot be known along the corridor must not be told
+    # what cannot be known along the corridor must not be claimed
     for closure, distance in zip(run.search.closures, distances, strict=True):
         worst = np.linalg.eigvalsh(np.linalg.inv(closure.information)[:2, :2])[1]
         assert distance < 3.0 * math.sqrt(worst)

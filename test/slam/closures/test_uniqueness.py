@@ -1,4 +1,4 @@
-"""At the edge of a map of equal rooms a join waits; where the way is distinctive it does not."""
+"""At the edge of a map of equal rooms a join waits; where the path is distinctive it does not."""
 
 import math
 
@@ -17,16 +17,16 @@ OTHER_MODE = 0.92
 
 def anchors_along(walls, path, vehicle=0, seed=1):
     random = np.random.default_rng(seed)
-    found, way = [], 0.0
+    found, distance_driven = [], 0.0
     for k, pose in enumerate(path):
-        way += math.dist(pose[:2], path[max(k - 1, 0)][:2])
+        distance_driven += math.dist(pose[:2], path[max(k - 1, 0)][:2])
         cloud = scan_cloud(scan_of(walls, pose, 0.01, random), farthest=20.0)
-        found.append(Anchor(k, vehicle, way, float(k), cloud))
+        found.append(Anchor(k, vehicle, distance_driven, float(k), cloud))
     return found
 
 
 def fit(walls, first, second, offset=(0.0, 0.0, 0.0)):
-    """Compare a way with the map of another when the join is off by an offset in the map."""
+    """Compare a path with the map of another when the join is off by an offset in the map."""
     known = anchors_along(walls, first)
     trail = trail_of(anchors_along(walls, second, 1, seed=2))
     placed = np.array([second[anchor.keyframe] for anchor in trail]) + offset
@@ -38,14 +38,14 @@ def fit(walls, first, second, offset=(0.0, 0.0, 0.0)):
 
 @pytest.mark.parametrize('period', [3.0, 4.0, 6.0])
 def test_the_next_of_equal_rooms_is_a_rival_although_the_map_ends_there(period):
-    """The map holds the first rooms, the way leads through these and others beyond."""
+    """The map holds the first rooms, the path leads through these and others beyond."""
     walls = corridor_of_rooms(0.0, 0.0, period, round(60.0 / period))
     first = along((1.0, 0.0), (19.0, 0.0))
     second = along((1.0 + period, 0.0), (23.0 + period, 0.0))
     right = fit(walls, first, second)
     assert right.score > 0.9
     assert not right.is_unique(OTHER_MODE)
-    # a whole room off, where the map covers more of the way: not told from the right one either
+    # a whole room off, where the map covers more of the path: as likely as the right one
     wrong = fit(walls, first, second, (-period, 0.0, 0.0))
     assert wrong.score > 0.9
     assert wrong.returns > right.returns
@@ -54,7 +54,7 @@ def test_the_next_of_equal_rooms_is_a_rival_although_the_map_ends_there(period):
 
 @pytest.mark.parametrize('turned', [0.0, math.pi])
 def test_the_way_through_an_office_fits_in_one_place(turned):
-    """Also if it was driven the other way, so that the laser sees from the other side."""
+    """Also if it was driven in the other direction, so that the laser sees from the other side."""
     walls = np.vstack([OFFICE, FURNITURE])
     second = along(*(LAP[1:4] if not turned else LAP[3:0:-1]))
     result = fit(walls, along(*LAP), second)
@@ -76,7 +76,7 @@ def test_a_trail_is_the_newest_way_in_steps():
     anchors = anchors_along(walls, along(*LAP))
     trail = trail_of(anchors)
     assert trail[-1] is anchors[-1]
-    ways = [anchor.way for anchor in trail]
-    assert 18.0 < ways[-1] - ways[0] <= 20.0
-    assert min(np.diff(ways)) >= 0.8
+    distances_driven = [anchor.distance_driven for anchor in trail]
+    assert 18.0 < distances_driven[-1] - distances_driven[0] <= 20.0
+    assert min(np.diff(distances_driven)) >= 0.8
     assert trail_of(anchors[:1]) == anchors[:1]
