@@ -10,14 +10,16 @@ from explore_slam.errors import RegistrationError
 from explore_slam.geometry import Array, Pose2
 from explore_slam.registration.surface_map import SurfaceMap, nearest_element
 
-_ITERATIONS = 25
+# Where no other source is given, values were chosen on the Intel, ACES and Belgioioso logs;
+# `benchmarks/laser_yardstick.py` shows what a change does.
+_ITERATIONS = 25  # at most; usually below ten
 _FINEST = 1e-4  # m and rad (summed): a step below this ends the search
 _REACH_SHRINKS = 0.7  # per iteration
 _LEAST_REACH = 0.15  # m
 _CAUCHY = 0.05  # m, scale of the robust weight
 _MOST_RESIDUAL = 0.2  # m, in the root mean square
 _AGREEMENT = 0.7  # least cosine between the normals of a return and of its surface
-_FEWEST = 15
+_FEWEST = 15  # returns with a partner: five times the unknowns
 LEAST_DEVIATION = 0.005  # m, of a return; above it, that of the residuals
 # Beams over which errors of neighbours are correlated: those of real walls, which are uneven, up
 # to 15 beams (autocorrelation of the residuals on the Intel log), simulated ones hardly.

@@ -41,6 +41,9 @@ _BATCH = 8
 _LEAST_INFORMATION = 1e-4  # of a closure in directions that it leaves free
 _SURPRISE = 3.0  # squared Mahalanobis distance of one standard deviation in three dimensions
 
+# Largest part of the particles for which own ancestors can be demanded, whatever the settings:
+# right after a resampling 60 % have them, and more would call for redraws without end.
+_MOST_ANCESTORS = 0.3
 # Part of the samples whose descendants are left right after a draw: one resampling leaves about
 # 60 % of them.
 _FRESH = 0.5
@@ -254,7 +257,7 @@ class JointPosterior:
         """
         least = min(
             max(self.config.redraw_ancestors, self.config.redraw_part * self.config.particles),
-            0.3 * self.config.particles,
+            _MOST_ANCESTORS * self.config.particles,
         )
         if group.effective_particles() < self.config.redraw_effective * self.config.particles:
             return True

@@ -16,9 +16,9 @@ from explore_slam.slam.relocalization import Relocalized, Relocalizer
 from explore_slam.slam.storage.row_format import Places
 
 _AGREEMENTS = 3  # searches that must agree, the newest one included
-_APART = 0.5  # m of way between two of them
-_FORGOTTEN = 15.0  # m of way after which a search no longer counts
-# What two right searches may differ by: their deviations, and the drift over the way between them.
+_APART = 0.5  # m driven between two of them
+_FORGOTTEN = 15.0  # m driven after which a search no longer counts
+# What two right searches may differ by: their deviations, and the drift over the distance between.
 _POSITION, _HEADING = 0.3, 0.1  # m, rad
 
 

@@ -33,13 +33,15 @@ from explore_slam.slam.closures.closure import Closure, apart, closure_informati
 from explore_slam.slam.closures.config import ClosureConfig
 from explore_slam.slam.closures.uniqueness import Fit, fit_of, trail_of
 
-QUERY_LENGTH = 8.0  # m
+# Where no other source is given, values were chosen on the Intel, ACES and Belgioioso logs;
+# `benchmarks/laser_yardstick.py` shows what a change does.
+QUERY_LENGTH = 8.0  # m driven, whose scans are searched together
 _MINIMUM_QUERY_LENGTH = 6.0  # m; less does not distinguish rooms
 _WINDOW = 0.5 * 2.0 * REGION_SPACING + 1.0  # m: half the distance of the centres used, and 1 m
 _ANGLE_STEP = math.radians(2.0)
 _SAME_PLACE = (2.0, math.radians(45.0))  # m, rad: one region per place and heading is enough
-_REACH = 0.4  # m
-_MODES_APART = (0.5, 0.17)  # m, rad
+_REACH = 0.4  # m, of the alignment at first
+_MODES_APART = (0.5, 0.17)  # m, rad: nearer poses are the same mode
 # Share of the returns that must lie on known surfaces: of what the newcomer has seen around the
 # path that it has in common with the map, this may not have been mapped yet (Intel: 0.5 to 0.65).
 _LEAST_OVERLAP = 0.5

@@ -18,6 +18,7 @@ from explore_slam.geometry import Array, to_world
 from explore_slam.registration import thinned
 from explore_slam.slam.closures.anchors import Anchor, Integers
 
+# Values were chosen in corridors of equal rooms (`explore_slam benchmark twins`).
 TRAIL_LENGTH = 20.0  # m driven by the vehicle that are compared with the map
 _SPACING = 0.8  # m driven between the anchors that are compared
 _CELL = 0.2  # m
