@@ -74,7 +74,7 @@ def test_two_robots(tmp_path):
         estimated = number(rf'{robot}: .* error ([\d.]+) m', printed)
         odometry = number(rf'{robot}: .* .odometry alone ([\d.]+) m', printed)
         assert estimated < 0.05 < odometry
-    # one observation in some thousand is too far off to be matched, and begins a landmark of its own
+    # one observation in some thousand is too far off to be matched and becomes a landmark
     assert 60 <= number(r'(\d+) landmarks in the common map', printed) <= 63
 
 
