@@ -1,4 +1,5 @@
 import os
+import select
 import socket
 import termios
 import time
