@@ -72,9 +72,20 @@ def test_its_recording_replays_to_the_same_accuracy(finished, tmp_path):
     assert metrics['mean_online_position_rms'] < 0.06
 
 
+def _heed_interrupts():
+    """As in a terminal, also where the shell that runs the tests in the background ignores them."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def test_ctrl_c_ends_everything_and_leaves_the_folder(tmp_path):
     command = [*COMMAND, '--out', str(tmp_path)]
-    demo = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment(96))
+    demo = subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        text=True,
+        env=environment(96),
+        preexec_fn=_heed_interrupts,  # noqa: PLW1509 -- a single system call
+    )
     try:
         deadline = time.monotonic() + 120.0
         for line in demo.stdout:
