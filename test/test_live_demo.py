@@ -73,7 +73,7 @@ def test_its_recording_replays_to_the_same_accuracy(finished, tmp_path):
 
 
 def _heed_interrupts():
-    """As in a terminal, also where the shell that runs the tests in the background ignores them."""
+    """As in a terminal, also where the tests run in the background, whose shell ignores them."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
