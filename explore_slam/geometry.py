@@ -95,6 +95,14 @@ def between(poses: ArrayLike, others: ArrayLike) -> Array:
     return np.stack([c * dx + s * dy, c * dy - s * dx, wrap_angles(b[..., 2] - a[..., 2])], -1)
 
 
+def rotated(covariance: Array, angle: float) -> Array:
+    """Return a pose covariance (3, 3) expressed in axes rotated by an angle (rad)."""
+    c, s = math.cos(angle), math.sin(angle)
+    T = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    turned: Array = T @ covariance @ T.T
+    return turned
+
+
 def to_world(pose: ArrayLike, points: ArrayLike) -> Array:
     """Transform points (N, 2) or (N, 3) from the frame of a pose (3,) to the world; z is kept."""
     x, y, theta = np.asarray(pose, dtype=np.float64)

@@ -5,12 +5,10 @@ ros2 launch explore_slam agent.launch.py vehicles:=robot1,robot2 start_poses:=0,
 
 from pathlib import Path
 
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
-from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from explore_slam.live import launch_arguments as read
+from explore_slam.live.launch_description import description, rviz, values
 
 CONFIG = Path(__file__).resolve().parents[1] / 'config'
 ARGUMENTS = {
@@ -40,7 +38,7 @@ ARGUMENTS = {
 
 
 def start_agent(context):
-    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    given = values(ARGUMENTS, context)
     vehicles = read.names('vehicles', given['vehicles'])
     sim_time = {'use_sim_time': read.boolean('use_sim_time', given['use_sim_time'])}
     parameters = {
@@ -65,29 +63,9 @@ def start_agent(context):
         )
     ]
     if read.boolean('rviz', given['rviz']):
-        actions.append(
-            Node(
-                package='rviz2',
-                executable='rviz2',
-                arguments=['-d', str(CONFIG / 'explore_slam.rviz')],
-                parameters=[sim_time],
-            )
-        )
+        actions.append(rviz(CONFIG, sim_time))
     return actions
 
 
-def name_misspelt(context):
-    return [LogInfo(msg=text) for text in read.misspelt(context.argv, ARGUMENTS)]
-
-
 def generate_launch_description():
-    return LaunchDescription(
-        [
-            *(
-                DeclareLaunchArgument(name, default_value=default, description=text)
-                for name, (default, text) in ARGUMENTS.items()
-            ),
-            OpaqueFunction(function=name_misspelt),
-            OpaqueFunction(function=start_agent),
-        ]
-    )
+    return description(ARGUMENTS, start_agent)

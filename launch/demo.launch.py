@@ -7,17 +7,11 @@ ros2 launch explore_slam demo.launch.py world:=office rviz:=true
 
 from pathlib import Path
 
-from launch import LaunchDescription
-from launch.actions import (
-    DeclareLaunchArgument,
-    LogInfo,
-    OpaqueFunction,
-    SetEnvironmentVariable,
-)
-from launch.substitutions import LaunchConfiguration
+from launch.actions import SetEnvironmentVariable
 from launch_ros.actions import Node
 
 from explore_slam.live import launch_arguments as read
+from explore_slam.live.launch_description import description, rviz, values
 
 CONFIG = Path(__file__).resolve().parents[1] / 'config'
 ARGUMENTS = {
@@ -30,7 +24,7 @@ ARGUMENTS = {
 
 
 def start(context):
-    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    given = values(ARGUMENTS, context)
     world = read.world_file(given['world'], CONFIG / 'worlds')
     starts = read.start_poses_of(world, given['vehicles'])
     seed = {'seed': read.whole_number('seed', given['seed'], 0)}
@@ -64,29 +58,9 @@ def start(context):
         for name in starts
     ]
     if read.boolean('rviz', given['rviz']):
-        actions.append(
-            Node(
-                package='rviz2',
-                executable='rviz2',
-                arguments=['-d', str(CONFIG / 'explore_slam.rviz')],
-                parameters=[simulated],
-            )
-        )
+        actions.append(rviz(CONFIG, simulated))
     return actions
 
 
-def name_misspelt(context):
-    return [LogInfo(msg=text) for text in read.misspelt(context.argv, ARGUMENTS)]
-
-
 def generate_launch_description():
-    return LaunchDescription(
-        [
-            *(
-                DeclareLaunchArgument(name, default_value=default, description=text)
-                for name, (default, text) in ARGUMENTS.items()
-            ),
-            OpaqueFunction(function=name_misspelt),
-            OpaqueFunction(function=start),
-        ]
-    )
+    return description(ARGUMENTS, start)

@@ -5,13 +5,11 @@ ros2 launch explore_slam vehicle.launch.py name:=robot1 base_port:=/dev/pioneer 
 
 from pathlib import Path
 
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
-from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from explore_slam.live import launch_arguments as read
+from explore_slam.live.launch_description import description, values
 
 CONFIG = Path(__file__).resolve().parents[1] / 'config'
 ARGUMENTS = {
@@ -38,7 +36,7 @@ ARGUMENTS = {
 
 
 def start(context):
-    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    given = values(ARGUMENTS, context)
     flags = ('base', 'laser', 'camera', 'motors', 'follower', 'features', 'use_sim_time')
     on = {name: read.boolean(name, given[name]) for name in flags}
     common = {
@@ -68,18 +66,5 @@ def start(context):
     ]
 
 
-def name_misspelt(context):
-    return [LogInfo(msg=text) for text in read.misspelt(context.argv, ARGUMENTS)]
-
-
 def generate_launch_description():
-    return LaunchDescription(
-        [
-            *(
-                DeclareLaunchArgument(name, default_value=default, description=text)
-                for name, (default, text) in ARGUMENTS.items()
-            ),
-            OpaqueFunction(function=name_misspelt),
-            OpaqueFunction(function=start),
-        ]
-    )
+    return description(ARGUMENTS, start)

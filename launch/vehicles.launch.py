@@ -9,17 +9,12 @@ computer of its own runs vehicle.launch.py there.
 
 from pathlib import Path
 
-from launch import LaunchDescription
-from launch.actions import (
-    DeclareLaunchArgument,
-    IncludeLaunchDescription,
-    LogInfo,
-    OpaqueFunction,
-)
+from launch.actions import IncludeLaunchDescription
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
 
 from explore_slam.live import launch_arguments as read
+from explore_slam.live.launch_description import description
 
 ARGUMENTS = {
     'vehicles': ('robot1,robot2', 'names of the vehicles, separated by commas'),
@@ -51,18 +46,5 @@ def include_vehicles(context):
     ]
 
 
-def name_misspelt(context):
-    return [LogInfo(msg=text) for text in read.misspelt(context.argv, ARGUMENTS)]
-
-
 def generate_launch_description():
-    return LaunchDescription(
-        [
-            *(
-                DeclareLaunchArgument(name, default_value=default, description=text)
-                for name, (default, text) in ARGUMENTS.items()
-            ),
-            OpaqueFunction(function=name_misspelt),
-            OpaqueFunction(function=include_vehicles),
-        ]
-    )
+    return description(ARGUMENTS, include_vehicles)

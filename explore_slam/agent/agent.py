@@ -30,9 +30,9 @@ from explore_slam.agent.team import KeyframeEvent, Team
 from explore_slam.agent.vehicle_track import VehicleTrack
 from explore_slam.data import OdometryReading, VehicleState, VehicleStatus
 from explore_slam.errors import AgentError
-from explore_slam.geometry import IDENTITY, Array, Pose2
+from explore_slam.geometry import IDENTITY, Array, Pose2, rotated
 from explore_slam.mapping import LaserMap, OccupancyGrid, save_map
-from explore_slam.slam import Landmarks, OdometryCalibration, TeamBelief, compound, rotated
+from explore_slam.slam import Landmarks, OdometryCalibration, TeamBelief, compound
 
 
 class Agent:

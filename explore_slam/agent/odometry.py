@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from explore_slam.data import OdometryReading
-from explore_slam.geometry import IDENTITY, Array, Pose2, wrap_angle
-from explore_slam.slam import OdometryNoise, rotated
+from explore_slam.geometry import IDENTITY, Array, Pose2, rotated, wrap_angle
+from explore_slam.slam import OdometryNoise
 
 logger = logging.getLogger(__name__)
 

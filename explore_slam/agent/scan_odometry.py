@@ -7,9 +7,9 @@ import numpy as np
 
 from explore_slam.agent.vehicle_track import VehicleTrack, compound_steps
 from explore_slam.data import LaserScan
-from explore_slam.geometry import IDENTITY, Pose2
+from explore_slam.geometry import IDENTITY, Pose2, rotated
 from explore_slam.registration import Refusal, ScanMatch, scan_cloud
-from explore_slam.slam import FastSlamConfig, calibrated, rotated
+from explore_slam.slam import FastSlamConfig, calibrated
 
 # Trace (m² + rad²) of the covariance of a motion below which the vehicle stands still: with the
 # default odometry noise, less than 0.01 mm.

@@ -9,7 +9,6 @@ from explore_slam.slam.particles.motion import (
     OdometryNoise,
     calibrated,
     compound,
-    rotated,
 )
 from explore_slam.slam.summary import UpdateSummary
 from explore_slam.slam.team_belief import TeamBelief
@@ -25,7 +24,6 @@ __all__ = [
     'UpdateSummary',
     'calibrated',
     'compound',
-    'rotated',
     'warm_up',
 ]
 

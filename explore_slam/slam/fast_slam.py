@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from explore_slam.data import InterRobotObservation, LandmarkObservations
 from explore_slam.errors import SlamError
-from explore_slam.geometry import IDENTITY, Array, Pose2, between, compose, wrap_angles
+from explore_slam.geometry import IDENTITY, Array, Pose2, between, compose, rotated, wrap_angles
 from explore_slam.settings import values_of, with_values
 from explore_slam.slam import checks
 from explore_slam.slam.association.candidates import find_candidates
@@ -23,7 +23,7 @@ from explore_slam.slam.joint_posterior import JointPosterior, Redraw, RelativePo
 from explore_slam.slam.landmark_join import LandmarkJoin
 from explore_slam.slam.landmarks.landmark_map import LandmarkMap, Landmarks, make_index
 from explore_slam.slam.particles.group import Group, Groups
-from explore_slam.slam.particles.motion import PendingMotion, Segment, calibrated, rotated
+from explore_slam.slam.particles.motion import PendingMotion, Segment, calibrated
 from explore_slam.slam.particles.path_store import PathStore
 from explore_slam.slam.particles.resampling import (
     mean_and_covariance,

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from explore_slam.geometry import Array, between
+from explore_slam.geometry import Array, between, rotated
 from explore_slam.slam.graph import JointGraph
 from explore_slam.slam.graph.solver import Solution
 from explore_slam.slam.storage.row_format import Places
@@ -64,7 +64,7 @@ class RelativeCovariances:
             out[tied] = _seen_from(between(path[near], path[reference]), tail, z, P)
         if tied.all():
             return out
-        own = known.solution.covariance(near) + _turned(tail, path[near, 2])
+        own = known.solution.covariance(near) + rotated(tail, -path[near, 2])
         for row in np.flatnonzero(~tied).tolist():
             vehicle, keyframe = int(owners[row]), int(others[row])
             theirs = self._posterior(vehicle)
@@ -101,12 +101,4 @@ def _seen_from(u: Array, Q: Array, z: Array, P: Array) -> Array:
     K = np.tile(-J, (len(z), 1, 1))
     K[:, 0, 2], K[:, 1, 2] = w[:, 1], -w[:, 0]
     found: Array = J @ P @ J.T + K @ Q @ K.transpose(0, 2, 1)
-    return found
-
-
-def _turned(covariance: Array, angle: float) -> Array:
-    """Return a covariance (3, 3) in the axes from which its own are turned by an angle (rad)."""
-    c, s = np.cos(angle), np.sin(angle)
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    found: Array = turn @ covariance @ turn.T
     return found

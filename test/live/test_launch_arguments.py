@@ -72,7 +72,9 @@ def test_every_argument_is_described(path):
     found = re.findall(r"^    '(\w+)': \(", table, re.MULTILINE)
     assert len(found) >= 5
     assert len(re.findall(r"'[^']* [^']*'|\"[^\"]* [^\"]*\"", table)) >= len(found)
-    assert 'DeclareLaunchArgument(name, default_value=default, description=text)' in text
+    assert re.search(r'return description\(ARGUMENTS, \w+\)\n', text)
+    shared = (REPOSITORY / 'explore_slam' / 'live' / 'launch_description.py').read_text('utf-8')
+    assert 'DeclareLaunchArgument(name, default_value=default, description=text)' in shared
 
 
 def entities_of(name, **given):

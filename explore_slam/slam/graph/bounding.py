@@ -127,8 +127,7 @@ def hang_dropped(storage: Storage, rows: Integers, chains: Array, poses: Array) 
         motion.hang_between(
             chains[previous[end]],
             chains[end],
-            keyframes['increment'][between]
-            + keyframes['sensitivity'][between] @ storage.calibration_of(end),
+            storage.calibrated_increments(between),
             keyframes['covariance'][between],
             checks.EXACT_DEVIATION**2,
             hung,

@@ -529,11 +529,12 @@ class JointGraph:
         while row > first:
             rows.append(row)
             row = int(table['before'][row])
+        rows.reverse()
         mean, covariance = np.zeros(3), np.zeros((3, 3))
-        for row in reversed(rows):
-            mean, covariance = motion.compound(
-                mean, covariance, table['increment'][row], table['covariance'][row]
-            )
+        if rows:
+            increments = self._storage.calibrated_increments(rows)
+            for increment, noise in zip(increments, table['covariance'][rows], strict=True):
+                mean, covariance = motion.compound(mean, covariance, increment, noise)
         return covariance
 
     def live_keyframes(self) -> Integers:

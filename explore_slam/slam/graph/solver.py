@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from explore_slam.errors import SlamError
-from explore_slam.geometry import Array
+from explore_slam.geometry import Array, rotated
 from explore_slam.slam.graph import cholesky
 from explore_slam.slam.graph.factors import (
     Factors,
@@ -184,7 +184,7 @@ class Solution:
     def covariance(self, keyframe: int) -> Array:
         """Return the covariance (3, 3) of a pose (m, m, rad) in the axes of the map."""
         node = self.node_of(keyframe)
-        return _turned(self.factorization.columns(node)[node], self.nodes[node, 2])
+        return rotated(self.factorization.columns(node)[node], -self.nodes[node, 2])
 
     def relative_covariance(self, reference: int, others: Integers) -> Array:
         """Return covariances (n, 3, 3) of the poses of others in the frame of a reference.
@@ -209,16 +209,8 @@ class Solution:
         own = T @ self.factorization.marginals[a] @ turned
         total = self.factorization.marginals[b] - cross - cross.transpose(0, 2, 1) + own
         return np.array(
-            [_turned(P, angle) for P, angle in zip(total, theta, strict=True)]
+            [rotated(P, -angle) for P, angle in zip(total, theta, strict=True)]
         ).reshape(-1, 3, 3)
-
-
-def _turned(covariance: Array, angle: float) -> Array:
-    """Return a covariance (3, 3) in the axes from which its own are turned by angle (rad)."""
-    c, s = np.cos(angle), np.sin(angle)
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    found: Array = turn @ covariance @ turn.T
-    return found
 
 
 def linearized(problem: Problem, structure: Structure, x: Array) -> Factorization:

@@ -1,6 +1,6 @@
 """Tables of everything that was measured, with the present estimate."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -163,6 +163,14 @@ class Storage:
         """Return the estimated calibration (3,) of the vehicle of a keyframe."""
         found = self.calibrations.get(self.vehicle_of(row))
         return np.zeros(3) if found is None else found.mean
+
+    def calibrated_increments(self, rows: Sequence[int]) -> Array:
+        """Return the motions (n, 3) to keyframes of one vehicle from those before, calibrated."""
+        table = self.keyframes
+        found: Array = table['increment'][rows] + (
+            table['sensitivity'][rows] @ self.calibration_of(rows[0])
+        )
+        return found
 
     def vehicle_of(self, row: int) -> int:
         """Return the vehicle of a keyframe."""

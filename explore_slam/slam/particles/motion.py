@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from explore_slam.geometry import IDENTITY, Array, Pose2, compose
+from explore_slam.geometry import IDENTITY, Array, Pose2, compose, rotated
 from explore_slam.settings import Section, setting
 from explore_slam.slam.checkpoint import State
 from explore_slam.slam.particles.resampling import stratified_normals
@@ -103,14 +103,6 @@ def compound(
     L = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     total = F @ covariance @ F.T + L @ noise @ L.T
     return mean.compose(increment), 0.5 * (total + total.T)
-
-
-def rotated(covariance: Array, angle: float) -> Array:
-    """Return a pose covariance (3, 3) expressed in axes rotated by an angle (rad)."""
-    c, s = math.cos(angle), math.sin(angle)
-    T = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    turned: Array = T @ covariance @ T.T
-    return turned
 
 
 class CalibratedStep(NamedTuple):

@@ -6,6 +6,7 @@ import pytest
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Pose2, between, compose
 from explore_slam.slam.graph import GraphConfig, JointGraph
+from explore_slam.slam.graph.motion import compound
 from explore_slam.slam.particles.motion import calibrated
 
 NOISE = np.diag([0.02, 0.01, 0.01]) ** 2
@@ -312,6 +313,26 @@ def test_dropped_keyframes_hang_by_the_calibrated_motion(bounded_world):
     assert graph.calibration(0)[0] == pytest.approx(1.0 / 1.1 - 1.0, abs=0.01)
     assert len(graph.live_keyframes()) < 15
     np.testing.assert_allclose(graph.path()[:, :2], np.array(path)[:, :2], atol=0.02)
+
+
+def test_motion_covariance_has_the_lever_of_the_calibrated_motion(bounded_world):
+    graph = bounded_world().graph
+    graph.add_start(0, 0, [0.0, 0.0, 0.0])
+    graph.add_calibration(0, [0.3, 0.05, 0.05])
+    true, mean, expected = np.zeros(3), np.zeros(3), np.zeros((3, 3))
+    for k in range(1, 13):
+        wheel = Pose2(0.4, 0.0, 0.3)
+        sensitivity = calibrated(wheel, np.zeros(3))[1]
+        graph.add_keyframe(0, k, wheel, NOISE, sensitivity=sensitivity)
+        true = compose(true, np.array([0.4, 0.0, 0.2]))
+        graph.pin(k)
+        graph.add_prior(k, true, 1e-6 * np.eye(3))
+    graph.optimize()
+    for _ in range(12):
+        mean, expected = compound(mean, expected, np.array([0.4, 0.0, 0.2]), NOISE)
+    found = graph.motion_covariance(0, 12)
+    np.testing.assert_allclose(found, expected, rtol=0.05, atol=0.02 * expected.max())
+    np.testing.assert_array_equal(graph.motion_covariance(12, 12), np.zeros((3, 3)))
 
 
 def test_calibrations_are_drawn_jointly_with_the_path(bounded_world):

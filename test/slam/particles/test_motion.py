@@ -3,13 +3,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from explore_slam.geometry import IDENTITY, Pose2, compose
+from explore_slam.geometry import IDENTITY, Pose2, compose, rotated
 from explore_slam.slam import OdometryNoise, compound
 from explore_slam.slam.particles.motion import (
     PendingMotion,
     Segment,
     calibrated,
-    rotated,
     split_heading,
 )
 
