@@ -32,9 +32,10 @@ def warm_up() -> None:
     for keyframe in (4, 5):
         graph.add_observations(keyframe, [0], [[2.0, 0.0, 1.0]], [[1.0, 0.0, 0.0, 1.0, 0.0, 1.0]])
     graph.add_relative_pose(0, 5, np.zeros(3), noise)
+    for keyframe in range(6, 20):
+        graph.add_keyframe(0, keyframe, np.array([0.5, 0.0, 0.1]), noise, noise)
     graph.optimize()
     draws = graph.draw(2, np.random.default_rng(0))
-    graph.complete(draws)
     graph.relative_covariance(0, [5])
     graph.closure_residuals()
     stored = graph.observations_of([0])

@@ -2,7 +2,8 @@
 
 Of each visit of a landmark a few observations are kept, of each vehicle a few visits. Whatever a
 keyframe holds beyond that is dropped with the keyframe: its observations are lost, never
-summarized, and the motions to and from it become one.
+summarized, and the motions to and from it become one. On the path it stays where its landmarks had
+it, relative to a kept keyframe that observed the same ones.
 """
 
 import numpy as np
@@ -43,6 +44,7 @@ def retire_oldest(storage: Storage, vehicle: int, config: GraphConfig) -> None:
     keyframes['retired'][row] = True
     keyframes['holds_landmarks'][row] = _is_needed(storage, row, config)
     if not keyframes['holds_landmarks'][row]:
+        keyframes['reference'][row] = _reference_of(storage, row)
         storage.drop_observations(storage.observations['keyframe'] == row)
         drop_if_free(storage, row)
 
@@ -70,6 +72,26 @@ def _is_needed(storage: Storage, row: int, config: GraphConfig) -> bool:
     earlier_visits = np.bincount(earlier[:, 0], minlength=len(visit_of))
     few = (this_visit < config.graph_visit_observations) & (earlier_visits < config.graph_visits)
     return int(few[owners[own]].sum()) > config.graph_needed_share * len(own)
+
+
+def _reference_of(storage: Storage, row: int) -> int:
+    """Return the row of the kept keyframe with the most landmarks of another; −1: none.
+
+    Of those with as many, the nearest.
+    """
+    table, keyframes = storage.observations, storage.keyframes
+    owners, frames = table['landmark'], table['keyframe']
+    shared = np.zeros(len(storage.landmarks) + 1, np.bool_)  # the last entry is that of row −1
+    shared[owners[(owners >= 0) & (frames == row)]] = True
+    shared[-1] = False
+    others = frames[shared[owners] & keyframes['holds_landmarks'][frames]]
+    others = others[others != row]
+    if not len(others):
+        return -1
+    counts = np.bincount(others)
+    most = np.flatnonzero(counts == counts.max())
+    offsets = keyframes['chain'][most, :2] - keyframes['chain'][row, :2]
+    return int(most[np.argmin(np.hypot(*offsets.T))])
 
 
 def drop_if_free(storage: Storage, row: int) -> None:
@@ -108,28 +130,30 @@ def drop_if_free(storage: Storage, row: int) -> None:
     keyframes['motion_information'][after] = checks.information('motion', covariance)
     keyframes['previous'][after] = keyframes['previous'][row]
     keyframes['live'][row] = False
+    keyframes['pose'][row] = keyframes['chain'][row]
     storage.touch([row])
 
 
-def hang_dropped(storage: Storage, rows: Integers, chains: Array, poses: Array) -> None:
-    """Fill in the poses (K, 3, M) of dropped keyframes between given ones.
+def carry_dropped(storage: Storage, old: Array) -> None:
+    """Move the keyframes that were dropped along with those that are live.
 
-    rows: of the live keyframes that are given. chains (K, 3, M): where their motions end.
+    old (K, 3): where the motions of all keyframes ended before the live ones were moved. What was
+    observed stays relative to its reference; the rest hangs between by the measured motion, which
+    the calibration may have changed.
     """
     keyframes = storage.keyframes
-    before, previous = keyframes['before'], keyframes['previous']
-    for end in rows[before[rows] != previous[rows]].tolist():
-        between = [end]
-        while before[between[-1]] != previous[end]:
-            between.append(int(before[between[-1]]))
-        between.reverse()
-        hung = np.empty((len(between) - 1, *poses.shape[1:]))
-        motion.hang_between(
-            chains[previous[end]],
-            chains[end],
-            storage.calibrated_increments(between),
-            keyframes['covariance'][between],
-            checks.EXACT_DEVIATION**2,
-            hung,
-        )
-        poses[between[:-1]] = hung
+    if keyframes['live'].all():
+        return
+    poses = keyframes['chain'].copy()
+    rows = np.arange(len(poses))
+    chain = motion.Chain(
+        keyframes['before'],
+        keyframes['live'],
+        keyframes['reference'],
+        storage.calibrated_increments(rows),
+        keyframes['covariance'],
+    )
+    motion.carry_dropped(chain, old, checks.EXACT_DEVIATION**2, poses)
+    dropped = ~keyframes['live']
+    for name in ('pose', 'chain'):
+        keyframes[name][dropped] = poses[dropped]

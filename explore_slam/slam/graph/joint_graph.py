@@ -441,41 +441,17 @@ class JointGraph:
 
     def estimate(self, keyframe: int) -> Array:
         """Return the estimated pose (3,) of a keyframe."""
-        row = self._storage.row_of(keyframe)
-        if not self._storage.keyframes['live'][row]:
-            hung: Array = self.path()[row]
-            return hung
-        pose: Array = self._storage.keyframes['pose'][row].copy()
+        pose: Array = self._storage.keyframes['pose'][self._storage.row_of(keyframe)].copy()
         return pose
 
     def path(self, *, chains: bool = False) -> Array:
         """Return the estimated poses (K, 3) of all keyframes ever added, ascending by number.
 
         chains: those with the white errors, where the motion ends. Keyframes that were dropped
-        hang between their neighbours by the motion that was measured.
+        stay where their landmarks had them, or else hang between others by the motion.
         """
-        keyframes = self._storage.keyframes
-        poses: Array = keyframes['chain' if chains else 'pose'][:, :, None].copy()
-        live = np.flatnonzero(keyframes['live'])
-        bounding.hang_dropped(self._storage, live, keyframes['chain'][:, :, None], poses)
-        return poses[:, :, 0]
-
-    def complete(self, draws: Draws) -> Draws:
-        """Return the samples with those of dropped keyframes filled in.
-
-        These hang between their neighbours by the motion that was measured, in every sample.
-        """
-        store = self._storage
-        rows = np.searchsorted(store.keyframes['number'], draws.keyframes)
-        poses = np.full((len(store.keyframes), *draws.poses.shape[1:]), np.nan)
-        chains = poses.copy()
-        poses[rows], chains[rows] = draws.poses, draws.chains
-        bounding.hang_dropped(store, rows, chains, poses)
-        chains = np.where(np.isnan(chains), poses, chains)
-        known = np.flatnonzero(~np.isnan(poses[:, 0, 0]))
-        return Draws(
-            store.keyframes['number'][known], poses[known], chains[known], draws.calibrations
-        )
+        poses: Array = self._storage.keyframes['chain' if chains else 'pose'].copy()
+        return poses
 
     def covariance(self, keyframe: int) -> Array:
         """Return the covariance (3, 3) of a keyframe's pose in the axes of the map."""

@@ -1,8 +1,10 @@
 """Motion between keyframes: compounding it, and the path of keyframes that were dropped."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from explore_slam.compiled import kernel
 from explore_slam.geometry import Array
@@ -71,11 +73,11 @@ def _carry(u: Array, v: Array, P: Array, out: Array) -> None:
 def hang_between(
     begin: Array, end: Array, increments: Array, covariances: Array, least: float, out: Array
 ) -> None:
-    """Write the poses (n, 3, M) between M pairs of poses (3, M) that n + 1 increments connect.
+    """Write the poses (n, 3) between two poses (3,) that n + 1 increments (n + 1, 3) connect.
 
-    The increments (n + 1, 3) do not lead exactly from `begin` to `end`; the error is spread as
-    their covariances (n + 1, 3, 3) have it, which is the conditional mean of a chain whose ends
-    are known. least: variance (m², rad²) that the whole motion has at least.
+    The increments do not lead exactly from `begin` to `end`; the error is spread as their
+    covariances (n + 1, 3, 3) have it, which is the conditional mean of a chain whose ends are
+    known. least: variance (m², rad²) that the whole motion has at least.
     """
     n = len(out)
     means, spreads = np.zeros((n + 1, 3)), np.zeros((n + 1, 3, 3))
@@ -84,27 +86,73 @@ def hang_between(
         means[k + 1], spreads[k + 1] = compound(
             means[k], spreads[k], increments[k + 1], covariances[k + 1]
         )
-    inverse = np.linalg.inv(spreads[n] + least * np.eye(3))
-    gains, together = np.zeros((n, 3, 3)), np.empty((3, 3))
+    error = np.empty(3)
+    relative(begin, end, error)
+    error[0] -= means[n, 0]
+    error[1] -= means[n, 1]
+    error[2] = wrapped(error[2] - means[n, 2])
+    weighted = np.linalg.solve(spreads[n] + least * np.eye(3), error)
+    together, u = np.empty((3, 3)), np.empty(3)
     for k in range(n):
         _carry(means[k], means[n], spreads[k], together)
         for i in range(3):
+            u[i] = means[k, i]
             for j in range(3):
-                for m in range(3):
-                    gains[k, i, j] += together[i, m] * inverse[m, j]
-    p, q, u, error = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    for m in range(begin.shape[1]):
-        for i in range(3):
-            p[i], q[i] = begin[i, m], end[i, m]
-        relative(p, q, error)
-        error[0] -= means[n, 0]
-        error[1] -= means[n, 1]
-        error[2] = wrapped(error[2] - means[n, 2])
-        for k in range(n):
-            G = gains[k]
-            for i in range(3):
-                moved = G[i, 0] * error[0] + G[i, 1] * error[1] + G[i, 2] * error[2]
-                u[i] = means[k, i] + moved
-            compose(p, u, q)
-            for i in range(3):
-                out[k, i, m] = q[i]
+                u[i] += together[i, j] * weighted[j]
+        compose(begin, u, out[k])
+
+
+class Chain(NamedTuple):
+    """Keyframes (K,) of all vehicles in the order of their rows.
+
+    before: row of the vehicle's keyframe before, −1 where there is none; live: whether its pose is
+    given; reference: row of a keyframe that it is held relative to, −1: its motion alone tells
+    where it is; increments (K, 3) from the one before, with their covariances (K, 3, 3).
+    """
+
+    before: NDArray[np.int64]
+    live: NDArray[np.bool_]
+    reference: NDArray[np.int64]
+    increments: Array
+    covariances: Array
+
+
+@kernel
+def carry_dropped(chain: Chain, old: Array, least: float, poses: Array) -> None:
+    """Write the poses (K, 3) of keyframes that are not live, given those that are.
+
+    old (K, 3): all poses before the live ones moved to where `poses` has them. Keyframes with a
+    reference move with it as a rigid body; the others hang between those by their motion.
+    """
+    fixed = chain.live.copy()
+    u = np.empty(3)
+    for row in range(len(old)):
+        root = row
+        while root >= 0 and not chain.live[root]:
+            root = chain.reference[root]
+        if root >= 0 and root != row:
+            fixed[row] = True
+            relative(old[root], old[row], u)
+            compose(poses[root], u, poses[row])
+    rows = np.empty(len(old) + 1, np.int64)
+    for end in range(len(old)):
+        if not fixed[end]:
+            continue
+        count, row = 1, chain.before[end]
+        rows[0] = end
+        while row >= 0 and not fixed[row]:
+            rows[count] = row
+            count += 1
+            row = chain.before[row]
+        if row >= 0 and count > 1:
+            steps = rows[:count][::-1].copy()
+            hung = np.empty((count - 1, 3))
+            hang_between(
+                poses[row],
+                poses[end],
+                chain.increments[steps],
+                chain.covariances[steps],
+                least,
+                hung,
+            )
+            poses[steps[:-1]] = hung

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.geometry import Array, between, compose, to_world
+from explore_slam.slam.graph import bounding
 from explore_slam.slam.graph.config import GraphConfig
 from explore_slam.slam.graph.factors import (
     CALIBRATION,
@@ -225,9 +226,11 @@ def take_over(storage: Storage, problem: Problem, nodes: Array) -> None:
     Keyframes added after the problem was collected move with the vehicle's last one in it; what
     was dropped or removed meanwhile is left out.
     """
+    old = storage.keyframes['chain'].copy()
     _move_keyframes(storage, problem, nodes)
     for vehicle, mean in zip(problem.calibrated, nodes[problem.first_calibration :], strict=True):
         storage.calibrations[vehicle] = storage.calibrations[vehicle]._replace(mean=mean.copy())
+    bounding.carry_dropped(storage, old)
     landmarks = storage.landmarks
     found = [storage.landmark_rows.get(number, -1) for number in problem.landmarks.tolist()]
     rows = np.array(found, np.int64)

@@ -34,6 +34,7 @@ class Storage:
             live=(np.bool_, ()),  # not dropped: a variable of the graph
             retired=(np.bool_, ()),  # not among the newest: it has been decided on
             holds_landmarks=(np.bool_, ()),  # it stays for the sake of its landmarks
+            reference=(np.int64, ()),  # row that it stays relative to when dropped; −1: none
             pins=(np.int64, ()),  # how often the caller has pinned it
             before=(np.int64, ()),  # row of the vehicle's keyframe before; −1: none
             increment=(np.float64, (3,)),  # raw motion since the vehicle's keyframe before
@@ -99,6 +100,7 @@ class Storage:
             ordinal=0 if last < 0 else self.keyframes['ordinal'][last] + 1,
             before=before,
             previous=before,
+            reference=-1,
             **values,
         )
         self.newest[vehicle] = row
@@ -164,11 +166,15 @@ class Storage:
         found = self.calibrations.get(self.vehicle_of(row))
         return np.zeros(3) if found is None else found.mean
 
-    def calibrated_increments(self, rows: Sequence[int]) -> Array:
-        """Return the motions (n, 3) to keyframes of one vehicle from those before, calibrated."""
+    def calibrated_increments(self, rows: Sequence[int] | Integers) -> Array:
+        """Return the motions (n, 3) to keyframes from those before, calibrated."""
         table = self.keyframes
-        found: Array = table['increment'][rows] + (
-            table['sensitivity'][rows] @ self.calibration_of(rows[0])
+        calibrations = np.zeros((max(self.newest, default=-1) + 1, 3))
+        for vehicle, calibration in self.calibrations.items():
+            calibrations[vehicle] = calibration.mean
+        own = calibrations[table['vehicle'][rows]]
+        found: Array = table['increment'][rows] + np.einsum(
+            'nij,nj->ni', table['sensitivity'][rows], own
         )
         return found
 
