@@ -25,6 +25,7 @@ from explore_slam.slam.checkpoint import State, part, under
 from explore_slam.slam.closures import (
     Closure,
     ClosureConfig,
+    ClosureThinning,
     GlobalSearch,
     LoopSearch,
     Thinning,
@@ -78,6 +79,7 @@ class LoopClosing:
     def __init__(self, config: ClosureConfig) -> None:
         self.search = LoopSearch(config)
         self.thinning = Thinning(self.search.anchors)
+        self.closure_thinning = ClosureThinning()
         self.global_search = GlobalSearch(config, self.search.anchors)
         self._searching: tuple[str, Iterator[list[Closure]]] | None = None
         # distance driven (m) at a vehicle's newest global search
@@ -133,8 +135,7 @@ class LoopClosing:
         )
         if found:
             numbers = belief.close_loops([_relative_pose(closure) for closure in found])
-            self._numbers |= dict(zip(map(_key, found), numbers, strict=True))
-            self._note_ties(belief, found)
+            self._note_closures(belief, found, numbers)
         if not belief.is_in_map(vehicle):
             self._begin_global_search(belief, number, keyframe.number)
         taken_back = self._take_back(belief)
@@ -183,15 +184,22 @@ class LoopClosing:
         except SlamError as error:
             logger.warning('%s cannot join the map: %s', vehicle, error)
             return
-        self._numbers |= dict(zip(map(_key, found), numbers, strict=True))
         self.search.adopt(found)
-        self._note_ties(belief, found)
+        self._note_closures(belief, found, numbers)
         distance_driven = self._distances_driven[belief.vehicles.index(vehicle)]
         logger.info('%s joined the map after driving %.1f m', vehicle, distance_driven)
 
+    def _note_closures(
+        self, belief: TeamBelief, found: Sequence[Closure], numbers: Sequence[int]
+    ) -> None:
+        """Note closures that have become part of the belief, with their numbers there."""
+        self._numbers |= dict(zip(map(_key, found), numbers, strict=True))
+        self.closure_thinning.add(found, self.search.anchors)
+        self._note_ties(belief, found)
+
     def _note_ties(self, belief: TeamBelief, found: Sequence[Closure]) -> None:
         """Note the vehicles that closures tie together for the first time."""
-        anchors, path = self.search.anchors, belief.best_path()
+        anchors = self.search.anchors
         for closure in reversed(found):
             ends = [anchors.of_keyframe(k) for k in (closure.keyframe_a, closure.keyframe_b)]
             other, newcomer = sorted(ends, key=lambda end: end.vehicle)
@@ -199,6 +207,7 @@ class LoopClosing:
             if pair[0] == pair[1] or pair in self._tied:
                 continue
             self._tied.add(pair)
+            path = belief.best_path()
             self._joins.append(
                 Join(
                     belief.vehicles[newcomer.vehicle],
@@ -220,18 +229,28 @@ class LoopClosing:
         found = self.search.recheck(
             np.array([distances[self._numbers[_key(closure)]] for closure in closures])
         )
-        for closure in found:
-            belief.reopen_loop(self._numbers.pop(_key(closure)))
+        self._reopen(belief, found)
         return len(found)
 
+    def _reopen(self, belief: TeamBelief, closures: Sequence[Closure]) -> None:
+        """Remove closures from the belief."""
+        for closure in closures:
+            belief.reopen_loop(self._numbers.pop(_key(closure)))
+        self.closure_thinning.forget(closures)
+
     def _thin(self, belief: TeamBelief) -> None:
-        """Remove the anchors that show nothing new, so that the area bounds them."""
+        """Remove anchors and closures that tell nothing new, so that the area bounds them."""
         frames = [-1 if belief.is_in_map(v) else n for n, v in enumerate(belief.vehicles)]
-        redundant = self.thinning.redundant(belief.best_path(), belief.relative_covariance, frames)
-        for keyframe in redundant:
+        path = belief.best_path()
+        for keyframe in self.thinning.redundant(path, belief.relative_covariance, frames):
             self.global_search.remove_anchor(keyframe)
             self.search.remove_anchor(keyframe)
             belief.unpin(keyframe)
+        redundant = self.closure_thinning.redundant(
+            self.search.closures, path, self.search.anchors, self.thinning.judged
+        )
+        self.search.drop(redundant)
+        self._reopen(belief, redundant)
 
     # ---- state
 
@@ -247,6 +266,7 @@ class LoopClosing:
             'searched': np.array(list(self._searched.items()), np.float64).reshape(-1, 2),
             'tied': np.array(sorted(self._tied), np.int64).reshape(-1, 2),
             'judged': np.array(sorted(self.thinning.judged), np.int64),
+            **under('closure_thinning', self.closure_thinning.state_dict()),
             'distances_driven': np.array(list(self._distances_driven.items()), np.float64).reshape(
                 -1, 2
             ),
@@ -263,6 +283,7 @@ class LoopClosing:
         made.search = LoopSearch.from_state(part('search', state), config)
         made.thinning = Thinning(made.search.anchors)
         made.thinning.judged = set(state['judged'].tolist())
+        made.closure_thinning = ClosureThinning.from_state(part('closure_thinning', state))
         anchors = made.search.anchors
         pending = part('global_search', state)
         made.global_search = GlobalSearch.from_state(pending, config, anchors)

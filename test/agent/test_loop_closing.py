@@ -113,3 +113,29 @@ def test_closures_survive_a_checkpoint(tmp_path, closed):
     assert state.keys() == restored.keys()
     for name in state:
         np.testing.assert_array_equal(state[name], restored[name])
+
+
+def test_laps_do_not_let_the_graph_grow():
+    """Later laps add neither variables nor factors, and the vehicle stays where it is."""
+    config = with_values(AgentConfig(), {'particles': 50, 'laser_x': 0.0})
+    lap = along(*LAP, step=0.3)
+    agent, random = Agent(config, {'robot1': lap[0]}, seed=1), np.random.default_rng(0)
+    wheels, sizes = lap[0], []
+    for tick, true in enumerate(lap * 6):
+        u = np.array(lap[(tick - 1) % len(lap)].between(true)) * (1.02, 1.0, 1.02)
+        wheels = wheels.compose(Pose2(*(u + random.normal(size=3) * (0.004, 0.002, 0.01))))
+        agent.add('robot1', OdometryReading(0.5 * tick, wheels))
+        agent.add('robot1', scan_of(WORLD, true, 0.01, random, stamp=0.5 * tick))
+        if tick % len(lap) == len(lap) - 1:
+            sizes.append((agent.belief.graph_keyframes(), len(agent.loops.search.closures)))
+            pose, _ = agent.estimate('robot1')
+            assert math.dist(pose[:2], true[:2]) < 0.1
+    variables, factors = np.array(sizes).T
+    assert agent.summary()['robot1']['closures'] > 1.5 * factors[-1]
+    assert variables[5] < 1.1 * variables[3]
+    assert factors[5] < 1.1 * factors[3]
+    # what was dropped is still on the path, where it belongs
+    stamps, poses = agent.trajectory('robot1')
+    assert len(stamps) > 5.5 * len(lap)
+    true = np.array([lap[round(stamp / 0.5) % len(lap)] for stamp in stamps])
+    assert np.hypot(*(poses - true)[:, :2].T).max() < 0.15

@@ -6,6 +6,7 @@ from explore_slam.data import LaserScan
 from explore_slam.registration import scan_cloud
 from explore_slam.slam.closures.anchors import Anchor, Anchors
 from explore_slam.slam.closures.closure import Closure
+from explore_slam.slam.closures.closure_thinning import ClosureThinning
 from explore_slam.slam.closures.config import ClosureConfig
 from explore_slam.slam.closures.global_search import GlobalSearch, join_transform
 from explore_slam.slam.closures.loop_search import LoopSearch, RelativeCovariance
@@ -16,6 +17,7 @@ __all__ = [
     'Anchors',
     'Closure',
     'ClosureConfig',
+    'ClosureThinning',
     'GlobalSearch',
     'LoopSearch',
     'RelativeCovariance',

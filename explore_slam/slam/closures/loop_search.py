@@ -108,6 +108,11 @@ class LoopSearch:
         for closure in closures:
             self._note_closed(closure)
 
+    def drop(self, closures: Sequence[Closure]) -> None:
+        """Forget closures that are no longer part of the graph."""
+        gone = {id(closure) for closure in closures}
+        self.closures = [closure for closure in self.closures if id(closure) not in gone]
+
     def remove_anchor(self, keyframe: int) -> None:
         """Forget an anchor; closures that it is part of remain."""
         self.anchors.remove(keyframe)
