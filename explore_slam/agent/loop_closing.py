@@ -229,14 +229,10 @@ class LoopClosing:
         found = self.search.recheck(
             np.array([distances[self._numbers[_key(closure)]] for closure in closures])
         )
-        self._reopen(belief, found)
-        return len(found)
-
-    def _reopen(self, belief: TeamBelief, closures: Sequence[Closure]) -> None:
-        """Remove closures from the belief."""
-        for closure in closures:
+        for closure in found:
             belief.reopen_loop(self._numbers.pop(_key(closure)))
-        self.closure_thinning.forget(closures)
+        self.closure_thinning.forget(found)
+        return len(found)
 
     def _thin(self, belief: TeamBelief) -> None:
         """Remove anchors and closures that tell nothing new, so that the area bounds them."""
@@ -249,8 +245,10 @@ class LoopClosing:
         redundant = self.closure_thinning.redundant(
             self.search.closures, path, self.search.anchors, self.thinning.judged
         )
+        for closure in redundant:
+            belief.forget_loop(self._numbers.pop(_key(closure)))
         self.search.drop(redundant)
-        self._reopen(belief, redundant)
+        self.closure_thinning.forget(redundant)
 
     # ---- state
 

@@ -828,6 +828,10 @@ class FastSlam(Checkpointed):
         """Take back a closure."""
         self._joint().reopen(number)
 
+    def forget_loop(self, number: int) -> None:
+        """Drop a closure of a place that others hold as well; the path stays where it is."""
+        self._joint().forget(number)
+
     def closure_distances(self) -> dict[int, float]:
         """Return the squared Mahalanobis distance of every closure from the path, by number."""
         return self._joint().closure_distances()

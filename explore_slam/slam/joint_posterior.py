@@ -195,6 +195,11 @@ class JointPosterior:
         self.graph.remove_factor(factor)
         self._believed.pop(factor, None)
 
+    def forget(self, factor: int) -> None:
+        """Drop a closure of a place that others hold as well."""
+        self.graph.forget_factor(factor)
+        self._believed.pop(factor, None)
+
     def closure_distances(self) -> dict[int, float]:
         """Return the squared Mahalanobis distance of every closure at the estimate, by factor."""
         factors, distances = self.graph.closure_residuals()

@@ -238,6 +238,11 @@ class TeamBelief(Checkpointed):
         factor, owner = divmod(number, len(self.filters))
         self.filters[owner].reopen_loop(factor)
 
+    def forget_loop(self, number: int) -> None:
+        """See FastSlam.forget_loop."""
+        factor, owner = divmod(number, len(self.filters))
+        self.filters[owner].forget_loop(factor)
+
     def closure_distances(self) -> dict[int, float]:
         """See FastSlam.closure_distances."""
         count = len(self.filters)

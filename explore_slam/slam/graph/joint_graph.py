@@ -307,6 +307,19 @@ class JointGraph:
         for end in ends:
             bounding.drop_if_free(store, end)
 
+    def forget_factor(self, factor: int) -> None:
+        """Drop a relative pose that tells little beside others; nothing summarizes it.
+
+        If its second keyframe is dropped too, it stays on the path where it is, relative to the
+        first.
+        """
+        factors, keyframes = self._storage.factors, self._storage.keyframes
+        row = self._factor_row(factor)
+        a, b = int(factors['a'][row]), int(factors['b'][row])
+        if 0 <= a < b and keyframes['reference'][b] < 0:
+            keyframes['reference'][b] = a
+        self.remove_factor(factor)
+
     def remove_landmarks(self, landmarks: ArrayLike) -> None:
         """Forget landmarks with their observations; ids that are not stored are ignored."""
         store = self._storage

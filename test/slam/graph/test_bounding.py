@@ -395,3 +395,29 @@ def test_calibrations_are_checked():
     with pytest.raises(SlamError, match='sensitivity has shape'):
         graph.add_keyframe(0, 1, STEP, NOISE, sensitivity=np.eye(2))
     assert graph.live_keyframes().tolist() == [0]
+
+
+def test_a_keyframe_whose_closure_is_dropped_stays_beside_what_it_closed_on(bounded_world):
+    """Wheels that slide sideways and back on the second pass, which only closures show."""
+    graph = bounded_world().graph
+    graph.add_start(0, 0, [0.0, 0.0, 0.0])
+    factors, slides = {}, {35: 0.5, 50: -0.5}
+    for k in range(1, 75):
+        spread = (4.0 if k > 30 else 1e-4) * NOISE
+        graph.add_keyframe(0, k, [0.4, slides.get(k, 0.0), 0.0], spread)
+        graph.pin(k)
+        if 30 <= k <= 60:
+            sharp = np.diag([1e4, 1e4, 1e4])
+            factors[k] = graph.add_relative_pose(k - 30, k, [12.0, 0.0, 0.0], sharp, robust=False)
+    graph.optimize()
+    before = graph.path()
+    assert np.abs(before[:, 1]).max() < 0.1
+    for k in range(31, 59):
+        graph.unpin(k)
+        graph.forget_factor(factors[k])
+    assert not np.isin(np.arange(31, 59), graph.live_keyframes()).any()
+    np.testing.assert_array_equal(graph.path(), before)
+    graph.optimize()
+    np.testing.assert_allclose(graph.path(), before, atol=0.1)
+    with pytest.raises(SlamError, match='not in the graph'):
+        graph.forget_factor(factors[31])
