@@ -250,7 +250,3 @@ class OccupancyGrid:
         other._evidence = self._evidence.copy()
         other._touched = np.zeros(self.shape, np.int32)
         return other
-
-    def same_as(self, other: 'OccupancyGrid') -> bool:
-        """Return whether extent and evidence are equal bit for bit."""
-        return self.origin == other.origin and np.array_equal(self._evidence, other._evidence)

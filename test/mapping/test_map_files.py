@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import yaml
+from grids import same_grid
 
 from explore_slam.errors import MappingError
 from explore_slam.mapping import GridConfig, OccupancyGrid, load_map, read_pgm, save_map
@@ -72,7 +73,7 @@ def test_modes_negation_comments_and_text_images(tmp_path):
     raw = load_map(write_map(tmp_path, binary, mode='raw'))
     assert np.array_equal(raw.known(), [[False, False, True], [True, False, False]])
     text = b'P2 3 2 255\n0 205 254\n255 128 100\n'
-    assert load_map(write_map(tmp_path, text)).same_as(trinary)
+    assert same_grid(load_map(write_map(tmp_path, text)), trinary)
 
 
 GOOD = b'P5 2 2 255\n' + bytes([0, 254, 205, 0])

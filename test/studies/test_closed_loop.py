@@ -4,12 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from grid_worlds import drawn_world
+from grids import same_grid
 
 from explore_slam.errors import EvaluationError
 from explore_slam.geometry import Pose2
 from explore_slam.results.reachable_area import ReachableArea
 from explore_slam.settings import with_values
-from explore_slam.simulation.worlds.grid_world import GridWorld
 from explore_slam.studies.closed_loop import ClosedLoop, ClosedLoopConfig
 
 SMALL = Path(__file__).resolve().parents[2] / 'config' / 'worlds' / 'small.yaml'
@@ -27,7 +28,7 @@ def runs():
 def test_the_same_seed_gives_the_same_run(runs):
     first, second = runs
     assert first.metrics == second.metrics
-    assert first.grid.same_as(second.grid)
+    assert same_grid(first.grid, second.grid)
     np.testing.assert_array_equal(first.landmarks.means, second.landmarks.means)
 
 
@@ -40,7 +41,7 @@ def test_vehicles_drive_map_and_know_where_they_are(runs):
 
 
 def test_reachable_area_is_what_the_vehicle_can_cover():
-    world = GridWorld.from_drawing(['########', '#   #  #', '#   #  #', '#   #  #', '########'])
+    world = drawn_world(['########', '#   #  #', '#   #  #', '#   #  #', '########'])
     area = ReachableArea(world, [Pose2(1.0, 1.0, 0.0)], radius=0.2)
     assert area.area == pytest.approx(1.5 * 1.5, abs=0.1)
     known = np.ones((50, 80), np.bool_)

@@ -3,10 +3,10 @@
 import math
 
 import pytest
+from grid_worlds import drawn_world
 
 from explore_slam.errors import ConfigError, EvaluationError, ExploreSlamError
 from explore_slam.geometry import Pose2
-from explore_slam.simulation.worlds.grid_world import GridWorld
 from explore_slam.studies.exploration_run import StudyConfig, explore
 from explore_slam.studies.exploration_study import make_study, run_study
 from explore_slam.studies.exploration_tables import (
@@ -42,7 +42,7 @@ def narrow(rows, width):
         row if abs(index - middle + 0.5) < half else row[:60] + '#####' + row[65:]
         for index, row in enumerate(fine)
     ]
-    return GridWorld.from_drawing(closed, 0.1)
+    return drawn_world(closed, 0.1)
 
 
 def run(world, *starts, strategy='default', limit=900.0, **settings):
@@ -52,7 +52,7 @@ def run(world, *starts, strategy='default', limit=900.0, **settings):
 
 @pytest.mark.parametrize('strategy', ['default', 'paper', 'nearest', 'random'])
 def test_two_rooms_are_explored_by_every_strategy(strategy):
-    done = run(GridWorld.from_drawing(TWO_ROOMS), (1.5, 1.5, 0.0), strategy=strategy)
+    done = run(drawn_world(TWO_ROOMS), (1.5, 1.5, 0.0), strategy=strategy)
     assert done.status == 'exploration_complete'
     assert done.curve.team[-1] > 0.99
     assert done.mapped > 0.95  # cells of the map half inside a wall are wall
@@ -63,7 +63,7 @@ def test_two_rooms_are_explored_by_every_strategy(strategy):
 
 def test_a_team_shares_the_work_without_contact():
     done = run(
-        GridWorld.from_drawing(TWO_ROOMS),
+        drawn_world(TWO_ROOMS),
         (1.5, 1.5, 0.0), (2.5, 1.5, 0.0), (1.5, 3.5, 0.0),
     )  # fmt: skip
     assert done.status == 'exploration_complete'
@@ -92,7 +92,7 @@ def test_a_door_that_is_wide_enough_is_driven_through():
 def test_glass_without_returns_ends_too():
     rows = [row[:12] + 'g' + row[13:] if row[12] == '#' else row for row in TWO_ROOMS]
     rows = [rows[0].replace('g', '#'), *rows[1:-1], rows[-1].replace('g', '#')]
-    done = run(GridWorld.from_drawing(rows), (1.5, 1.5, 0.0), limit=1800.0)
+    done = run(drawn_world(rows), (1.5, 1.5, 0.0), limit=1800.0)
     assert done.status == 'exploration_complete'
     assert done.curve.team[-1] > 0.99
     assert done.wall_collisions == 0
@@ -100,7 +100,7 @@ def test_glass_without_returns_ends_too():
 
 def test_a_glass_wall_without_a_way_round_ends_too():
     rows = ['#########################', *['#...........g...........#'] * 8, '#' * 25]
-    done = run(GridWorld.from_drawing(rows), (1.5, 1.5, 0.0), limit=1800.0)
+    done = run(drawn_world(rows), (1.5, 1.5, 0.0), limit=1800.0)
     assert done.status == 'exploration_complete'
     assert done.curve.team[-1] > 0.99
     assert done.wall_collisions == 0
@@ -109,14 +109,14 @@ def test_a_glass_wall_without_a_way_round_ends_too():
 @pytest.mark.parametrize('size', [1, 2])
 def test_a_closed_loop_is_driven_once_and_ends(size):
     starts = [(1.5, 1.5, 0.0), (1.5, 2.5, 0.0)][:size]
-    done = run(GridWorld.from_drawing(LOOP), *starts)
+    done = run(drawn_world(LOOP), *starts)
     assert done.status == 'exploration_complete'
     assert done.curve.team[-1] > 0.99
     assert max(done.paths) < 60.0
 
 
 def test_nothing_to_reach_from_the_start_ends_soon():
-    cell = GridWorld.from_drawing(['#####', '#...#', '#...#', '#...#', '#####'], 0.4)
+    cell = drawn_world(['#####', '#...#', '#...#', '#...#', '#####'], 0.4)
     done = run(cell, (1.0, 1.0, 0.0))
     assert done.status == 'exploration_complete'
     assert done.duration < 200.0
@@ -124,7 +124,7 @@ def test_nothing_to_reach_from_the_start_ends_soon():
 
 
 def test_a_vehicle_shut_in_ends_as_one_that_cannot_search_or_has_nothing_left():
-    tight = GridWorld.from_drawing(['###', '#.#', '###'], 0.6)
+    tight = drawn_world(['###', '#.#', '###'], 0.6)
     done = run(tight, (0.9, 0.9, 0.0))
     assert done.status in ('exploration_paused', 'exploration_complete')
     assert done.reason
@@ -133,20 +133,20 @@ def test_a_vehicle_shut_in_ends_as_one_that_cannot_search_or_has_nothing_left():
 
 
 def test_a_run_out_of_time_says_so():
-    done = run(GridWorld.from_drawing(TWO_ROOMS), (1.5, 1.5, 0.0), limit=5.0)
+    done = run(drawn_world(TWO_ROOMS), (1.5, 1.5, 0.0), limit=5.0)
     assert done.status == 'time_limit'
     assert 'not complete after 5 s' in done.reason
     assert done.duration == pytest.approx(5.0)
 
 
 def test_the_team_comes_home_when_asked_to():
-    done = run(GridWorld.from_drawing(TWO_ROOMS), (1.5, 1.5, 0.0), home_at_end=True)
+    done = run(drawn_world(TWO_ROOMS), (1.5, 1.5, 0.0), home_at_end=True)
     assert done.status == 'returned_to_origin'
 
 
 def test_the_same_seed_gives_the_same_run():
     first, second = (
-        run(GridWorld.from_drawing(TWO_ROOMS), (1.5, 1.5, 0.0), (2.5, 1.5, 0.0)) for _ in range(2)
+        run(drawn_world(TWO_ROOMS), (1.5, 1.5, 0.0), (2.5, 1.5, 0.0)) for _ in range(2)
     )
     assert first.curve == second.curve
     assert first.paths == second.paths
@@ -228,4 +228,4 @@ def test_wrong_studies_are_refused(tmp_path):
     with pytest.raises(ExploreSlamError, match=r'none\.pgm'):
         list(run_study(make_study(path, [1], ['default'], [0])))
     with pytest.raises(ConfigError, match='strategy'):
-        run(GridWorld.from_drawing(TWO_ROOMS), (1.5, 1.5, 0.0), strategy='fastest')
+        run(drawn_world(TWO_ROOMS), (1.5, 1.5, 0.0), strategy='fastest')

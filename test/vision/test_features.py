@@ -283,41 +283,6 @@ def test_unusable_settings_are_refused():
         extractor(feature_orientation='sideways')
 
 
-CHANGED = {
-    'feature_budget': 10,
-    'feature_grid_rows': 1,
-    'feature_grid_columns': 1,
-    'sift_contrast_threshold': 0.2,
-    'sift_edge_threshold': 2.0,
-    'minimum_feature_size': 6.0,
-    'feature_orientation': 'all',
-    'root_sift': True,
-    'min_depth': 2.5,
-    'max_depth': 2.5,
-    'pixel_noise': 3.0,
-    'depth_noise': 0.1,
-    'depth_edge_ratio': 0.5,
-    'depth_edges': 'widen',
-}
-
-
-@pytest.mark.parametrize('name', sorted(CHANGED))
-def test_every_setting_changes_what_is_observed(name):
-    whole = frame(2.0)
-    depth = np.array(whole.depth)
-    depth[:, 150:] = 2.6
-    step = RgbdFrame(0.0, whole.rgb, depth, CAMERA)
-    before = extractor(feature_budget=100).extract(step)
-    after = extractor(**{'feature_budget': 100} | {name: CHANGED[name]}).extract(step)
-    same = (
-        before.positions.shape == after.positions.shape
-        and np.array_equal(before.positions, after.positions)
-        and np.array_equal(before.covariances, after.covariances)
-        and np.array_equal(before.descriptors, after.descriptors)
-    )
-    assert not same
-
-
 def test_setting_names_are_unique():
     names = [info.name for info, _ in settings_of(VisionConfig())]
     assert len(names) == len(set(names))

@@ -5,7 +5,6 @@ without YAML), from the solids of a world, from a drawing, or from arrays.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -26,7 +25,6 @@ Mask = NDArray[np.bool_]
 FREE, SOLID, GLASS = 0, 1, 2
 _LARGEST_SPECK = 10  # cells; larger unknown areas may be rooms that nobody entered
 _START_WINDOW = 5.0  # m (per axis) around the first start pose, for those of the others
-_DRAWING = {' ': FREE, '.': FREE, '#': SOLID, 'g': GLASS}
 
 
 @dataclass(frozen=True)
@@ -71,28 +69,6 @@ class GridWorld:
             origin = (0.0, 0.0)
         solid = ~(free | _specks(~free, occupied, _LARGEST_SPECK))
         return cls(np.where(solid, SOLID, FREE).astype(np.int8), resolution, origin)
-
-    @classmethod
-    def from_drawing(
-        cls, rows: Sequence[str], size: float = 0.5, resolution: float = 0.05
-    ) -> 'GridWorld':
-        """Make a world from lines of text, top line first: '#' wall, 'g' glass, ' ' or '.' free.
-
-        Each character is a square with sides of `size` metres.
-        """
-        if not rows or len({len(row) for row in rows}) != 1:
-            raise SimulationError('grid world: a drawing needs rows, all of the same length')
-        unknown = set(''.join(rows)) - set(_DRAWING)
-        if unknown:
-            raise SimulationError(
-                f'grid world: characters {sorted(unknown)} in the drawing, '
-                f'expected {list(_DRAWING)}'
-            )
-        times = round(size / resolution)
-        small = np.array([[_DRAWING[character] for character in row] for row in rows], np.int8)[
-            ::-1
-        ]
-        return cls(np.kron(small, np.ones((times, times), np.int8)), resolution)
 
     @property
     def shape(self) -> tuple[int, int]:

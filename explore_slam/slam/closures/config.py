@@ -27,20 +27,6 @@ class ClosureConfig(Section):
         low=0.0,
         high=3600.0,
     )
-    closure_drift: float = setting(
-        0.012,
-        'Growth of the position error per metre where no covariance is given',
-        unit='m/m',
-        low=0.0,
-        high=1.0,
-    )
-    closure_heading_drift: float = setting(
-        0.0015,
-        'Growth of the heading error per metre where no covariance is given',
-        unit='rad/m',
-        low=0.0,
-        high=1.0,
-    )
     closure_widest_window: float = setting(
         25.0, 'Largest half width of the search window', unit='m', low=0.5, high=100.0
     )

@@ -46,6 +46,8 @@ RelativeCovariance = Callable[[int, Integers], Array]
 
 # Where no other source is given, values were chosen on the Intel, ACES and Belgioioso logs;
 # `benchmarks/laser_yardstick.py` shows what a change does.
+# m/m and rad/m: growth of the errors of position and heading where no covariance is given
+_DRIFT: Array = np.array([0.012, 0.0015])
 _SIGMAS = 3.0  # of the relative pose, that the search window covers
 _LEAST_WINDOW = (0.5, 0.08)  # m, rad
 _WIDEST_TURN = 0.7  # rad
@@ -253,8 +255,7 @@ class LoopSearch:
                 for other in others
             ]
         )
-        rates = np.array([self.config.closure_drift, self.config.closure_heading_drift])
-        deviations: Array = distances_driven[:, None] * rates
+        deviations: Array = distances_driven[:, None] * _DRIFT
         return deviations
 
     # ---- matching and tests

@@ -1,13 +1,13 @@
 """After warm_up no run in a grid world waits for the compiler."""
 
 import numpy as np
+from grid_worlds import drawn_world
 
 from explore_slam import simulation
 from explore_slam.data import Plan
 from explore_slam.geometry import Pose2
 from explore_slam.simulation.grid import kernels
 from explore_slam.simulation.grid.grid_simulator import GridSimulator
-from explore_slam.simulation.worlds.grid_world import GridWorld
 
 
 def signatures():
@@ -19,7 +19,7 @@ def test_nothing_is_compiled_after_warm_up():
     simulation.warm_up()
     before = signatures()
     assert sum(map(bool, before.values())) >= 5
-    world = GridWorld.from_drawing(['########', '#......#', '#......#', '########'])
+    world = drawn_world(['########', '#......#', '#......#', '########'])
     starts = {'a': Pose2(1.0, 1.0, 0.0), 'b': Pose2(3.0, 1.0, 0.0)}
     simulator = GridSimulator(world, starts)
     goal = Pose2(2.0, 1.0, 0.0)

@@ -1,0 +1,94 @@
+"""Every setting of vision changes what is observed; a new one without a test fails here."""
+
+import cv2
+import numpy as np
+import pytest
+
+from explore_slam.data import Intrinsics, RgbdFrame
+from explore_slam.errors import ConfigError
+from explore_slam.geometry import Pose2
+from explore_slam.settings import settings_of, with_values
+from explore_slam.vision import DETECTORS, FeatureExtractor, KeyframeSelector, VisionConfig
+from explore_slam.vision.detectors.sift import Sift
+
+CAMERA = Intrinsics(320, 240, 260.0, 262.0, 158.0, 121.0)
+
+
+def frame():
+    """A frame with plenty of features of many sizes, and a step of depth."""
+    random = np.random.default_rng(0)
+    image = sum(
+        cv2.GaussianBlur(random.standard_normal((240, 320)), (0, 0), scale) * scale
+        for scale in (2, 4, 8)
+    )
+    grey = ((image - image.min()) / np.ptp(image) * 255).astype(np.uint8)
+    depth = np.full((240, 320), 2.0, np.float32)
+    depth[:, 150:] = 2.6
+    return RgbdFrame(0.0, grey, depth, CAMERA)
+
+
+def observations(config):
+    found = FeatureExtractor(config).extract(frame())
+    return tuple(x.tobytes() for x in (found.positions, found.covariances, found.descriptors))
+
+
+def keyframes(config):
+    """Return which frames become keyframes: on the way, turning on the spot, and at rest."""
+    selector = KeyframeSelector(config.keyframes)
+    poses = [Pose2(0.05 * k, 0.0, 0.0) for k in range(20)]
+    poses += [Pose2(0.95, 0.0, 0.05 * k) for k in range(20)] + [Pose2(0.95, 0.0, 0.95)] * 80
+    return [selector.select(0.1 * k, pose) for k, pose in enumerate(poses)]
+
+
+class Blind(Sift):
+    """A detector that finds nothing."""
+
+    def find(self, _grey, _mask):
+        return []
+
+
+EFFECTS = {
+    'feature_budget': (10, observations),
+    'feature_grid_rows': (1, observations),
+    'feature_grid_columns': (1, observations),
+    'sift_contrast_threshold': (0.2, observations),
+    'sift_edge_threshold': (2.0, observations),
+    'minimum_feature_size': (6.0, observations),
+    'feature_orientation': ('all', observations),
+    'root_sift': (True, observations),
+    'min_depth': (2.5, observations),
+    'max_depth': (2.5, observations),
+    'pixel_noise': (3.0, observations),
+    'depth_noise': (0.1, observations),
+    'depth_edge_ratio': (0.5, observations),
+    'depth_edges': ('widen', observations),
+    'minimum_travel_distance': (0.5, keyframes),
+    'minimum_travel_heading': (0.4, keyframes),
+    'maximum_keyframe_gap': (1.0, keyframes),
+    'camera_x': (0.3, observations),
+    'camera_y': (0.1, observations),
+    'camera_z': (0.8, observations),
+    'camera_roll': (0.1, observations),
+    'camera_pitch': (0.1, observations),
+    'camera_yaw': (0.1, observations),
+}
+
+
+@pytest.mark.parametrize('name', EFFECTS)
+def test_every_setting_changes_what_is_observed(name):
+    value, experiment = EFFECTS[name]
+    usual = with_values(VisionConfig(), {'feature_budget': 100})
+    assert experiment(usual) == experiment(usual)
+    assert experiment(usual) != experiment(with_values(usual, {name: value}))
+
+
+def test_the_detector_is_the_one_of_the_setting(monkeypatch):
+    """Only one detector is built in; the setting chooses among those registered."""
+    with pytest.raises(ConfigError, match='feature_detector'):
+        VisionConfig(feature_detector='none')
+    monkeypatch.setitem(DETECTORS, 'sift', Blind)
+    assert len(FeatureExtractor(VisionConfig(feature_detector='sift')).extract(frame())) == 0
+
+
+def test_no_setting_is_left_out():
+    assert {info.name for info, _ in settings_of(VisionConfig())} == {*EFFECTS, 'feature_detector'}
