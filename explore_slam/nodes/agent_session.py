@@ -71,7 +71,8 @@ class AgentSession:
         self._node = node
         self.config = config
         self._vehicle_configs = dict(vehicle_configs)
-        self.agent = Agent(config.agent, config.poses(), config.seed)
+        bodies = {name: one.body.record for name, one in vehicle_configs.items()}
+        self.agent = Agent(config.agent, config.poses(), config.seed, bodies)
         self.planner = TeamPlanner(self.agent)
         self.planner.pause(not config.explore)
         self.inbox = Inbox({**LIMITS, FRAME.name: config.frame_queue})
