@@ -7,7 +7,7 @@ A malformed record raises a DataError that names the field and the value.
 import math
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,25 @@ def _check_finite(record: object, name: str, array: NDArray[Any]) -> None:
         raise DataError(
             f'{type(record).__name__}: {name} contains {bad} values that are not finite'
         )
+
+
+STANDARD_RADIUS = 0.25  # m; of the body for which planning_radius and vehicle_separation are meant
+
+
+class VehicleBody(NamedTuple):
+    """Size and speed of a vehicle.
+
+    radius: of the circle around the vehicle origin that contains the body (m).
+    speed: at which it follows its plans (m/s).
+    """
+
+    radius: float = STANDARD_RADIUS
+    speed: float = 0.4
+
+    @property
+    def wider(self) -> float:
+        """How much larger the radius is than that of a standard body (m); negative: smaller."""
+        return self.radius - STANDARD_RADIUS
 
 
 @dataclass(frozen=True)

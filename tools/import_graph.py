@@ -30,7 +30,7 @@ LAYERS = (
     ('messages',),
     ('slam', 'mapping', 'exploration', 'vehicle'),
     ('registration', 'vision'),
-    ('settings', 'data', 'mounts'),
+    ('settings', 'data', 'mounts', 'body'),
     ('geometry', 'polyline', 'heap', 'errors', 'compiled', 'files'),
 )
 

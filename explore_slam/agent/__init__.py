@@ -7,6 +7,7 @@ from explore_slam import exploration, mapping, registration, slam
 from explore_slam.agent.agent import Agent
 from explore_slam.agent.config import AgentConfig, explicit_mounts
 from explore_slam.agent.loop_closing import Join
+from explore_slam.agent.operator_areas import OperatorAreas
 from explore_slam.agent.team import KeyframeEvent
 from explore_slam.agent.team_planner import TeamPlanner
 from explore_slam.slam import closures
@@ -16,6 +17,7 @@ __all__ = [
     'AgentConfig',
     'Join',
     'KeyframeEvent',
+    'OperatorAreas',
     'TeamPlanner',
     'explicit_mounts',
     'warm_up',

@@ -28,7 +28,7 @@ from explore_slam.agent.measurements import kind_of
 from explore_slam.agent.scan_odometry import refine_by_scan
 from explore_slam.agent.team import KeyframeEvent, Team
 from explore_slam.agent.vehicle_track import VehicleTrack
-from explore_slam.data import OdometryReading, VehicleState, VehicleStatus
+from explore_slam.data import OdometryReading, VehicleBody, VehicleState, VehicleStatus
 from explore_slam.errors import AgentError
 from explore_slam.geometry import IDENTITY, Array, Pose2, rotated
 from explore_slam.mapping import LaserMap, OccupancyGrid, save_map
@@ -47,10 +47,15 @@ class Agent:
 
     paused: ignore measurements; odometry is still tracked.
     now: newest time (s) of the agent.
+    bodies: size and speed of vehicles that are not standard.
     """
 
     def __init__(
-        self, config: AgentConfig, start_poses: Mapping[str, Pose2 | None], seed: int = 0
+        self,
+        config: AgentConfig,
+        start_poses: Mapping[str, Pose2 | None],
+        seed: int = 0,
+        bodies: Mapping[str, VehicleBody] | None = None,
     ) -> None:
         if not start_poses:
             raise AgentError('start_poses is empty, expected a pose for every vehicle')
@@ -58,7 +63,8 @@ class Agent:
         self.seed = seed
         self.paused = False
         self.now = 0.0
-        self._team = Team(config, self.start_poses, seed)
+        self.bodies = dict(bodies or {})
+        self._team = Team(config, self.start_poses, seed, self.bodies)
 
     @property
     def config(self) -> AgentConfig:
@@ -71,7 +77,7 @@ class Agent:
 
     def reset(self) -> None:
         """Forget filter, map and odometry; the vehicles are at their start poses again."""
-        self._team = Team(self.config, self.start_poses, self.seed)
+        self._team = Team(self.config, self.start_poses, self.seed, self.bodies)
         self.now = 0.0
 
     # -- records in ----------------------------------------------------------------------------

@@ -77,14 +77,18 @@ class OperatorAreas:
             self._known = (key, self._mask(grid))
         return self._known[1]
 
-    def _mask(self, grid: Grid) -> NDArray[np.bool_]:
-        points = grid.to_point(np.indices(grid.shape).reshape(2, -1).T)
+    def exclude(self, points: Array) -> NDArray[np.bool_]:
+        """Return which points (N, 2) m no vehicle should enter."""
         mask = np.zeros(len(points), np.bool_)
         if self.area is not None:
             mask |= ~inside(points, self.area)
         for corners in self.keep_out:
             mask |= inside(points, corners)
-        return mask.reshape(grid.shape)
+        return mask
+
+    def _mask(self, grid: Grid) -> NDArray[np.bool_]:
+        points = grid.to_point(np.indices(grid.shape).reshape(2, -1).T)
+        return self.exclude(points).reshape(grid.shape)
 
     def view(self, grid: Grid) -> Grid:
         """Return the grid with everything out of bounds occupied."""

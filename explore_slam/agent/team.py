@@ -12,8 +12,9 @@ from explore_slam.agent.loop_closing import LoopClosing
 from explore_slam.agent.odometry import OdometryBuffer
 from explore_slam.agent.placement import check_update
 from explore_slam.agent.vehicle_track import Keyframe, VehicleTrack, merged_steps
-from explore_slam.data import LandmarkObservations
+from explore_slam.data import LandmarkObservations, VehicleBody
 from explore_slam.errors import AgentError
+from explore_slam.exploration import paths_of
 from explore_slam.geometry import Array, Pose2
 from explore_slam.mapping import LaserMap
 from explore_slam.registration import ScanMatcher
@@ -47,8 +48,13 @@ class Team:
     """Filter, laser map and tracks of all vehicles; `configure` replaces the settings."""
 
     def __init__(
-        self, config: AgentConfig, start_poses: Mapping[str, Pose2 | None], seed: int
+        self,
+        config: AgentConfig,
+        start_poses: Mapping[str, Pose2 | None],
+        seed: int,
+        bodies: Mapping[str, VehicleBody] | None = None,
     ) -> None:
+        """Begin at the start poses; bodies: of vehicles that are not of the standard size."""
         inputs = config.inputs
         self.config = config
         self.start_poses = dict(start_poses)
@@ -69,6 +75,7 @@ class Team:
                 ),
                 KeyframeSelector(config.vision),
                 ScanMatcher(config.scan_matching),
+                body=(bodies or {}).get(name, VehicleBody()),
             )
             for name, pose in self.start_poses.items()
         }
@@ -105,14 +112,18 @@ class Team:
         """Return discs (x m, y m, radius m), in the frame of a vehicle, that hide the others."""
         if len(self.tracks) == 1:
             return []
-        radius = self.config.exploration.paths.planning_radius + self.config.scans.body_margin
         own = self.pose_at(track, stamp)
         others = [
-            self.pose_at(other, stamp)
+            (self.pose_at(other, stamp), self.body_radius(other))
             for name, other in self.tracks.items()
             if other is not track and self.belief.are_in_one_frame(track.name, name)
         ]
-        return [(*own.between(pose)[:2], radius) for pose in others]
+        return [(*own.between(pose)[:2], radius) for pose, radius in others]
+
+    def body_radius(self, track: VehicleTrack) -> float:
+        """Return the radius (m) around a vehicle in which others may see its body."""
+        paths = paths_of(self.config.exploration.paths, track.body)
+        return paths.planning_radius + self.config.scans.body_margin
 
     def pose_at(self, track: VehicleTrack, stamp: float) -> Pose2:
         """Return the estimated pose of a vehicle at a stamp (s) after its newest keyframe."""

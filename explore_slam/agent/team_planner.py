@@ -7,12 +7,11 @@ from dataclasses import replace
 from explore_slam.agent.agent import Agent
 from explore_slam.agent.operator_areas import OperatorAreas
 from explore_slam.agent.vehicle_track import VehicleTrack
-from explore_slam.data import FollowerReport, FollowerState, Plan, VehicleState, VehicleStatus
+from explore_slam.data import FollowerReport, FollowerState, VehicleState, VehicleStatus
 from explore_slam.errors import AgentError
 from explore_slam.exploration import (
     ExplorationConfig,
     ExplorationStatus,
-    Grid,
     Planner,
     PlanningMode,
     PlanningResult,
@@ -36,7 +35,6 @@ class TeamPlanner:
         self._planner = Planner(agent.config.exploration)
         self._searched = False
         self._goals: dict[str, Pose2] = {}
-        self._guide = Planner(agent.config.exploration)
         self.areas = OperatorAreas()
         self.mode = PlanningMode.EXPLORE
         self.result = PlanningResult(ExplorationStatus.STARTED, 'nothing searched yet')
@@ -44,7 +42,7 @@ class TeamPlanner:
     def configure(self, config: ExplorationConfig) -> None:
         """Replace the settings; if they differ, targets and blacklist are forgotten."""
         if config != self._planner.config:
-            self._planner, self._guide = Planner(config), Planner(config)
+            self._planner = Planner(config)
 
     def pause(self, paused: bool) -> None:
         """Stop all vehicles, or explore again; that confirms where the vehicles stand."""
@@ -73,8 +71,6 @@ class TeamPlanner:
                 'outside of the area to explore'
             )
         self._goals[vehicle] = goal
-        # a planner keeps the homes that it saw first
-        self._guide = Planner(self._agent.config.exploration)
 
     def reset(self) -> None:
         """Forget targets, goals, blacklist and mode; the operator's areas remain."""
@@ -103,19 +99,16 @@ class TeamPlanner:
         in_doubt = any(track.doubt for track in self._agent.tracks.values())
         mode = PlanningMode.PAUSED if in_doubt else self.mode
         grid = self.areas.view(self._agent.grid)
-        guided: dict[str, Plan] = {}
         if mode is PlanningMode.EXPLORE:
-            guided = self._plan_to_goals(grid, now, vehicles)
-        free = {
-            name: known._replace(active=known.active and name not in self._goals)
-            for name, known in vehicles.items()
-        }
-        exploring = free if mode is PlanningMode.EXPLORE else vehicles
-        result = self._planner.plan(grid, now, exploring, mode)
-        if guided:
-            result = replace(result, plans={**result.plans, **guided}, searched=True)
-            if result.status is ExplorationStatus.PAUSED:  # all vehicles are on their way to goals
-                result = replace(result, status=ExplorationStatus.IN_PROGRESS)
+            self._end_reached_goals(vehicles)
+            vehicles = {
+                name: known._replace(goal=self._goals.get(name))
+                for name, known in vehicles.items()
+            }
+        result = self._planner.plan(grid, now, vehicles, mode)
+        for name in result.refused:
+            logger.warning('%s: the goal of the operator cannot be reached', name)
+            del self._goals[name]
         if not result.searched and not self._searched and mode is not PlanningMode.PAUSED:
             # without a map the exploration has not begun, which is not a pause
             result = replace(result, status=ExplorationStatus.STARTED)
@@ -126,36 +119,24 @@ class TeamPlanner:
         self.result = result
         return result
 
-    def _plan_to_goals(
-        self, grid: Grid, now: float, vehicles: dict[str, VehicleSnapshot]
-    ) -> dict[str, Plan]:
-        """Plan the paths of the vehicles that the operator has sent to a goal."""
+    def _end_reached_goals(self, vehicles: dict[str, VehicleSnapshot]) -> None:
+        """Let the vehicles that have reached the goal of the operator explore on."""
         arrival = self._agent.config.exploration.paths.arrival_distance
         for name, goal in list(self._goals.items()):
             known = vehicles.get(name)
             if known is not None and math.dist(known.pose[:2], goal[:2]) <= arrival:
                 logger.info('%s has reached the goal of the operator; it explores on', name)
                 del self._goals[name]
-        if not self._goals:
-            return {}
-        guided = {
-            name: known._replace(
-                active=known.active and name in self._goals,
-                home=self._goals.get(name, known.home),
-            )
-            for name, known in vehicles.items()
-        }
-        result = self._guide.plan(grid, now, guided, PlanningMode.RETURN_HOME)
-        for name, reason in result.waiting.items():
-            if name in self._goals and 'cannot be reached' in reason:
-                logger.warning('%s: the goal of the operator cannot be reached', name)
-                del self._goals[name]
-        return {name: plan for name, plan in result.plans.items() if name in self._goals}
 
     def _snapshot(self, status: VehicleStatus) -> VehicleSnapshot:
         active = status.state not in (VehicleState.SILENT, VehicleState.LOST)
         vehicle = status.vehicle
-        return VehicleSnapshot(self._agent.map_pose(vehicle), active, self._agent.home(vehicle))
+        return VehicleSnapshot(
+            self._agent.map_pose(vehicle),
+            active,
+            self._agent.home(vehicle),
+            self._agent.track(vehicle).body,
+        )
 
     def _state(self, vehicle: str, result: PlanningResult) -> VehicleState:
         if _is_blocked(self._agent.track(vehicle)):

@@ -8,7 +8,7 @@ import numpy as np
 
 from explore_slam.agent.measurement_queue import MeasurementQueue, Stamped
 from explore_slam.agent.odometry import OdometryBuffer, Step
-from explore_slam.data import FollowerReport, LaserScan, Plan, VehicleState
+from explore_slam.data import FollowerReport, LaserScan, Plan, VehicleBody, VehicleState
 from explore_slam.geometry import IDENTITY, Array, Pose2
 from explore_slam.registration import PointCloud, ScanMatcher
 from explore_slam.slam import OdometryNoise, compound
@@ -31,6 +31,7 @@ class VehicleTrack:
     """Odometry, newest keyframe, waiting measurements and plan of one vehicle.
 
     start: its pose in the map, None: unknown.
+    body: its size and speed.
     last_scan: stamp (s) and odometry pose of the newest scan that entered the map.
     matched_until: stamp (s) up to which scan matching has refined the odometry.
     clouds: stamps (s) and point clouds of the newest scans that were placed by matching.
@@ -50,6 +51,7 @@ class VehicleTrack:
     odometry: OdometryBuffer
     selector: KeyframeSelector
     matcher: ScanMatcher
+    body: VehicleBody = field(default_factory=VehicleBody)
     keyframe: Keyframe | None = None
     last_scan: tuple[float, Pose2] | None = None
     matched_until: float = -np.inf

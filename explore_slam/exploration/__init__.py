@@ -8,7 +8,7 @@ from explore_slam.exploration.assignment import (
     coverage_probability,
     utilities,
 )
-from explore_slam.exploration.clearance import CostMap, make_cost_map
+from explore_slam.exploration.clearance import CostMap, make_cost_map, paths_of
 from explore_slam.exploration.compilation import warm_up
 from explore_slam.exploration.config import ExplorationConfig
 from explore_slam.exploration.frontiers import find_frontiers
@@ -43,6 +43,7 @@ __all__ = [
     'coverage_probability',
     'find_frontiers',
     'make_cost_map',
+    'paths_of',
     'plan_path',
     'shortcut',
     'travel_cost',

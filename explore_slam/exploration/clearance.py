@@ -1,12 +1,14 @@
 """Distance to obstacles, and the cost map on which vehicles plan."""
 
 import math
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.compiled import kernel
+from explore_slam.data import VehicleBody
 from explore_slam.exploration.records import Grid
 from explore_slam.exploration.sections import PathConfig
 
@@ -134,6 +136,15 @@ def make_cost_map(grid: Grid, config: PathConfig, *, probability_costs: bool = F
     scale = 1.0 if probability_costs else 1.0 / config.cost_floor
     cost, tight_cost = _charge(probability, free, squared, factors, tight, floor, scale)
     return CostMap(cost, tight_cost, free, unknown, squared)
+
+
+def paths_of(config: PathConfig, body: VehicleBody) -> PathConfig:
+    """Return the settings with the planning radii of a body: its clearance stays the same."""
+    return replace(
+        config,
+        planning_radius=max(config.planning_radius + body.wider, 0.0),
+        minimum_planning_radius=max(config.minimum_planning_radius + body.wider, 0.0),
+    )
 
 
 def tight_factor(distances: NDArray[Any], radius: float) -> NDArray[np.float32]:

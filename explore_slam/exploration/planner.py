@@ -33,7 +33,7 @@ from explore_slam.exploration.records import (
 )
 from explore_slam.exploration.scene import Scene
 from explore_slam.exploration.strategies import STRATEGIES, Situation
-from explore_slam.exploration.tasks import Task, plan_for
+from explore_slam.exploration.tasks import Orders, Task, plan_for
 from explore_slam.exploration.traffic import Right, Traffic, Traveler
 from explore_slam.exploration.vehicle_history import VehicleHistory
 from explore_slam.geometry import Array, Pose2
@@ -44,6 +44,7 @@ logger = logging.getLogger(__name__)
 # Design values
 _SAME_FRONTIER = 2.0  # m; a frontier whose target has moved by no more is the same, receding
 _NEAR_TARGET = 2.0  # m; a vehicle that is blocked this near to its target has failed to reach it
+_FACING_DISTANCE = 100.0  # m from a goal to the point that a vehicle faces there: a direction
 _KEEP_OUT_AHEAD = 0.5  # m along the path from where a vehicle is blocked to its keep-out zone
 
 
@@ -108,7 +109,7 @@ class Planner:
         self._searches += 1
         self._blacklist.update(now, grid, scene.costs.free)
         if wanted is PlanningMode.RETURN_HOME:
-            return self._go_home(scene, ())
+            return self._go_home(scene, (), Orders())
         return self._explore(scene)
 
     def _cannot_search(self, reason: str) -> PlanningResult:
@@ -118,7 +119,11 @@ class Planner:
         return PlanningResult(ExplorationStatus.PAUSED, text, plans, searched=False)
 
     def _explore(self, scene: Scene) -> PlanningResult:
-        """Assign frontiers; without any, retry what is blocked before exploration is complete."""
+        """Assign frontiers; without any, retry what is blocked before exploration is complete.
+
+        Vehicles that were sent to a goal drive there meanwhile.
+        """
+        guided = self._guide(scene)
         found = find_frontiers(scene.grid, self.config, scene.costs, scene.reachable())
         if self._release_trapped(scene, found):
             found = find_frontiers(scene.grid, self.config, scene.costs, scene.reachable())
@@ -127,23 +132,47 @@ class Planner:
             candidates = [f for f in found if not self._blacklist.gave_up(f.target)]
         if candidates:
             self._empty_searches = 0
-            return self._assign(scene, candidates)
+            return self._assign(scene, candidates, guided)
         frontiers = tuple(found)
         if self._keep_out.release_temporary():
             # a keep-out zone may close the only way to the rest
             reason = 'no target outside keep-out zones, which are released'
-            return self._conclude(scene, ExplorationStatus.IN_PROGRESS, reason, frontiers)
+            return self._conclude(scene, ExplorationStatus.IN_PROGRESS, reason, frontiers, guided)
         if not found and self._release_keep_out(list(scene.starts)):
             reason = 'no target outside permanent keep-out zones; those near by are released'
-            return self._conclude(scene, ExplorationStatus.IN_PROGRESS, reason, frontiers)
+            return self._conclude(scene, ExplorationStatus.IN_PROGRESS, reason, frontiers, guided)
         self._empty_searches += 1
         if self._empty_searches < self.config.empty_searches:
             reason = f'no target in search {self._empty_searches} of {self.config.empty_searches}'
-            return self._conclude(scene, ExplorationStatus.IN_PROGRESS, reason, frontiers)
+            return self._conclude(scene, ExplorationStatus.IN_PROGRESS, reason, frontiers, guided)
         if self.config.return_to_init:
-            return self._go_home(scene, frontiers)
+            return self._go_home(scene, frontiers, guided)
         reason = f'nothing left to explore, {len(found)} frontiers given up'
-        return self._conclude(scene, ExplorationStatus.COMPLETE, reason, frontiers)
+        return self._conclude(scene, ExplorationStatus.COMPLETE, reason, frontiers, guided)
+
+    def _guide(self, scene: Scene) -> Orders:
+        """Plan the paths of the vehicles that were sent to a goal; each faces as its goal says."""
+        orders = Orders()
+        sent = {name: scene.vehicles[name].goal for name in scene.starts}
+        for name, goal in sent.items():
+            if goal is None:
+                continue
+            standing = [other for other, its in sent.items() if its is None and other != name]
+            standing = [other for other in standing if other not in self._tasks]
+            cell = scene.nearest_passable(name, goal)
+            if cell is None or not (scene.reach[name][cell] or scene.allow_tight(name)):
+                orders.refused.append(name)
+                orders.waiting[name] = 'its goal cannot be reached'
+                continue
+            facing = goal.compose(Pose2(_FACING_DISTANCE, 0.0, 0.0))
+            target, look_at = (goal.x, goal.y), (facing.x, facing.y)
+            task = self._task_for(scene, name, target, cell, look_at, standing)
+            if task is None:
+                orders.refused.append(name)
+                orders.waiting[name] = 'its goal cannot be reached'
+            else:
+                orders.tasks[name] = task
+        return orders
 
     def _release_trapped(self, scene: Scene, frontiers: list[Frontier]) -> bool:
         """Let trapped vehicles use tight passages; return whether any gets further by that.
@@ -162,9 +191,13 @@ class Planner:
         ]
         return any(released)
 
-    def _assign(self, scene: Scene, frontiers: list[Frontier]) -> PlanningResult:
+    def _assign(self, scene: Scene, frontiers: list[Frontier], guided: Orders) -> PlanningResult:
         """Assign frontiers to vehicles by the strategy, and plan the paths."""
-        names = tuple(scene.starts)
+        names = tuple(name for name in scene.starts if scene.vehicles[name].goal is None)
+        if not names:
+            reason = f'{len(frontiers)} frontiers; all vehicles are on their way to goals'
+            status = ExplorationStatus.IN_PROGRESS
+            return self._conclude(scene, status, reason, tuple(frontiers), guided)
         costs = scene.costs_to(names, frontiers)
         current = self._current_frontiers(names, frontiers)
         self._clear_blacklist(scene, names, current)
@@ -177,8 +210,7 @@ class Planner:
         chosen = self._strategy.assign(
             Situation(scene, names, frontiers, costs, current, switches)
         )
-        tasks: dict[str, Task] = {}
-        waiting: dict[str, str] = {}
+        tasks, waiting = guided.tasks, guided.waiting
         idle = [name for name, index in zip(names, chosen, strict=True) if index < 0]
         for name, index, before, count in zip(names, chosen, current, switches, strict=True):
             if index < 0:
@@ -199,7 +231,7 @@ class Planner:
             ExplorationStatus.STARTED if self._searches == 1 else ExplorationStatus.IN_PROGRESS
         )
         reason = f'{len(frontiers)} frontiers'
-        return self._conclude(scene, status, reason, tuple(frontiers), tasks, waiting, costs)
+        return self._conclude(scene, status, reason, tuple(frontiers), guided, names, costs)
 
     def _current_frontiers(self, names: tuple[str, ...], frontiers: list[Frontier]) -> list[int]:
         """Return for each vehicle the frontier that continues its present target, or -1."""
@@ -245,7 +277,7 @@ class Planner:
             task = None
         if task is not None and self._continues(scene, name, task, target):
             return task
-        obstacles = [scene.vehicles[other].pose for other in standing if other != name]
+        obstacles = [other for other in standing if other != name]
         path = scene.path(name, cell, scene.costs_around(name, obstacles))
         if path is None:
             return None
@@ -276,19 +308,23 @@ class Planner:
         status: ExplorationStatus,
         reason: str,
         frontiers: tuple[Frontier, ...],
-        tasks: dict[str, Task] | None = None,
-        waiting: dict[str, str] | None = None,
+        orders: Orders,
+        explorers: tuple[str, ...] | None = None,
         costs: Array | None = None,
     ) -> PlanningResult:
-        """Grant rights of way, and turn tasks into plans."""
-        tasks, waiting = tasks or {}, waiting or {}
+        """Grant rights of way, and turn tasks into plans.
+
+        costs (V, F): of the explorers to the frontiers; by default none was computed.
+        """
+        tasks, waiting = orders.tasks, orders.waiting
         travelers = {}
         for name in scene.starts:
             pose = scene.vehicles[name].pose
             position = np.array([pose.x, pose.y])
             task = tasks.get(name)
             path = None if task is None else remaining_path(position, task.path)
-            travelers[name] = Traveler(name, position, path)
+            one = scene.vehicles[name]
+            travelers[name] = Traveler(name, position, path, one.body, one.goal is not None)
         plans: dict[str, Plan] = {}
         retreats: dict[str, Plan] = {}
         for name, grant in self._traffic.grant(travelers, scene).items():
@@ -301,27 +337,32 @@ class Planner:
             elif grant.right is not Right.GO:
                 waiting[name] = f'gives way to {grant.yields_to}'
         self._tasks, self._retreats = tasks, retreats
-        names = tuple(scene.starts)
+        names = tuple(scene.starts) if explorers is None else explorers
         matrix = np.empty((len(names), 0)) if costs is None else costs
         unreachable = 0 if costs is not None else len(frontiers)
+        refused = tuple(orders.refused)
         return PlanningResult(
-            status, reason, plans, waiting, frontiers, names, matrix, True, unreachable
+            status, reason, plans, waiting, frontiers, names, matrix, True, unreachable, refused
         )
 
-    def _go_home(self, scene: Scene, frontiers: tuple[Frontier, ...]) -> PlanningResult:
-        """Send every vehicle to its home."""
+    def _go_home(
+        self, scene: Scene, frontiers: tuple[Frontier, ...], orders: Orders
+    ) -> PlanningResult:
+        """Send every vehicle to its home, but for those that are on their way to goals."""
         homes = self._history.homes
-        tasks: dict[str, Task] = {}
-        waiting: dict[str, str] = {}
+        tasks, waiting = orders.tasks, orders.waiting
+        guided = {*tasks, *waiting}
         for name in scene.starts:
+            if name in guided:
+                continue
             distance = math.dist(homes[name][:2], scene.vehicles[name].pose[:2])
             if distance <= self.config.paths.arrival_distance:
                 waiting[name] = 'home'
         arrived = list(waiting)
         for name in scene.starts:
-            if name in arrived:
+            if name in arrived or name in guided:
                 continue
-            goal = scene.nearest_passable(homes[name])
+            goal = scene.nearest_passable(name, homes[name])
             task = None
             if goal is not None and (scene.reach[name][goal] or scene.allow_tight(name)):
                 home = (homes[name].x, homes[name].y)
@@ -332,4 +373,4 @@ class Planner:
                 tasks[name] = task
         status = ExplorationStatus.RETURNING if tasks else ExplorationStatus.RETURNED
         reason = 'on the way home' if tasks else 'home'
-        return self._conclude(scene, status, reason, frontiers, tasks, waiting)
+        return self._conclude(scene, status, reason, frontiers, orders)

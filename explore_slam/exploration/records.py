@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from explore_slam.data import Plan
+from explore_slam.data import Plan, VehicleBody
 from explore_slam.geometry import Array, Pose2
 
 Cell = tuple[int, int]
@@ -62,11 +62,17 @@ class PlanningMode(Enum):
 
 
 class VehicleSnapshot(NamedTuple):
-    """One vehicle at planning time: pose in the map, whether it accepts plans, its home."""
+    """One vehicle at planning time.
+
+    active: whether it accepts plans. home: where it started.
+    goal: where it is sent before it explores, with right of way over those that explore.
+    """
 
     pose: Pose2
     active: bool = True
     home: Pose2 | None = None
+    body: VehicleBody = VehicleBody()
+    goal: Pose2 | None = None
 
 
 @dataclass(frozen=True)
@@ -100,6 +106,7 @@ class PlanningResult:
     costs (V, F): travel cost (m) of each vehicle, in the order of `vehicles`, to each frontier.
     searched: False if frontiers could not be searched, see reason.
     unreachable: number of frontiers that are left, but given up or out of reach.
+    refused: vehicles whose goal cannot be reached.
     """
 
     status: ExplorationStatus
@@ -111,3 +118,4 @@ class PlanningResult:
     costs: Array = field(default_factory=lambda: np.empty((0, 0)))
     searched: bool = True
     unreachable: int = 0
+    refused: tuple[str, ...] = ()

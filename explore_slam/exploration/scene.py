@@ -6,7 +6,13 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from explore_slam.exploration.clearance import CostMap, make_cost_map, tight_factor
+from explore_slam.data import VehicleBody
+from explore_slam.exploration.clearance import (
+    CostMap,
+    make_cost_map,
+    paths_of,
+    tight_factor,
+)
 from explore_slam.exploration.config import ExplorationConfig
 from explore_slam.exploration.paths import search_path, shortcut
 from explore_slam.exploration.records import Cell, Frontier, Grid, Point, VehicleSnapshot
@@ -17,8 +23,9 @@ from explore_slam.exploration.regions import (
     set_disc,
 )
 from explore_slam.exploration.routes import Field, RouteGrid, block_size
+from explore_slam.exploration.sections import PathConfig
 from explore_slam.exploration.strategies import STRATEGIES
-from explore_slam.exploration.traffic import Traveler
+from explore_slam.exploration.traffic import Traveler, separation
 from explore_slam.exploration.value_iteration import Costs, padded_costs, spread
 from explore_slam.geometry import Array, Pose2
 from explore_slam.polyline import arc_lengths, points_at, sample
@@ -35,7 +42,7 @@ class Scene:
     """The map at one time: costs of travel, and what each vehicle can reach.
 
     vehicles: those that take part; the others are obstacles.
-    costs: of all cells.
+    costs: of all cells, for the narrowest vehicle. What a cell costs others: cost_of.
     starts: cell from which each vehicle starts; a vehicle without one cannot move.
     reach: cells (H, W) that each vehicle can get to.
     tight: vehicles that may use tight passages because they are trapped otherwise.
@@ -58,60 +65,94 @@ class Scene:
         self.grid, self.now, self.config = grid, now, config
         self.vehicles = {n: v for n, v in vehicles.items() if v.active and v.pose.is_finite()}
         self._probability_costs = STRATEGIES[config.strategy].probability_costs
-        self.costs: CostMap = make_cost_map(
-            grid, config.paths, probability_costs=self._probability_costs
-        )
-        both = (self.costs.cost, self.costs.tight_cost)
-        for name, vehicle in vehicles.items():
-            if name not in self.vehicles and vehicle.pose.is_finite():
-                for cost in both:
-                    self._block_disc(cost, vehicle.pose, 2.0 * config.paths.planning_radius)
         self._trails = trails or {}
         self._keep_out = list(keep_out)
-        for trail in self._trails.values():
-            self._open_trail(trail, self.costs.free, both)
-        self._block_keep_out_zones(both)
+        self._bodies = {name: vehicle.body for name, vehicle in vehicles.items()}
+        self._others = {
+            name: vehicle
+            for name, vehicle in vehicles.items()
+            if name not in self.vehicles and vehicle.pose.is_finite()
+        }
+        self._maps: dict[float, CostMap] = {}  # by the radius of a body
+        narrowest = min(self._bodies.values(), default=VehicleBody())
+        self.costs: CostMap = self._map_for(narrowest)
+        # the same in all cycles, so that costs between blocks can be kept
+        self._route_radius = self._paths(narrowest).planning_radius
         self.starts: dict[str, Cell] = {}
         self.reach: dict[str, NDArray[np.bool_]] = {}
         self.tight: set[str] = set()
-        self._routes: RouteGrid | None = None
+        self._routes: dict[float, RouteGrid] = {}
         self._fields: dict[str, Field] = {}
-        self._padded: dict[bool, Costs] = {}
+        self._padded: dict[tuple[float, bool], Costs] = {}
         for name in sorted(self.vehicles):
             self._place(name)
 
     # -- what is passable ------------------------------------------------------------------------
 
+    def _paths(self, body: VehicleBody) -> PathConfig:
+        return paths_of(self.config.paths, body)
+
+    def _map_for(self, body: VehicleBody) -> CostMap:
+        """Return the costs for a body, with all that a vehicle of this size must respect."""
+        found = self._maps.get(body.radius)
+        if found is not None:
+            return found
+        paths = self._paths(body)
+        made = make_cost_map(self.grid, paths, probability_costs=self._probability_costs)
+        both = (made.cost, made.tight_cost)
+        for other in self._others.values():
+            theirs = self._paths(other.body).planning_radius
+            for cost in both:
+                self._block_disc(cost, other.pose, theirs + paths.planning_radius)
+        for name, trail in self._trails.items():
+            if self._bodies.get(name, body).radius >= body.radius:  # else it may not fit there
+                self._open_trail(trail, made, made.free, both, paths.planning_radius)
+        self._block_keep_out_zones(both)
+        self._maps[body.radius] = made
+        return made
+
+    def _map_of(self, name: str) -> CostMap:
+        return self._map_for(self._bodies[name])
+
     def _place(self, name: str) -> None:
         """Find the start cell of a vehicle, and all that it can reach from there."""
         pose = self.vehicles[name].pose
-        cell = self.nearest_passable(pose)
+        cell = self.nearest_passable(name, pose)
         if cell is None:
-            cell = self._nearest(self.costs.tight_cost, pose)
+            cell = self._nearest(self._map_of(name).tight_cost, pose)
             if cell is None:
                 return
             self.tight.add(name)
         self.starts[name] = cell
         for other, mask in self.reach.items():
-            if mask[cell] and (other in self.tight) == (name in self.tight):
+            if mask[cell] and self._key(other) == self._key(name):
                 self.reach[name] = mask
                 return
         self.reach[name] = connected_region(self.cost_of(name), cell[0], cell[1])
 
+    def _key(self, name: str) -> tuple[float, bool]:
+        """Return what the costs of a vehicle depend on: its size, and whether it is trapped."""
+        return self._bodies[name].radius, name in self.tight
+
     def _open_trail(
-        self, trail: list[Point], allowed: NDArray[np.bool_], costs: tuple[Costs, ...]
+        self,
+        trail: list[Point],
+        made: CostMap,
+        allowed: NDArray[np.bool_],
+        costs: tuple[Costs, ...],
+        planning_radius: float,
     ) -> None:
         """Make allowed cells (H, W) along a trail passable at a price: a way back."""
         if not trail:
             return
         scale = self.grid.resolution
         cells = self.grid.to_cell(sample(np.array(trail), 0.5 * scale))
-        radius = self.config.paths.planning_radius / scale
+        radius = planning_radius / scale
         distances = np.sqrt(np.arange(math.ceil(radius * radius) + 1))
         prices = tight_factor(np.minimum(distances, radius), radius)
         half = math.floor(_TRAIL_MARGIN / scale)
         for cost in costs:
-            open_around(cost, allowed, self.costs.squared, cells, half, prices)
+            open_around(cost, allowed, made.squared, cells, half, prices)
 
     def _block_keep_out_zones(self, costs: tuple[Costs, ...]) -> None:
         for place in self._keep_out:
@@ -128,51 +169,56 @@ class Scene:
         """Let a trapped vehicle use tight passages; return whether it gets any further by that."""
         if name in self.tight:
             return False
-        mask = connected_region(self.costs.tight_cost, *self.starts[name])
+        made = self._map_of(name)
+        mask = connected_region(made.tight_cost, *self.starts[name])
         if not self._leads_further(mask, name):
             # An obstacle on the trail by which the vehicle came may have gone: it drives there
             # and looks.
-            tight = (self.costs.tight_cost,)
-            self._open_trail(self._trails.get(name, []), ~self.costs.unknown, tight)
+            tight = (made.tight_cost,)
+            radius = self._paths(self._bodies[name]).planning_radius
+            self._open_trail(self._trails.get(name, []), made, ~made.unknown, tight, radius)
             self._block_keep_out_zones(tight)
-            mask = connected_region(self.costs.tight_cost, *self.starts[name])
+            mask = connected_region(made.tight_cost, *self.starts[name])
             if not self._leads_further(mask, name):
                 return False
         self.tight.add(name)
         self.reach[name] = mask
-        self._routes = None
+        self._routes.clear()
         self._fields.clear()
         return True
 
     def _leads_further(self, mask: NDArray[np.bool_], name: str) -> bool:
         """Return whether cells (H, W) hold more passable ones than a vehicle reaches now."""
-        more = np.count_nonzero(mask & np.isfinite(self.costs.cost))
+        more = np.count_nonzero(mask & np.isfinite(self._map_of(name).cost))
         return bool(more > np.count_nonzero(self.reach[name]))
 
     def cost_of(self, name: str) -> Costs:
         """Return the costs (H, W) on which a vehicle plans."""
-        return self.costs.tight_cost if name in self.tight else self.costs.cost
+        made = self._map_of(name)
+        return made.tight_cost if name in self.tight else made.cost
 
     def padded_of(self, name: str) -> Costs:
         """Return the costs of cost_of, padded for searches."""
-        tight = name in self.tight
-        if tight not in self._padded:
-            self._padded[tight] = padded_costs(self.cost_of(name), math.inf)
-        return self._padded[tight]
+        key = self._key(name)
+        if key not in self._padded:
+            self._padded[key] = padded_costs(self.cost_of(name), math.inf)
+        return self._padded[key]
 
     def reachable(self) -> NDArray[np.bool_]:
         """Return the cells (H, W) that some vehicle can get to."""
-        masks = list({id(mask): mask for mask in self.reach.values()}.values())
-        return masks[0] if len(masks) == 1 else np.logical_or.reduce(masks)
+        return _union(self.reach.values())
 
     def cell_of(self, place: Point | Pose2) -> Cell:
         """Return the cell of a point (m), which may lie outside of the grid."""
         row, col = self.grid.to_cell([(place[0], place[1])])[0].tolist()
         return int(row), int(col)
 
-    def nearest_passable(self, place: Point | Pose2) -> Cell | None:
-        """Return the passable cell nearest to a point (m) within escape_distance, or None."""
-        return self._nearest(self.costs.cost, place)
+    def nearest_passable(self, name: str, place: Point | Pose2) -> Cell | None:
+        """Return the cell nearest to a point (m) that a vehicle may enter, or None.
+
+        It lies within escape_distance.
+        """
+        return self._nearest(self._map_of(name).cost, place)
 
     def _nearest(self, cost: Costs, place: Point | Pose2) -> Cell | None:
         radius = self.config.paths.escape_distance / self.grid.resolution
@@ -181,14 +227,22 @@ class Scene:
     # -- travel costs ----------------------------------------------------------------------------
 
     def routes(self) -> RouteGrid:
-        """Return the coarse grid over all reachable cells."""
-        if self._routes is None:
+        """Return the coarse grid over all cells that some vehicle can get to."""
+        narrowest = min(self._bodies[name].radius for name in self.reach)
+        return self._routes_from(narrowest)
+
+    def _routes_from(self, radius: float) -> RouteGrid:
+        """Return the coarse grid of the vehicles whose radius (m) is this one or larger."""
+        if radius not in self._routes:
             paths, scale, (x, y) = self.config.paths, self.grid.resolution, self.grid.origin
             first = round(y / scale), round(x / scale)
-            block = block_size(paths.route_resolution, paths.planning_radius, scale)
-            cost = self.costs.tight_cost if self.tight else self.costs.cost
-            self._routes = RouteGrid(cost, self.reachable(), first, block, scale)
-        return self._routes
+            block = block_size(paths.route_resolution, self._route_radius, scale)
+            names = [name for name in self.reach if self._bodies[name].radius >= radius]
+            made = self._maps[radius]
+            cost = made.tight_cost if self.tight.intersection(names) else made.cost
+            reach = _union(self.reach[name] for name in names)
+            self._routes[radius] = RouteGrid(cost, reach, first, block, scale)
+        return self._routes[radius]
 
     def cost_to(self, name: str, cells: NDArray[np.int64]) -> Array:
         """Return the travel cost (N,) m of a vehicle to cells (N, 2); inf if unreachable."""
@@ -196,7 +250,7 @@ class Scene:
             values = self._spread(self.padded_of(name), self.starts[name])
             costs = values[cells[:, 0], cells[:, 1]].astype(np.float64)
         else:
-            routes = self.routes()
+            routes = self._routes_from(self._bodies[name].radius)
             if name not in self._fields:
                 start = np.array([self.starts[name]])
                 self._fields[name] = routes.values_from(routes.blocks(start)[0])
@@ -238,14 +292,15 @@ class Scene:
             points = np.delete(points, 1, axis=0)
         return points
 
-    def costs_around(self, name: str, standing: list[Pose2]) -> Costs | None:
+    def costs_around(self, name: str, standing: list[str]) -> Costs | None:
         """Return padded costs by which paths avoid vehicles that stand still, None without any."""
         if not standing:
             return None
         mask = np.zeros(self.costs.cost.shape, np.bool_)
-        radius = self.config.traffic.vehicle_separation / self.grid.resolution
-        for pose in standing:
-            set_disc(mask, *self.cell_of(pose), radius)
+        for other in standing:
+            radius = separation(self.config.traffic, self._bodies[name], self._bodies[other])
+            cell = self.cell_of(self.vehicles[other].pose)
+            set_disc(mask, *cell, radius / self.grid.resolution)
         padded = self.padded_of(name).copy()
         padded[1:-1, 1:-1][mask] *= np.float32(_BYPASS_FACTOR)
         return padded
@@ -268,18 +323,18 @@ class Scene:
         if start is None:
             return None, math.inf
         cost = self.cost_of(one.name).copy()
-        separation = self.config.traffic.vehicle_separation
-        for other in others:
+        apart = [separation(self.config.traffic, one.body, other.body) for other in others]
+        for other, distance in zip(others, apart, strict=True):
             gap = math.dist(other.position, one.position)
             place = (float(other.position[0]), float(other.position[1]))
-            self._block_disc(cost, place, min(separation, gap - 1.5 * self.grid.resolution))
+            self._block_disc(cost, place, min(distance, gap - 1.5 * self.grid.resolution))
         padded = padded_costs(cost, math.inf)
         if not math.isfinite(cost[start]):
             return None, math.inf
         values = self._spread(padded, start)
         swept = np.zeros(values.shape, np.bool_)
-        radius = (separation + _STOPPING_ERROR) / self.grid.resolution + 1.0
-        for other in others:
+        for other, distance in zip(others, apart, strict=True):
+            radius = (distance + _STOPPING_ERROR) / self.grid.resolution + 1.0
             cells = self.grid.to_cell(sample(other.points, _RETREAT_SPACING))
             for row, col in cells.tolist():
                 set_disc(swept, row, col, radius)
@@ -288,3 +343,9 @@ class Scene:
         if not math.isfinite(values[best]):
             return None, math.inf
         return self.path(one.name, best, padded), float(values[best])
+
+
+def _union(masks: Iterable[NDArray[np.bool_]]) -> NDArray[np.bool_]:
+    """Return where any of the masks (H, W) holds."""
+    different = list({id(mask): mask for mask in masks}.values())
+    return different[0] if len(different) == 1 else np.logical_or.reduce(different)

@@ -11,7 +11,8 @@ class PathConfig(Section):
 
     planning_radius: float = setting(
         0.3,
-        'Paths keep this distance between the vehicle center and obstacles',
+        'Paths keep this distance between obstacles and the center of a vehicle of radius 0.25 m; '
+        'for others it differs as much as their vehicle_radius',
         unit='m',
         low=0.0,
         high=5.0,
@@ -214,18 +215,11 @@ class TrafficConfig(Section):
 
     vehicle_separation: float = setting(
         0.9,
-        'Distance kept between the centers of two vehicles',
+        'Distance kept between the centers of two vehicles of radius 0.25 m; it grows and shrinks '
+        'with their vehicle_radius',
         unit='m',
         low=0.0,
         high=10.0,
-        tier='basic',
-    )
-    nominal_speed: float = setting(
-        0.4,
-        'Speed at which vehicles are expected to follow their paths',
-        unit='m/s',
-        low=0.01,
-        high=5.0,
         tier='basic',
     )
     traffic_margin: float = setting(

@@ -1,7 +1,7 @@
 """The task of a vehicle, and the plan that its right of way allows."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -45,6 +45,19 @@ class Task:
         sent = None if self.right is Right.GO else self.sent
         progress = self.progress.restart()
         return Task(target, path, look_at, progress, sent, self.right, self.switches)
+
+
+@dataclass
+class Orders:
+    """What the vehicles are to do in one planning cycle, by name.
+
+    tasks: of those that drive. waiting: why others do not. refused: those whose goal cannot be
+    reached.
+    """
+
+    tasks: dict[str, Task] = field(default_factory=dict)
+    waiting: dict[str, str] = field(default_factory=dict)
+    refused: list[str] = field(default_factory=list)
 
 
 def plan_for(

@@ -7,13 +7,14 @@ retreating is easier for the other one, the two change places in the order and s
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Protocol
 
 import numpy as np
 
 from explore_slam.compiled import kernel
+from explore_slam.data import VehicleBody
 from explore_slam.exploration.sections import TrafficConfig
 from explore_slam.geometry import Array
 from explore_slam.polyline import arc_lengths, points_at
@@ -52,11 +53,16 @@ class Grant:
 
 @dataclass
 class Traveler:
-    """One vehicle in traffic: its position (2,) m and the path (W, 2) m ahead, None if idle."""
+    """One vehicle in traffic: its position (2,) m and the path (W, 2) m ahead, None if idle.
+
+    urgent: has right of way over all that are not.
+    """
 
     name: str
     position: Array
     path: Array | None
+    body: VehicleBody = field(default_factory=VehicleBody)
+    urgent: bool = False
 
     def __post_init__(self) -> None:
         self.points = self.position[None] if self.path is None else self.path
@@ -68,6 +74,11 @@ class Terrain(Protocol):
 
     def retreat(self, one: Traveler, others: list[Traveler]) -> tuple[Array | None, float]:
         """Return the path (W, 2) m to the nearest place off the paths of others, and its cost."""
+
+
+def separation(config: TrafficConfig, one: VehicleBody, other: VehicleBody) -> float:
+    """Return the distance (m) kept between the centers of two vehicles."""
+    return max(config.vehicle_separation + one.wider + other.wider, 0.0)
 
 
 class Traffic:
@@ -84,14 +95,19 @@ class Traffic:
         """Return the right of way of every vehicle."""
         self.order = [n for n in self.order if n in travelers]
         self.order += [n for n in sorted(travelers) if n not in self.order]
+        urgent = {name for name, one in travelers.items() if one.urgent}
         for attempt in range(len(travelers) + 1):
-            order = sorted(self.order, key=lambda n: travelers[n].path is None)
+            order = sorted(
+                self.order,
+                key=lambda name: (travelers[name].path is None, name not in urgent),
+            )
             now = dict(travelers)
             may_exchange = attempt < len(travelers)
             grants, exchange = self._try(order, now, terrain, may_exchange=may_exchange)
             if exchange is None:
                 break
             demoted, promoted = exchange
+            urgent.discard(demoted)
             self.order.remove(demoted)
             self.order.insert(self.order.index(promoted) + 1, demoted)
         self._wait_for_others(order, now, grants)
@@ -115,25 +131,27 @@ class Traffic:
                 if may_exchange and other.path is not None and now[name].path is not None:
                     _, other_cost = terrain.retreat(other, [now[name]])
                     parks = self._parks_on(now[name], other) and math.isfinite(cost)
-                    if other_cost + _RETREAT_ADVANTAGE < cost and not parks:
+                    # an urgent vehicle gives way only to one that cannot
+                    kept = other.urgent and not now[name].urgent and math.isfinite(cost)
+                    if other_cost + _RETREAT_ADVANTAGE < cost and not (parks or kept):
                         return grants, (other.name, name)
                 if path is None:
                     grant = Grant(Right.STOP, 0.0, other.name)
                 else:
                     grant.retreat = path
-                    now[name] = Traveler(name, now[name].position, path)
+                    now[name] = replace(now[name], path=path)
             grants[name] = grant
         return grants, None
 
     def _parks_on(self, one: Traveler, other: Traveler) -> bool:
         """Return whether the goal of one lies on the path of the other, and would block it."""
         gap = _gaps(one.points[-1:], self._dense(other))[0]
-        return bool(gap < self.config.vehicle_separation)
+        return bool(gap < separation(self.config, one.body, other.body))
 
     def threshold(self, one: Traveler, other: Traveler) -> float:
         """Return the allowed distance (m) of two: the separation, or less if they are nearer."""
         present = math.dist(one.position, other.position)
-        return min(self.config.vehicle_separation, _CLOSER * present)
+        return min(separation(self.config, one.body, other.body), _CLOSER * present)
 
     def _yield_to(self, one: Traveler, other: Traveler, granted: Grant, so_far: Grant) -> Grant:
         """Return the right of one vehicle, restricted by another one of higher priority."""
@@ -152,17 +170,17 @@ class Traffic:
             return Grant(Right.STOP, limit, other.name)
         return so_far
 
-    def _reach(self) -> float:
-        """Return the distance (m) driven within the horizon."""
-        return self.config.traffic_horizon * self.config.nominal_speed
+    def _reach(self, one: Traveler) -> float:
+        """Return the distance (m) that a vehicle drives within the horizon."""
+        return self.config.traffic_horizon * one.body.speed
 
     def _distances(self, one: Traveler) -> Array:
         """Return distances (N,) m along a path within the horizon, from 0 at equal spacing."""
-        return np.arange(0.0, min(one.lengths[-1], self._reach()) + _ROUNDING, _SPACING)
+        return np.arange(0.0, min(one.lengths[-1], self._reach(one)) + _ROUNDING, _SPACING)
 
     def _dense(self, traveler: Traveler, limit: float = math.inf) -> Array:
         """Return the path ahead within the horizon as points (N, 2) m at equal spacing."""
-        end = min(traveler.lengths[-1], self._reach(), limit)
+        end = min(traveler.lengths[-1], self._reach(traveler), limit)
         at = np.append(np.arange(0.0, end, _SPACING), end)
         return points_at(traveler.points, traveler.lengths, at)
 
@@ -170,10 +188,10 @@ class Traffic:
         """Return positions (T, 2) m at time steps; NaN after the vehicle has left its goal."""
         times = np.arange(0.0, self.config.traffic_horizon + _ROUNDING, _TIME_STEP)
         end = min(traveler.lengths[-1], limit)
-        at = np.minimum(times * self.config.nominal_speed, end)
+        at = np.minimum(times * traveler.body.speed, end)
         positions = points_at(traveler.points, traveler.lengths, at)
         if traveler.path is not None and limit >= traveler.lengths[-1]:
-            positions[times > end / self.config.nominal_speed + _GOAL_TIME] = np.nan
+            positions[times > end / traveler.body.speed + _GOAL_TIME] = np.nan
         return positions
 
     def _in_conflict(self, one: Traveler, other: Traveler, granted: Grant) -> bool:

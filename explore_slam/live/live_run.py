@@ -18,6 +18,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from explore_slam.errors import ConfigError, ExploreSlamError
+from explore_slam.exploration import paths_of
 from explore_slam.files import write_text
 from explore_slam.geometry import Pose2
 from explore_slam.live.processes import (
@@ -33,7 +34,7 @@ from explore_slam.nodes.agent_parameters import AgentNodeConfig
 from explore_slam.results.reachable_area import ReachableArea
 from explore_slam.results.run_data import RunData, RunRecorder
 from explore_slam.results.run_folder import RunFolder
-from explore_slam.settings import load_settings, save_settings, with_values
+from explore_slam.settings import load_settings, save_settings, values_of, with_values
 from explore_slam.simulation import load_world, world_path
 from explore_slam.slam import OdometryCalibration
 
@@ -74,7 +75,8 @@ class LiveRun:
         self.world = load_world(world_path(options.world))
         self.starts = self._starts()
         self.config = self._config()
-        radius = self.config.agent.exploration.paths.planning_radius
+        paths = self.config.agent.exploration.paths
+        radius = paths_of(paths, self.config.team.body.record).planning_radius
         path = world_path(options.world)
         self.area = ReachableArea.of_file(path, self.starts.values(), radius)
         title = f'Live exploration of {self.world.name}, {options.vehicles} vehicles'
@@ -146,7 +148,7 @@ class LiveRun:
 
     def _driver(self, name: str) -> list[NodeProcess]:
         """Return the processes of one vehicle."""
-        follower = _parameters(None, SIM_TIME, name)
+        follower = _parameters(None, {**SIM_TIME, **values_of(self.config.team.body)}, name)
         nodes = [NodeProcess(f'{name}_follower', FOLLOWER, follower)]
         if self.options.vision == 'vehicle':
             vision_file = self.folder.path / 'vision.yaml'
@@ -193,7 +195,7 @@ class LiveRun:
     def _monitor(self) -> Iterator[RunMonitor]:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         try:
-            self.monitor = RunMonitor(self.starts, self.recorder, self.area)
+            self.monitor = RunMonitor(self.starts, self.recorder, self.area, self.config.map_frame)
             yield self.monitor
             self.monitor.destroy_node()
         finally:
@@ -268,6 +270,12 @@ class LiveRun:
             probability = np.where(cells >= 0, cells / 100.0, 0.5)
             grid = OccupancyGrid.from_probability(probability, cells >= 0, origin, config)
         extra = self._extra(state)
+        left_out = extra['area_left_out']
+        if left_out > 0.0:
+            self.recorder.add_note(
+                f'The operator has left out {left_out:.1f} m² of the reachable area; the explored '
+                'part is that of the rest.'
+            )
         data = self.recorder.finish(
             state.trajectories,
             calibrations={
@@ -290,11 +298,13 @@ class LiveRun:
             name: int(self._values(f'simulator: {name}')[1].get('collisions', 0))
             for name in self.starts
         }
+        left_out = 0.0 if self.monitor is None else self.monitor.area_left_out
         health = {name: self._values(f'agent: vehicle {name}')[1] for name in self.starts}
         return {
             'status': self._last_status or state.status or 'not started',
             'complete': self.complete,
             'duration': state.stamp,
+            'area_left_out': left_out,
             'real_time_factor': float(clock.get('real_time_factor', 'nan')),
             'collisions': collisions,
             'agent': {name: float(agent[name]) for name in AGENT_METRICS if name in agent},

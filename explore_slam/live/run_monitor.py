@@ -1,13 +1,15 @@
 """Monitors a live run over its topics, for the run folder and the terminal."""
 
+import contextlib
 import math
 from collections import deque
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseWithCovarianceStamped
+from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid, Odometry, Path
 from numpy.typing import NDArray
 from rclpy.node import Node
@@ -16,6 +18,8 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from explore_slam.agent import OperatorAreas
+from explore_slam.errors import ExploreSlamError
 from explore_slam.geometry import Array, Pose2
 from explore_slam.messages import (
     cloud_columns,
@@ -33,7 +37,8 @@ from explore_slam.messages.topics import (
     VehicleTopic,
     vehicle_topic,
 )
-from explore_slam.nodes.endpoints import relative_name, subscribe
+from explore_slam.nodes.agent_inputs import operator_polygon
+from explore_slam.nodes.endpoints import relative_name, subscribe, subscribe_latched_or_not
 from explore_slam.results.reachable_area import ReachableArea
 from explore_slam.results.run_data import RunRecorder
 
@@ -80,18 +85,27 @@ class RunMonitor(Node):
     """Subscribes to agent and simulator; keeps the current state and records the whole run."""
 
     def __init__(
-        self, starts: dict[str, Pose2], recorder: RunRecorder, area: ReachableArea
+        self,
+        starts: dict[str, Pose2],
+        recorder: RunRecorder,
+        area: ReachableArea,
+        map_frame: str = 'map',
     ) -> None:
         super().__init__('run_monitor')
         self.state = RunState()
         self.recorder = recorder
-        self._area = area
+        self._reachable = area
+        self._area = area  # without what the operator has left out
+        self._operator = OperatorAreas()
+        self._map_frame = map_frame
         self._vehicles = list(starts)
         subscribe(self, GlobalTopic.CLOCK, self._on_clock)
         subscribe(self, TeamTopic.MAP_PROBABILITY, self._on_map)
         subscribe(self, TeamTopic.MAP_LANDMARKS, self._on_landmarks)
         subscribe(self, TeamTopic.STATUS, self._on_status)
         subscribe(self, GlobalTopic.DIAGNOSTICS, self._on_diagnostics, qos=COMPLETE)
+        for topic in (TeamTopic.AREA, TeamTopic.KEEP_OUT):
+            subscribe_latched_or_not(self, topic, partial(self._on_polygon, topic))
         for vehicle in starts:
             self._follow(vehicle)
         self._save_map = self.create_client(Trigger, 'save_map')
@@ -135,6 +149,20 @@ class RunMonitor(Node):
         self.state.grid = (cells.copy(), resolution, origin)
         self.state.coverage = self._area.explored_fraction(cells >= 0, resolution, origin)
         self.recorder.add_coverage(seconds(message.header.stamp), self.state.coverage)
+
+    def _on_polygon(self, topic: TeamTopic, message: PolygonStamped) -> None:
+        """Take an area as the agent does, which logs those that are refused."""
+        change = self._operator.set_area
+        if topic is TeamTopic.KEEP_OUT:
+            change = self._operator.add_keep_out
+        with contextlib.suppress(ExploreSlamError):
+            change(operator_polygon(message, self._map_frame))
+        self._area = self._reachable.without(self._operator)
+
+    @property
+    def area_left_out(self) -> float:
+        """Reachable area (m²) that the operator has left out."""
+        return self._reachable.area - self._area.area
 
     def _on_landmarks(self, message: PointCloud2) -> None:
         columns = cloud_columns(message)

@@ -1,4 +1,4 @@
-"""What differs from vehicle to vehicle: sensors, mounts, frames, clocks.
+"""What differs from vehicle to vehicle: sensors, mounts, size, speed, frames, clocks.
 
 Every setting has a value for the team, and a vehicle may have another one: `vision` is the team's,
 `robot2.vision` that of robot2.
@@ -9,10 +9,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from explore_slam.body import BodyConfig
 from explore_slam.errors import ConfigError
 from explore_slam.geometry import Pose2, Pose3, quaternion_from_rotation, rotation_matrix
 from explore_slam.messages.base import OPTICAL
-from explore_slam.settings import Section, setting, unknown_name, values_of, with_values
+from explore_slam.settings import Section, section, setting, unknown_name, values_of, with_values
 
 _UNSET = (math.nan,)
 
@@ -35,6 +36,7 @@ class VehicleConfig(Section):
         '<vehicle>/navigate_to_pose',
         tier='basic',
     )
+    body: BodyConfig = section(BodyConfig)
     laser_mount: tuple[float, ...] = setting(
         _UNSET,
         'Pose x (m), y (m), yaw (rad) of the laser in the vehicle frame, where /tf_static does '

@@ -1,78 +1,33 @@
-"""Node `agent`: the adapter between topics, services, parameters and the Agent.
-
-Callbacks convert and enqueue; one worker thread owns the agent and does everything slow.
-"""
+"""Node `agent`: the life cycle and the parameters of the central agent on topics."""
 
 import logging
 import sys
-import threading
-import time
-from functools import partial
-from pathlib import Path
 from typing import Any
 
-import numpy as np
-from nav_msgs.srv import GetMap
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.task import Future
-from std_msgs.msg import Bool
-from std_srvs.srv import SetBool, Trigger
 
-from explore_slam.agent import Agent, AgentConfig, TeamPlanner, explicit_mounts, warm_up
-from explore_slam.data import FollowerReport
-from explore_slam.errors import DataError, ExploreSlamError
-from explore_slam.geometry import Pose2
-from explore_slam.messages.frame_pairing import FRAME
-from explore_slam.messages.sensor_mounts import SensorMounts
-from explore_slam.messages.topics import (
-    GlobalTopic,
-    TeamTopic,
-    Topic,
-    TopicKind,
-    VehicleTopic,
-)
+from explore_slam.agent import AgentConfig, warm_up
 from explore_slam.messages.vehicle_settings import VehicleConfig
-from explore_slam.nodes.agent_inputs import (
-    LIMITS,
-    OperatorPose,
-    VehicleInputs,
-    operator_polygon,
-)
-from explore_slam.nodes.agent_outputs import AgentOutputs
 from explore_slam.nodes.agent_parameters import AgentNodeConfig
-from explore_slam.nodes.agent_statistics import AgentStatistics
+from explore_slam.nodes.agent_session import AgentSession
 from explore_slam.nodes.driver_parameters import DriverNodeConfig
-from explore_slam.nodes.endpoints import publisher, subscribe, subscribe_latched_or_not
-from explore_slam.nodes.heartbeat import Heartbeat
-from explore_slam.nodes.inbox import Inbox, Item
-from explore_slam.nodes.map_outputs import map_message
+from explore_slam.nodes.managed_node import ManagedNode
 from explore_slam.nodes.node_support import (
-    REPORT_PERIOD,
-    SILENCE,
     RosLogHandler,
     changed_settings,
     declare_settings,
     declare_vehicle_settings,
-    diagnostics_message,
-    now_seconds,
     run_node,
     warn_of_unknown_parameters,
 )
-from explore_slam.nodes.plan_outputs import PlanOutputs
-from explore_slam.nodes.transform_listener import TransformListener
 from explore_slam.settings import values_of
 from explore_slam.vehicle import PathFollowerConfig
 
-POLL_PERIOD = 0.05  # s that the worker waits for an item before it does periodic work
-_RELEASE_PERIOD = 0.2  # s between looks at messages that wait for transforms
-# parameters that other nodes rely on, or that the agent is built from: fixed after the start
-FIXED = {
-    'vehicles', 'start_poses', 'seed', 'frame_queue', 'map_frame', 'run_directory',
-    *values_of(VehicleConfig()),
-}  # fmt: skip
+# parameters that other nodes rely on, or that the node is built from: fixed after the start
+FIXED = {'vehicles', *values_of(VehicleConfig())}
+# parameters that the agent is built from when it is configured
+AT_CONFIGURATION = {'start_poses', 'seed', 'frame_queue', 'map_frame', 'run_directory'}
 _DEFAULTS = AgentConfig()
 # parameters of what is built anew at a reset
 AT_RESET = {
@@ -82,11 +37,12 @@ AT_RESET = {
 _NOTES = {
     **dict.fromkeys(AT_RESET, 'takes effect at the next reset'),
     **dict.fromkeys(FIXED, 'set at start only'),
+    **dict.fromkeys(AT_CONFIGURATION, 'set before the node is configured only'),
 }
 
 
-class AgentNode(Node):
-    """The central agent on topics."""
+class AgentNode(ManagedNode):
+    """The central agent as a managed node. Inactive, it keeps its state and stops the vehicles."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('agent', **options)
@@ -100,359 +56,53 @@ class AgentNode(Node):
         warn_of_unknown_parameters(
             self, {**values_of(DriverNodeConfig()), **values_of(PathFollowerConfig())}
         )
-        warm_up(self.get_logger().info)
-        self.agent = Agent(self.config.agent, self.config.poses(), self.config.seed)
-        self.planner = TeamPlanner(self.agent)
-        self.planner.pause(not self.config.explore)
-        self.inbox = Inbox({**LIMITS, FRAME.name: self.config.frame_queue})
-        self.outputs = AgentOutputs(self, self.config)
-        navigators = {name: one.navigator for name, one in self.vehicle_configs.items()}
-        self.plans = PlanOutputs(self, navigators, self.config.map_frame, self._on_navigator)
-        self.statistics = AgentStatistics()
-        self.outputs.status('exploration_started' if self.config.explore else 'exploration_paused')
-        self._transforms = TransformListener(self, self.config.vehicles)
-        self._inputs = self._listen()
-        self._offer_services()
-        self._diagnostics = publisher(self, GlobalTopic.DIAGNOSTICS)
-        self._heartbeat = Heartbeat(self, self.config.vehicles)
-        self._due = dict.fromkeys(('plan', 'map', 'map update', 'landmarks'), -np.inf)
-        self._posed = dict.fromkeys(self.config.vehicles, -np.inf)
-        self._reported = time.monotonic()
-        self._clocks_explained: set[str] = set()
-        self._silence_timer = self.create_timer(
-            SILENCE, self._explain_silence, clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
-        self.create_timer(
-            _RELEASE_PERIOD, self._release_held, clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
+        self.session: AgentSession | None = None
         self.add_on_set_parameters_callback(self._on_parameters)
-        self._worker = threading.Thread(target=self._work, name='agent', daemon=True)
-        self._worker.start()
+        self.start(self.config.lifecycle.autostart)
 
-    # -- wiring ----------------------------------------------------------------------------------
+    def configure(self) -> None:
+        """Build filter, map and planner; offer topics and services."""
+        warm_up(self.get_logger().info)
+        self.session = AgentSession(self, self.config, self.vehicle_configs)
 
-    def _listen(self) -> dict[str, VehicleInputs]:
-        subscribe(self, TeamTopic.RESUME, self._on_resume)
-        subscribe(
-            self,
-            GlobalTopic.SELECTED_INITIAL_POSE,
-            lambda message: self._for_selected(TopicKind.INITIAL_POSE, message),
-        )
-        subscribe(
-            self,
-            GlobalTopic.SELECTED_GOAL_POSE,
-            lambda message: self._for_selected(VehicleTopic.GOAL_POSE, message),
-        )
-        for topic in (TeamTopic.AREA, TeamTopic.KEEP_OUT):
-            subscribe_latched_or_not(self, topic, partial(self._on_polygon, topic))
-        names = list(self.config.vehicles)
-        given = explicit_mounts(self.config.agent)
-        mounts = {
-            name: SensorMounts(name, self._transforms.trees[name], config, *given)
-            for name, config in self.vehicle_configs.items()
-        }
-        return {
-            name: VehicleInputs(
-                self,
-                mounts[name],
-                names,
-                self.inbox,
-                sink=self.agent,
-                set_pose=self._place,
-                set_goal=self._send_to_goal,
-                transforms=self._transforms,
-                map_frame=self.config.map_frame,
-            )
-            for name in names
-        }
+    def activate(self) -> None:
+        """Listen to the vehicles and to the operator, plan and publish."""
+        assert self.session is not None
+        self.session.activate()
 
-    def _for_selected(self, topic: Topic, message: Any) -> None:
-        """Pass what the operator sends without a namespace to the selected vehicle."""
-        vehicle = self.config.selected
-        if vehicle is None:
-            self.get_logger().warning(
-                f'/{topic.value} is ignored: set the parameter selected_vehicle to one of '
-                f'{list(self.config.vehicles)}'
-            )
-        else:
-            self._inputs[vehicle].take(topic, message)
+    def deactivate(self) -> None:
+        """Stop the vehicles; the state is kept."""
+        assert self.session is not None
+        self.session.deactivate()
 
-    def _send_to_goal(self, item: tuple[str, Pose2]) -> None:
-        self.planner.set_goal(*item)
-        self._due['plan'] = -np.inf
+    def clean_up(self) -> None:
+        """Forget filter, map and planner."""
+        assert self.session is not None
+        self.session.close()
+        self.session = None
 
-    def _on_polygon(self, topic: TeamTopic, message: Any) -> None:
-        """Take an area to explore or a keep-out area."""
-        try:
-            corners = operator_polygon(message, self.config.map_frame)
-        except DataError as error:
-            self.get_logger().warning(f'{topic.value}: {error}; message omitted')
-            return
-
-        def take(_: Any) -> None:
-            areas = self.planner.areas
-            change = areas.set_area if topic is TeamTopic.AREA else areas.add_keep_out
-            change(corners)
-            self._due['plan'] = -np.inf  # no vehicle drives on into it
-            left_out = areas.area_left_out(self.agent.grid)
-            self.get_logger().info(f'{topic.value}: {left_out:.1f} m² of the map are left out')
-
-        self.inbox.put('request', topic.value, take, None)
-
-    def _place(self, item: tuple[str, OperatorPose]) -> None:
-        vehicle, given = item
-        self.agent.set_pose(vehicle, given.pose, given.covariance)
-
-    def _offer_services(self) -> None:
-        directory = Path(self.config.run_directory)
-
-        def save_map() -> str:
-            return f'map written to {self.agent.save_map(directory / "map")}'
-
-        def save_state() -> str:
-            return f'state written to {self.agent.save_state(directory / "state.npz")}'
-
-        def load_state() -> str:
-            path = directory / 'state.npz'
-            self.agent.load_state(path)
-            return f'state read from {path}'
-
-        def reset() -> str:
-            self.agent.reset()
-            self.planner.reset()
-            return 'filter, map and targets are cleared; the vehicles are at their start poses'
-
-        def return_home() -> str:
-            self.planner.return_home()
-            return 'the vehicles return to their start poses'
-
-        for action in (save_map, save_state, load_state, reset, return_home):
-            self.create_service(Trigger, action.__name__, self._answer_with(action))
-        self.create_service(SetBool, 'pause_new_measurements', self._on_pause)
-        self.create_service(GetMap, 'get_map', self._on_get_map)
-
-    def _answer_with(self, action: Any) -> Any:
-        async def answer(_request: Any, response: Any) -> Any:
-            response.success, response.message = await self._ask(action)
-            return response
-
-        return answer
-
-    async def _on_pause(self, request: Any, response: Any) -> Any:
-        def pause() -> str:
-            self.agent.paused = bool(request.data)
-            return 'new measurements are ' + ('ignored' if request.data else 'used again')
-
-        response.success, response.message = await self._ask(pause)
-        return response
-
-    async def _on_get_map(self, _request: Any, response: Any) -> Any:
-        def read() -> str:
-            now, frame = now_seconds(self), self.config.map_frame
-            response.map = map_message(now, frame, self.agent.grid)
-            return ''
-
-        await self._ask(read)
-        return response
-
-    def _ask(self, action: Any) -> Future:
-        """Have the worker run an action; the future holds (success, message)."""
-        future = Future(executor=self.executor)
-
-        def run(_: Any) -> None:
-            try:
-                future.set_result((True, action()))
-            except ExploreSlamError as error:
-                self.get_logger().error(f'{action.__name__}: {error}')
-                future.set_result((False, str(error)))
-
-        self.inbox.put('request', action.__name__, run, None)
-        return future
-
-    def _on_navigator(self, vehicle: str, report: FollowerReport) -> None:
-        now = now_seconds(self)
-
-        def take(_: Any) -> None:
-            self.planner.report_follower(vehicle, report, now)
-
-        self.inbox.put('navigator', vehicle, take, None)
-
-    def _on_resume(self, message: Bool) -> None:
-        resume = bool(message.data)
-        self.inbox.put('request', 'resume', lambda _: self.planner.pause(not resume), None)
+    def stop(self) -> None:
+        """Stop the vehicles and end the worker, in whatever state the node is."""
+        super().stop()
+        logging.getLogger('explore_slam').removeHandler(self._log_handler)
 
     def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         """Check and apply; planning and publishing change at once, filter and grid at a reset."""
-        fixed = [p.name for p in parameters if p.name in FIXED or '.' in p.name]
+        fixed = [item.name for item in parameters if item.name in FIXED or '.' in item.name]
+        built = [item.name for item in parameters if item.name in AT_CONFIGURATION]
         if fixed:
             reason = f'{", ".join(fixed)}: set at start only'
             return SetParametersResult(successful=False, reason=reason)
-        config, result = changed_settings(self.config, parameters)
-        if result.successful:
-
-            def apply(_: Any) -> None:
-                self.config = config
-                self.outputs.configure(config)
-                self.agent.configure(config.agent)
-                self.planner.configure(config.agent.exploration)
-
-            self.inbox.put('request', 'parameters', apply, None)
+        if built and self.session is not None:
+            reason = f'{", ".join(built)}: set at start, or while the node is unconfigured'
+            return SetParametersResult(successful=False, reason=reason)
+        self.config, result = changed_settings(self.config, parameters)
+        if result.successful and self.session is not None:
+            self.session.configure(self.config)
             late = sorted(item.name for item in parameters if item.name in AT_RESET)
             if late:  # rclpy drops the reason of a success: the log has it
                 self.get_logger().info(f'{", ".join(late)}: takes effect at the next reset')
         return result
-
-    # -- the worker ------------------------------------------------------------------------------
-
-    def _work(self) -> None:
-        while not self.inbox.closed:
-            item = self.inbox.get(timeout=POLL_PERIOD)
-            try:
-                if item is not None:
-                    with self.statistics.timed(item.kind):
-                        item.take(item.payload)
-                self._publish_keyframes(item)
-                self._publish_newer_poses(item is None)
-                self._run_periodic_work()
-                self._publish_diagnostics()
-            except ExploreSlamError as error:
-                source = item.source if item is not None else 'agent'
-                if item is not None and item.kind not in LIMITS:  # of the operator, who waits
-                    self.get_logger().warning(f'{source}: {error}')
-                else:
-                    self.get_logger().warning(f'{source}: {error}', throttle_duration_sec=2.0)
-            except Exception as error:
-                if not self.inbox.closed:
-                    self.get_logger().error(f'{type(error).__name__}: {error}')
-                    raise
-
-    def _publish_keyframes(self, item: Item | None) -> None:
-        now = now_seconds(self)
-        received = item.received if item is not None and item.kind == FRAME.name else None
-        for event in self.agent.take_events():
-            self._publish_pose(event.vehicle)
-            if self.agent.is_in_map(event.vehicle):
-                self.outputs.particles(
-                    event.vehicle, event.stamp, self.agent.belief.particle_poses(event.vehicle)
-                )
-            self.statistics.add_keyframe(event, now, received)
-
-    def _publish_newer_poses(self, idle: bool) -> None:
-        """Publish each pose that is pose_period of odometry newer, or any newer one when idle.
-
-        Time is measured by odometry stamps: a simulator that waits for poses holds the clock.
-        """
-        period = 0.0 if idle else self.config.pose_period
-        for vehicle, track in self.agent.tracks.items():
-            elapsed = track.odometry.last - self._posed[vehicle]
-            if elapsed > period or elapsed < 0.0:  # negative: the clock jumped back
-                self._publish_pose(vehicle)
-
-    def _publish_pose(self, vehicle: str) -> None:
-        track = self.agent.tracks[vehicle]
-        stamp = track.odometry.last
-        if not np.isfinite(stamp) or not self.agent.is_in_map(vehicle):
-            return
-        self._posed[vehicle] = stamp
-        pose, covariance = self.agent.estimate(vehicle)
-        self.outputs.pose(vehicle, stamp, pose, covariance)
-        odom_frame = self._inputs[vehicle].mounts.odom
-        self.outputs.transform(vehicle, stamp, pose, track.odometry.reading, odom_frame)
-
-    def _is_due(self, what: str, period: float, now: float) -> bool:
-        if self._due[what] - period <= now < self._due[what]:
-            return False
-        self._due[what] = now + period
-        return True
-
-    def _run_periodic_work(self) -> None:
-        now = now_seconds(self)
-        if now == 0.0:  # simulated time has not begun
-            return
-        self.agent.advance(now)
-        if self._is_due('plan', 1.0 / self.config.planner_frequency, now):
-            self._plan(now)
-        if self._is_due('map', self.config.map_period, now):
-            self.outputs.grid(now, self.agent.grid)
-            self._due['map update'] = now + self.config.map_update_period
-        elif self.outputs.maps.wants_updates and self._is_due(
-            'map update', self.config.map_update_period, now
-        ):
-            self.outputs.grid_update(now, self.agent.grid)
-        if self._is_due('landmarks', self.config.landmarks_period, now):
-            self.publish_results(now)
-
-    def _plan(self, now: float) -> None:
-        with self.statistics.timed('plan'):
-            result = self.planner.plan(now)
-        self.plans.send(now, result.plans)
-        self.outputs.frontiers(now, result.frontiers)
-        if self.outputs.status(result.status.value):
-            self.outputs.grid(now, self.agent.grid)
-            self.publish_results(now)
-
-    def publish_results(self, now: float) -> None:
-        """Publish landmarks and trajectories."""
-        self.outputs.landmarks(now, self.agent.landmarks())
-        for vehicle in filter(self.agent.is_in_map, self.agent.vehicles):
-            self.outputs.trajectory(vehicle, now, *self.agent.trajectory(vehicle))
-
-    # -- health ----------------------------------------------------------------------------------
-
-    def _explain_silence(self) -> None:
-        self._silence_timer.cancel()
-        for inputs in self._inputs.values():
-            for text in inputs.silence():
-                self.get_logger().warning(text)
-
-    def _release_held(self) -> None:
-        for inputs in self._inputs.values():
-            inputs.release_held()
-
-    def _explain_clocks(self) -> None:
-        """Log once per topic that its stamps are of another clock."""
-        for inputs in self._inputs.values():
-            for text in inputs.clock_problems():
-                topic = text.partition(':')[0]
-                if topic not in self._clocks_explained:
-                    self._clocks_explained.add(topic)
-                    self.get_logger().warning(
-                        f'{text}; if the clocks differ by a constant, set {inputs.vehicle}.'
-                        'odom_time_offset, scan_time_offset or camera_time_offset'
-                    )
-
-    def _vehicle_figures(self) -> dict[str, dict[str, float]]:
-        """Return counts and odometry calibration per vehicle."""
-        counts = self.agent.summary()
-        return {
-            name: {
-                **counts[name],
-                **{f'odometry_{key}': value for key, value in calibration._asdict().items()},
-            }
-            for name, calibration in self.agent.odometry_calibrations().items()
-        }
-
-    def _publish_diagnostics(self) -> None:
-        if time.monotonic() < self._reported + REPORT_PERIOD:
-            return
-        self._reported = time.monotonic()
-        self._explain_clocks()
-        parts = self.statistics.parts(
-            self.agent.statuses(),
-            self._vehicle_figures(),
-            self._inputs.values(),
-            self.inbox,
-            self.planner.result,
-        )
-        self._diagnostics.publish(diagnostics_message(self, parts, 'explore_slam'))
-
-    def stop(self) -> None:
-        """End the worker and stop the vehicles."""
-        self._heartbeat.stop()
-        self.inbox.close()
-        self._worker.join(timeout=5.0)
-        self.plans.send(now_seconds(self), {})
-        logging.getLogger('explore_slam').removeHandler(self._log_handler)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -13,6 +13,7 @@ from explore_slam.messages.vehicle_settings import (
     split_vehicle_values,
 )
 from explore_slam.nodes import shared_parameters
+from explore_slam.nodes.shared_parameters import LifecycleConfig
 from explore_slam.settings import (
     Section,
     read_parameters,
@@ -86,6 +87,7 @@ class AgentNodeConfig(Section):
     )
     team: VehicleConfig = section(VehicleConfig)
     agent: AgentConfig = section(AgentConfig)
+    lifecycle: LifecycleConfig = section(LifecycleConfig)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -71,8 +71,6 @@ class DriverOutputs:
         self._out = {topic: publisher(node, topic) for topic in topics}
         self._diagnostics = publisher(node, GlobalTopic.DIAGNOSTICS)
         self._transforms = TransformBroadcaster(node) if publish_tf else None
-        if self._transforms is not None:
-            self._publish_mounts(self._transforms, config)
 
     def publish_state(self, state: BaseState, with_sonar: bool) -> None:
         """Publish odometry, its transform, sonar, battery and the state of the motors."""
@@ -139,7 +137,10 @@ class DriverOutputs:
         message = diagnostics_message(self._node, parts, self._frames.vehicle)
         self._diagnostics.publish(message)
 
-    def _publish_mounts(self, transforms: TransformBroadcaster, config: DriverConfig) -> None:
+    def publish_mounts(self, config: DriverConfig) -> None:
+        """Publish the static transforms of laser and camera."""
+        if self._transforms is None:
+            return
         frames, stamp = self._frames, now_seconds(self._node)
         mounts = []
         if config.laser.use_laser:
@@ -154,4 +155,4 @@ class DriverOutputs:
                     MESSAGES, stamp, frames.base, frames.camera, config.camera_mount
                 )
             )
-        transforms.send_static(mounts)
+        self._transforms.send_static(mounts)

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from explore_slam.messages.frames import FrameNames
 from explore_slam.nodes import shared_parameters
+from explore_slam.nodes.shared_parameters import LifecycleConfig
 from explore_slam.settings import Section, section, setting
 from explore_slam.vehicle import DriverConfig
 
@@ -27,6 +28,7 @@ class DriverNodeConfig(Section):
         'Stop for obstacles on the topic scan of another laser driver, if use_laser is false',
     )
     driver: DriverConfig = section(DriverConfig)
+    lifecycle: LifecycleConfig = section(LifecycleConfig)
 
     def frames(self, vehicle: str) -> FrameNames:
         """Return the frames of the vehicle."""

@@ -2,12 +2,12 @@
 
 Publishes `follower_status` (diagnostic_msgs/DiagnosticStatus: its message is waiting, driving,
 arrived or blocked; its values are the reason and since when) at every change and twice a second,
-and /diagnostics.
+and /diagnostics. A managed node: inactive, it has stopped the wheels and leaves them to others.
 """
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
@@ -40,6 +40,7 @@ from explore_slam.messages.topics import (
 )
 from explore_slam.nodes.driver_parameters import DriverNodeConfig
 from explore_slam.nodes.endpoints import publisher, subscribe, subscribe_latched_or_not
+from explore_slam.nodes.managed_node import ManagedNode
 from explore_slam.nodes.node_support import (
     OK,
     SILENCE,
@@ -56,6 +57,7 @@ from explore_slam.nodes.node_support import (
     warn_of_unknown_parameters,
 )
 from explore_slam.nodes.ros_types import MESSAGES
+from explore_slam.nodes.shared_parameters import LifecycleConfig
 from explore_slam.nodes.transform_listener import own_mounts
 from explore_slam.settings import values_of
 from explore_slam.vehicle import PathFollower, PathFollowerConfig, VelocityCommand
@@ -66,15 +68,48 @@ _QUIET_AFTER = 1.0  # s of zero commands, then none: another node may drive the 
 _INPUTS = (VehicleTopic.PLAN, VehicleTopic.POSE, TopicKind.ODOMETRY, TopicKind.SCAN)
 
 
-class PathFollowerNode(Node):
-    """Adapter between topics and PathFollower."""
+class PathFollowerOutputs:
+    """Publishers of the node, which it has while it is configured."""
 
-    def __init__(self, **options: Any) -> None:
-        super().__init__('path_follower', **options)
-        self.follower = PathFollower(declare_settings(self, PathFollowerConfig()))
-        warn_of_unknown_parameters(self, values_of(DriverNodeConfig()))
-        self.vehicle = vehicle_name(self)
-        self._mounts = own_mounts(self, self.vehicle, self.follower.config.laser_mount)
+    def __init__(self, node: Node, vehicle: str) -> None:
+        self._node = node
+        self._vehicle = vehicle
+        self._velocity = publisher(node, VehicleTopic.VELOCITY_COMMAND)
+        self._status = publisher(node, VehicleTopic.FOLLOWER_STATUS)
+        self._diagnostics = publisher(node, GlobalTopic.DIAGNOSTICS)
+
+    def velocity(self, linear: float, angular: float) -> None:
+        """Command a velocity (m/s, rad/s)."""
+        self._velocity.publish(twist_message(MESSAGES, linear, angular))
+
+    def status(self, report: FollowerReport) -> None:
+        """Publish the state of the follower."""
+        self._status.publish(follower_status_message(MESSAGES, self._vehicle, report))
+
+    def diagnostics(self, level: bytes, text: str, values: Mapping[str, Any]) -> None:
+        """Publish the health of the node."""
+        parts = {'path follower': (level, text, values)}
+        self._diagnostics.publish(diagnostics_message(self._node, parts, self._vehicle))
+
+    def stop(self, reason: str) -> None:
+        """Command zero velocity and wait until it has arrived: the last message is easily lost."""
+        self.velocity(0.0, 0.0)
+        self.status(FollowerReport(FollowerState.WAITING, reason, now_seconds(self._node)))
+        for output in (self._velocity, self._status):
+            output.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGE_TIMEOUT))
+
+
+class ActiveFollower:
+    """Adapter between topics and PathFollower, from the activation of the node on."""
+
+    def __init__(
+        self, node: Node, vehicle: str, config: PathFollowerConfig, outputs: PathFollowerOutputs
+    ) -> None:
+        self._node = node
+        self._vehicle = vehicle
+        self._outputs = outputs
+        self.follower = PathFollower(config)
+        self._mounts = own_mounts(node, vehicle, config.laser_mount)
         self._command: VelocityCommand | None = None
         self._reported = -1.0
         self._since = 0.0  # s; since when the state holds
@@ -82,36 +117,33 @@ class PathFollowerNode(Node):
         self._malformed = 0
         self._counts: dict[Topic, int] = dict.fromkeys(_INPUTS, 0)
         self._heartbeat: float | None = None  # monotonic s
-        subscribe(self, VehicleTopic.AGENT_ALIVE, self._on_heartbeat)
+        subscribe(node, VehicleTopic.AGENT_ALIVE, self._on_heartbeat)
         # the agent's plans are latched, those of other planners and tools need not be; a plan that
         # arrives twice changes nothing
-        subscribe_latched_or_not(self, VehicleTopic.PLAN, self._on_plan)
-        subscribe(self, VehicleTopic.POSE, self._on_pose)
+        subscribe_latched_or_not(node, VehicleTopic.PLAN, self._on_plan)
+        subscribe(node, VehicleTopic.POSE, self._on_pose)
         # only the newest readings matter here: no burst is kept
-        subscribe(self, TopicKind.ODOMETRY, self._on_odometry, qos=SENSOR_DATA)
-        subscribe(self, TopicKind.SCAN, self._on_scan)
-        self._velocity = publisher(self, VehicleTopic.VELOCITY_COMMAND)
-        self._status = publisher(self, VehicleTopic.FOLLOWER_STATUS)
-        self._diagnostics = publisher(self, GlobalTopic.DIAGNOSTICS)
-        self._silence_timer = self.create_timer(
+        subscribe(node, TopicKind.ODOMETRY, self._on_odometry, qos=SENSOR_DATA)
+        subscribe(node, TopicKind.SCAN, self._on_scan)
+        self._silence_timer = node.create_timer(
             SILENCE, self._explain_silence, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
-        self.add_on_set_parameters_callback(self._on_parameters)
-        self._timer = self.create_timer(
-            1.0 / self.follower.config.control_frequency, self._on_timer
-        )
+        self._timer = node.create_timer(1.0 / config.control_frequency, self._on_timer)
 
-    def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        config, result = changed_settings(self.follower.config, parameters)
-        if result.successful:
-            self.follower.configure(config)
-            self._timer.timer_period_ns = round(1e9 / config.control_frequency)
-        return result
+    @property
+    def period(self) -> float:
+        """Time between commands (s)."""
+        return float(self._timer.timer_period_ns) * 1e-9
+
+    def configure(self, config: PathFollowerConfig) -> None:
+        """Replace the settings."""
+        self.follower.configure(config)
+        self._timer.timer_period_ns = round(1e9 / config.control_frequency)
 
     def _on_plan(self, message: Path) -> None:
         self._take(
             VehicleTopic.PLAN,
-            lambda now: self.follower.set_plan(plan_record(message, self.vehicle), now),
+            lambda now: self.follower.set_plan(plan_record(message, self._vehicle), now),
         )
 
     def _on_pose(self, message: PoseWithCovarianceStamped) -> None:
@@ -144,21 +176,22 @@ class PathFollowerNode(Node):
         self._silence_timer.cancel()
         for topic, count in self._counts.items():
             if count == 0 and topic is not VehicleTopic.PLAN:  # the agent need not have one yet
-                self.get_logger().warning(explain_silence(self, topic.value, SILENCE))
+                text = explain_silence(self._node, topic.value, SILENCE)
+                self._node.get_logger().warning(text)
 
     def _take(self, topic: Topic, hand_over: Callable[[float], None]) -> None:
         """Pass a message to the follower; a malformed one is logged and omitted."""
         try:
-            hand_over(now_seconds(self))
+            hand_over(now_seconds(self._node))
             self._counts[topic] += 1
         except DataError as error:
             self._malformed += 1
-            self.get_logger().warning(
+            self._node.get_logger().warning(
                 f'{topic.value}: {error}', throttle_duration_sec=WARNING_PERIOD
             )
 
     def _on_timer(self) -> None:
-        now = now_seconds(self)
+        now = now_seconds(self._node)
         if now == 0.0:  # simulated time has not begun
             return
         age = 0.0 if self._heartbeat is None else time.monotonic() - self._heartbeat
@@ -170,7 +203,7 @@ class PathFollowerNode(Node):
         if command.state is FollowerState.DRIVING or now < self._driven:
             self._driven = now
         if now - self._driven < _QUIET_AFTER:
-            self._velocity.publish(twist_message(MESSAGES, command.linear, command.angular))
+            self._outputs.velocity(command.linear, command.angular)
         if changed or not 0.0 <= now - self._reported < _REPORT_PERIOD:
             self._reported = now
             self._report(command)
@@ -178,7 +211,7 @@ class PathFollowerNode(Node):
     def _report(self, command: VelocityCommand) -> None:
         state = command.state.value
         text = f'{state}: {command.reason}' if command.reason else state
-        self._publish_status(command.state, command.reason)
+        self._outputs.status(FollowerReport(command.state, command.reason, self._since))
         progress, plan = self.follower.progress, self.follower.plan
         values = {
             'state': state,
@@ -193,20 +226,47 @@ class PathFollowerNode(Node):
             **{f'{topic.value}_messages': count for topic, count in self._counts.items()},
         }
         fine = command.state in (FollowerState.DRIVING, FollowerState.ARRIVED)
-        parts = {'path follower': (OK if fine else WARN, text, values)}
-        self._diagnostics.publish(diagnostics_message(self, parts, self.vehicle))
+        self._outputs.diagnostics(OK if fine else WARN, text, values)
 
-    def _publish_status(self, state: FollowerState, reason: str) -> None:
-        report = FollowerReport(state, reason, self._since)
-        self._status.publish(follower_status_message(MESSAGES, self.vehicle, report))
 
-    def stop(self) -> None:
-        """Command zero velocity and wait until it has arrived: the last message is easily lost."""
-        self._velocity.publish(twist_message(MESSAGES, 0.0, 0.0))
-        self._since = now_seconds(self)
-        self._publish_status(FollowerState.WAITING, 'path follower has ended')
-        for output in (self._velocity, self._status):
-            output.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGE_TIMEOUT))
+class PathFollowerNode(ManagedNode):
+    """The path follower of one vehicle; while it is inactive it commands nothing."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__('path_follower', **options)
+        self.config = declare_settings(self, PathFollowerConfig())
+        self._lifecycle = declare_settings(self, LifecycleConfig())
+        warn_of_unknown_parameters(self, values_of(DriverNodeConfig()))
+        self._vehicle = vehicle_name(self)
+        self._outputs: PathFollowerOutputs | None = None
+        self.active: ActiveFollower | None = None
+        self.add_on_set_parameters_callback(self._on_parameters)
+        self.start(self._lifecycle.autostart)
+
+    def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        self.config, result = changed_settings(self.config, parameters)
+        if result.successful and self.active is not None:
+            self.active.configure(self.config)
+        return result
+
+    def configure(self) -> None:
+        """Create the publishers."""
+        self._outputs = PathFollowerOutputs(self, self._vehicle)
+
+    def activate(self) -> None:
+        """Begin to follow plans; nothing of an earlier activation is known any more."""
+        assert self._outputs is not None
+        self.active = ActiveFollower(self, self._vehicle, self.config, self._outputs)
+
+    def deactivate(self) -> None:
+        """Stop the wheels."""
+        assert self._outputs is not None
+        self.active = None
+        self._outputs.stop('path follower is inactive')
+
+    def clean_up(self) -> None:
+        """Release the publishers."""
+        self._outputs = None
 
 
 def main(arguments: list[str] | None = None) -> int:

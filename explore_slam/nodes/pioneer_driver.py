@@ -4,6 +4,7 @@ Each device runs in a thread of its own. base_type, laser_type and camera_type s
 use_base, use_laser and use_camera switch them off.
 Velocities pass the safety gate in the thread of the base, not in the executor's: even while the
 executor is busy, the vehicle stops when commands or laser scans cease.
+A managed node: configured, its devices are open; it publishes and drives while it is active.
 """
 
 import logging
@@ -22,7 +23,7 @@ from sensor_msgs.msg import LaserScan as ScanMessage
 from std_srvs.srv import SetBool
 
 from explore_slam.data import LaserScan, RgbdFrame
-from explore_slam.errors import DataError
+from explore_slam.errors import DataError, VehicleError
 from explore_slam.geometry import to_world
 from explore_slam.messages import scan_record
 from explore_slam.messages.sensor_mounts import SensorMounts
@@ -30,6 +31,7 @@ from explore_slam.messages.topics import TopicKind, VehicleTopic
 from explore_slam.nodes.driver_outputs import DriverOutputs, Latency
 from explore_slam.nodes.driver_parameters import DriverNodeConfig
 from explore_slam.nodes.endpoints import subscribe
+from explore_slam.nodes.managed_node import ManagedNode
 from explore_slam.nodes.node_support import (
     ERROR,
     OK,
@@ -66,23 +68,20 @@ from explore_slam.vehicle.dead_reckoning import DeadReckoning
 CONTROL_PERIOD = 0.02  # s between velocities sent to the base
 _MOTOR_GRACE = 1.0  # s until a base reports that its motors were switched on
 _BASE_STOP_TIMEOUT, _STOP_TIMEOUT = 3.0, 1.0  # s for a device to close; a base brakes first
+_OPEN_TIMEOUT = 30.0  # s for all devices to be opened: a laser may try several baud rates
 _NO_POINTS = np.empty((0, 2))
 _CHANGEABLE = {*values_of(SafetyConfig()), 'use_sim_time'}  # while the node runs
 
 
-class PioneerDriverNode(Node):
-    """Adapter between topics and the devices of one vehicle."""
+class DriverSession:
+    """The devices of a configured driver. Inactive, they are open, and the vehicle stands."""
 
-    def __init__(self, **options: Any) -> None:
-        super().__init__('pioneer_driver', **options)
-        self._log_handler = RosLogHandler(self)
-        logging.getLogger('explore_slam').addHandler(self._log_handler)
-        logging.getLogger('explore_slam').setLevel(logging.INFO)
-        self.config = declare_settings(self, DriverNodeConfig())
-        warn_of_unknown_parameters(self, values_of(PathFollowerConfig()))
-        driver = self.config.driver
-        frames = self.config.frames(vehicle_name(self))
-        self.outputs = DriverOutputs(self, frames, driver, self.config.publish_tf)
+    def __init__(self, node: Node, config: DriverNodeConfig) -> None:
+        self._node = node
+        self.config = config
+        self._vehicle = vehicle_name(node)
+        driver = config.driver
+        self.outputs = DriverOutputs(node, config.frames(self._vehicle), driver, config.publish_tf)
         self._laser_pose = driver.laser_mount.pose
         self._mounts: SensorMounts | None = None  # of the laser of another driver
         limits = driver.base.maximum_speed, driver.base.maximum_turn_rate
@@ -92,6 +91,7 @@ class PioneerDriverNode(Node):
         self._seen: tuple[float, Any] = (0.0, _NO_POINTS)  # stamp and points of the newest scan
         self._safe = SafeVelocity(0.0, 0.0, 'base not connected')
         self._lock = threading.Lock()
+        self._active = False
         self._motors_wanted: bool | None = None  # None before the first connection
         self._motors_asked = 0.0
         self._watched_scan = -np.inf
@@ -100,14 +100,66 @@ class PioneerDriverNode(Node):
         self.laser = make_laser(driver, self._clock_seconds)
         self.camera = make_camera(driver, self._clock_seconds)
         self.supervisors = self._make_supervisors()
-        self._subscribe()
-        for supervisor in self.supervisors.values():
-            supervisor.start()
 
-    # -- setup -----------------------------------------------------------------------------------
+    # -- life cycle ------------------------------------------------------------------------------
+
+    def open(self, patient: bool) -> None:
+        """Open all devices at the same time.
+
+        patient: do not wait; a device that is absent is tried again and again. Otherwise
+        VehicleError names those that cannot be opened, and all are closed.
+        """
+        for supervisor in self.supervisors.values():
+            supervisor.start(patient)
+        if patient:
+            return
+        until = time.monotonic() + _OPEN_TIMEOUT
+        missing = [
+            f'{name}: {supervisor.health.message}'
+            for name, supervisor in self.supervisors.items()
+            if not supervisor.await_attempt(max(until - time.monotonic(), 0.0))
+        ]
+        if missing:
+            self.close()
+            raise VehicleError('; '.join(missing))
+
+    def activate(self) -> None:
+        """Publish, and take velocities."""
+        self.outputs.publish_mounts(self.config.driver)
+        if self.base is not None:
+            subscribe(self._node, VehicleTopic.VELOCITY_COMMAND, self._on_velocity)
+            self._node.create_service(SetBool, 'enable_motors', self._on_enable_motors)
+        if self.laser is None and self.config.watch_scan_topic:
+            name, laser = self._vehicle, self.config.driver.laser_mount
+            base = self.config.frames(name).base if self.base is not None else ''
+            self._mounts = own_mounts(self._node, name, laser, base)
+            subscribe(self._node, TopicKind.SCAN, self._on_watched_scan)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._node.create_timer(REPORT_PERIOD, self._report, clock=steady)
+        with self._lock:
+            self._active = True
+
+    def deactivate(self) -> None:
+        """Bring the vehicle to rest; the devices stay open."""
+        with self._lock:
+            self._active = False
+            self._gate.command(0.0, 0.0, time.monotonic())
+
+    def close(self) -> None:
+        """Bring the vehicle to rest, switch its motors off, release all devices."""
+        with self._lock:
+            self._gate.command(0.0, 0.0, time.monotonic())
+        for name, supervisor in self.supervisors.items():
+            supervisor.stop(timeout=_BASE_STOP_TIMEOUT if name == 'base' else _STOP_TIMEOUT)
+
+    def configure(self, config: DriverNodeConfig) -> None:
+        """Replace the settings that may change while the devices are open."""
+        self.config = config
+        with self._lock:
+            self._gate.config = config.driver.safety
 
     def _clock_seconds(self) -> float:
-        return now_seconds(self)
+        return now_seconds(self._node)
 
     def _make_supervisors(self) -> dict[str, Supervisor]:
         retry = self.config.driver.retry_after
@@ -122,29 +174,6 @@ class PioneerDriverNode(Node):
         if self.camera is not None:
             made['camera'] = Supervisor('camera', self.camera, self._on_frame, retry_after=retry)
         return made
-
-    def _subscribe(self) -> None:
-        if self.base is not None:
-            subscribe(self, VehicleTopic.VELOCITY_COMMAND, self._on_velocity)
-            self.create_service(SetBool, 'enable_motors', self._on_enable_motors)
-        if self.laser is None and self.config.watch_scan_topic:
-            name, laser = vehicle_name(self), self.config.driver.laser_mount
-            base = self.config.frames(name).base if self.base is not None else ''
-            self._mounts = own_mounts(self, name, laser, base)
-            subscribe(self, TopicKind.SCAN, self._on_watched_scan)
-        self.add_on_set_parameters_callback(self._on_parameters)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(REPORT_PERIOD, self._report, clock=steady)
-
-    def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        fixed = [item.name for item in parameters if item.name not in _CHANGEABLE]
-        if fixed:
-            reason = f'{", ".join(fixed)}: set at start only'
-            return SetParametersResult(successful=False, reason=reason)
-        self.config, result = changed_settings(self.config, parameters)
-        with self._lock:
-            self._gate.config = self.config.driver.safety
-        return result
 
     # -- callbacks -------------------------------------------------------------------------------
 
@@ -170,7 +199,7 @@ class PioneerDriverNode(Node):
             self._keep_points(scan)
             self._watched_scan = time.monotonic()
         except DataError as error:
-            self.get_logger().warning(f'scan: {error}', throttle_duration_sec=WARNING_PERIOD)
+            self._node.get_logger().warning(f'scan: {error}', throttle_duration_sec=WARNING_PERIOD)
 
     # -- thread of the base ----------------------------------------------------------------------
 
@@ -182,7 +211,7 @@ class PioneerDriverNode(Node):
                 self._motors_wanted = base.motors_at_start
             elif self._motors_wanted and not base.motors_after_reconnect:
                 self._motors_wanted = False
-                self.get_logger().warning(
+                self._node.get_logger().warning(
                     'base: motors stay off after the reconnection; call enable_motors'
                 )
             self._motors_asked = 0.0
@@ -196,8 +225,9 @@ class PioneerDriverNode(Node):
             inputs.emergency_stop = state.emergency_stop
             inputs.sonar_points = _NO_POINTS if state.sonar_points is None else state.sonar_points
             self._reckoning.add_odometry(state.odometry)
-        self.outputs.publish_state(state, self.config.driver.base.use_sonar)
-        self._latency['base'].add(now_seconds(self) - state.received)
+        if self._active:
+            self.outputs.publish_state(state, self.config.driver.base.use_sonar)
+        self._latency['base'].add(now_seconds(self._node) - state.received)
         self._watch_motors(state.motors_on)
 
     def _watch_motors(self, on: bool) -> None:
@@ -209,7 +239,7 @@ class PioneerDriverNode(Node):
             self.base.enable_motors(bool(self._motors_wanted))
         elif self._motors_wanted and not on and now - self._motors_asked > _MOTOR_GRACE:
             self._motors_wanted = False
-            self.get_logger().warning(
+            self._node.get_logger().warning(
                 'base: motors were switched off at the robot; call enable_motors to continue'
             )
 
@@ -231,7 +261,7 @@ class PioneerDriverNode(Node):
     def _points_now(self) -> Any:
         """Return the newest scan's points in the present vehicle frame: it is 0.2 s old."""
         stamp, points = self._seen
-        moved = self._reckoning.odometry_at(now_seconds(self)).between(
+        moved = self._reckoning.odometry_at(now_seconds(self._node)).between(
             self._reckoning.odometry_at(stamp)
         )
         return to_world(moved, points)
@@ -239,7 +269,8 @@ class PioneerDriverNode(Node):
     # -- threads of laser and camera -------------------------------------------------------------
 
     def _on_scan(self, scan: LaserScan) -> None:
-        self.outputs.publish_scan(scan)
+        if self._active:
+            self.outputs.publish_scan(scan)
         assert self.laser is not None
         self._latency['laser'].add(time.monotonic() - self.laser.heard)
         self._keep_points(scan)
@@ -250,8 +281,9 @@ class PioneerDriverNode(Node):
             self._seen = (scan.stamp, points)
 
     def _on_frame(self, frame: RgbdFrame) -> None:
-        self.outputs.publish_frame(frame)
-        self._latency['camera'].add(now_seconds(self) - frame.stamp)
+        if self._active:
+            self.outputs.publish_frame(frame)
+        self._latency['camera'].add(now_seconds(self._node) - frame.stamp)
 
     # -- health ----------------------------------------------------------------------------------
 
@@ -283,13 +315,61 @@ class PioneerDriverNode(Node):
         own = device.statistics() if device is not None else {}
         return {**own, **self.outputs.base_values} if name == 'base' else own
 
+
+class PioneerDriverNode(ManagedNode):
+    """The driver of one vehicle as a managed node."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__('pioneer_driver', **options)
+        self._log_handler = RosLogHandler(self)
+        logging.getLogger('explore_slam').addHandler(self._log_handler)
+        logging.getLogger('explore_slam').setLevel(logging.INFO)
+        self.config = declare_settings(self, DriverNodeConfig())
+        warn_of_unknown_parameters(self, values_of(PathFollowerConfig()))
+        self._session: DriverSession | None = None
+        self.add_on_set_parameters_callback(self._on_parameters)
+        self.start(self.config.lifecycle.autostart)
+
+    def configure(self) -> None:
+        """Open the devices. Who asks for it learns which one is missing.
+
+        A node that starts by itself has nobody to tell: it works with the devices that are there,
+        and waits for the others.
+        """
+        session = DriverSession(self, self.config)
+        session.open(patient=self.starting)
+        self._session = session
+
+    def activate(self) -> None:
+        """Publish, and take velocities."""
+        assert self._session is not None
+        self._session.activate()
+
+    def deactivate(self) -> None:
+        """Bring the vehicle to rest; the devices stay open."""
+        assert self._session is not None
+        self._session.deactivate()
+
+    def clean_up(self) -> None:
+        """Switch the motors off, close the devices."""
+        assert self._session is not None
+        self._session.close()
+        self._session = None
+
     def stop(self) -> None:
-        """Bring the vehicle to rest, switch its motors off, release all devices."""
-        with self._lock:
-            self._gate.command(0.0, 0.0, time.monotonic())
-        for name, supervisor in self.supervisors.items():
-            supervisor.stop(timeout=_BASE_STOP_TIMEOUT if name == 'base' else _STOP_TIMEOUT)
+        """Bring the vehicle to rest and close the devices, in whatever state the node is."""
+        super().stop()
         logging.getLogger('explore_slam').removeHandler(self._log_handler)
+
+    def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        fixed = [item.name for item in parameters if item.name not in _CHANGEABLE]
+        if fixed and self._session is not None:
+            reason = f'{", ".join(fixed)}: set at start, or while the node is unconfigured'
+            return SetParametersResult(successful=False, reason=reason)
+        self.config, result = changed_settings(self.config, parameters)
+        if self._session is not None:
+            self._session.configure(self.config)
+        return result
 
 
 def main(arguments: list[str] | None = None) -> int:

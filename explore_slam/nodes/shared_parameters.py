@@ -2,11 +2,23 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from explore_slam.errors import ConfigError
 from explore_slam.geometry import Pose2
-from explore_slam.settings import setting
+from explore_slam.settings import Section, setting
+
+
+@dataclass(frozen=True)
+class LifecycleConfig(Section):
+    """Parameters that all managed nodes have."""
+
+    autostart: bool = setting(
+        True,
+        'Configure and activate the node at its start; false: wait for its service change_state',
+        tier='basic',
+    )
 
 
 def vehicles() -> Any:

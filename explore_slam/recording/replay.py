@@ -101,6 +101,7 @@ class Replay:
         self.vehicles = sorted({topic.vehicle for topic in self._topics})
         self.tally = Tally()
         configs = settings_of_vehicles(settings or {}, self.vehicles)
+        self.bodies = {name: config.body.record for name, config in configs.items()}
         trees = recorded_transforms(bag, self.vehicles)
         self.mounts = {
             name: SensorMounts(name, trees[name], configs[name], team_laser, team_camera)

@@ -1,11 +1,13 @@
 """The area that vehicles can reach, and the fraction of it that a map covers."""
 
+import copy
 from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from explore_slam.agent import OperatorAreas
 from explore_slam.errors import EvaluationError
 from explore_slam.geometry import Array, Pose2
 from explore_slam.simulation.worlds.grid_world import GridWorld
@@ -28,12 +30,23 @@ class ReachableArea:
                 f'reachable area: no free space around the start poses {points.tolist()}'
             )
         self.cells: Array = world.to_point(np.argwhere(mask))
-        self.area = float(mask.sum()) * world.resolution**2
+        self._cell_area = world.resolution**2
 
     @classmethod
     def of_file(cls, path: Path, starts: Iterable[Pose2], radius: float) -> 'ReachableArea':
         """Read a world file or a map_server map."""
         return cls(load_grid_world(path), starts, radius)
+
+    @property
+    def area(self) -> float:
+        """Size (m²)."""
+        return len(self.cells) * self._cell_area
+
+    def without(self, areas: OperatorAreas) -> 'ReachableArea':
+        """Return what is left of the area where the operator wants vehicles to be."""
+        left = copy.copy(self)
+        left.cells = self.cells[~areas.exclude(self.cells)]
+        return left
 
     def explored_fraction(
         self, known: NDArray[np.bool_], resolution: float, origin: tuple[float, float]
@@ -41,8 +54,10 @@ class ReachableArea:
         """Return the fraction (0 to 1) of the reachable cells that are known in a map.
 
         known (H, W): cells whose occupancy is known; resolution (m); origin: corner (m) of cell
-        [0, 0].
+        [0, 0]. Of an area without cells all is explored.
         """
+        if not len(self.cells):
+            return 1.0
         index = np.floor((self.cells - np.asarray(origin)) / resolution).astype(np.int64)
         columns, rows = index[:, 0], index[:, 1]
         height, width = known.shape

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from explore_slam.body import BodyConfig
 from explore_slam.mounts import LaserMountConfig
 from explore_slam.settings import Section, section, setting
 
@@ -13,10 +14,7 @@ class PathFollowerConfig(Section):
     control_frequency: float = setting(
         20.0, 'Rate of velocity commands', unit='Hz', low=2.0, high=100.0
     )
-    follow_speed: float = setting(
-        0.4, 'Speed along the plan without obstacles', unit='m/s', low=0.02, high=1.5,
-        tier='basic',
-    )  # fmt: skip
+    body: BodyConfig = section(BodyConfig)
     follow_turn_rate: float = setting(
         0.9, 'Maximum turn rate', unit='rad/s', low=0.05, high=4.0, tier='basic'
     )
@@ -47,10 +45,6 @@ class PathFollowerConfig(Section):
     obstacle_stop: bool = setting(
         True, 'Require scans, and stop for obstacles they show on the path', tier='basic'
     )
-    body_radius: float = setting(
-        0.25, 'Radius of the circle around the vehicle origin that contains the body', unit='m',
-        low=0.05, high=2.0, tier='basic',
-    )  # fmt: skip
     side_clearance: float = setting(
         0.02, 'Clearance required beside the body', unit='m', low=0.0, high=1.0
     )

@@ -226,7 +226,7 @@ class PathFollower:
             return self._send(step, max(linear, 0.0), _TURN_GAIN * bearing, 'turning to the plan')
         # curvature of the arc to the lookahead point (Coulter, 1992)
         curvature = 2.0 * y / max(distance * distance, 1e-6)
-        speed = min(c.follow_speed, c.follow_turn_rate / max(abs(curvature), 1e-6))
+        speed = min(c.body.follow_speed, c.follow_turn_rate / max(abs(curvature), 1e-6))
         speed = min(speed, _braking_speed(self.progress.remaining, c.follow_acceleration))
         speed, blocked = self._limit_for_obstacles(now, curvature, max(speed, _CREEP))
         if blocked:
@@ -250,7 +250,7 @@ class PathFollower:
             self._reckoning.odometry_at(self._scan_stamp)
         )
         points = to_world(moved, self._points)
-        body = c.body_radius + c.side_clearance
+        body = c.body.vehicle_radius + c.side_clearance
         free = free_distance(points, curvature, body)
         straight = free
         if abs(curvature) < _GENTLE_CURVATURE:

@@ -54,13 +54,24 @@ class Supervisor:
         self._on_poll = on_poll
         self._retry_after = retry_after
         self._poll_timeout = poll_timeout
+        self._patient = True
+        self._tried = threading.Event()
         self._end = threading.Event()
         self._logged = ('', 0.0)
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
-    def start(self) -> None:
-        """Start the thread: connect and poll."""
+    def start(self, patient: bool = True) -> None:
+        """Start the thread: connect and poll.
+
+        patient: keep trying when the first connection fails. Otherwise the thread ends then, and
+        the reason is in health.message.
+        """
+        self._patient = patient
         self._thread.start()
+
+    def await_attempt(self, timeout: float) -> bool:
+        """Wait at most timeout (s) for the first attempt to connect; return its success."""
+        return self._tried.wait(timeout) and self.health.connected
 
     def stop(self, timeout: float = 3.0) -> None:
         """Stop the thread, which closes the device; wait for it at most timeout (s)."""
@@ -82,12 +93,17 @@ class Supervisor:
                             self._on_record(record)
                         self._on_poll()
                 except Exception as error:  # a bug in one device must not stop the supervision
+                    if not (self._patient or self._tried.is_set()):
+                        self.health.message = _text_of(error)
+                        break
                     self._lose(error)
+                    self._tried.set()
                     self._end.wait(wait)
                     wait = min(2.0 * wait, _LONGEST_WAIT)
         finally:
             self._device.close()
             self.health.connected = False
+            self._tried.set()
 
     def _connect(self) -> None:
         self.health.attempts += 1
@@ -97,13 +113,14 @@ class Supervisor:
         self._logged = ('', 0.0)
         _log.info('%s: connected: %s', self.name, what)
         self._on_connected()
+        self._tried.set()
 
     def _lose(self, error: Exception) -> None:
         if self.health.connected:
             self.health.losses += 1
         self.health.connected = False
         known = isinstance(error, ExploreSlamError)
-        text = str(error) if known else f'{type(error).__name__}: {error}'
+        text = _text_of(error)
         self.health.message = text
         self._device.close()
         last, when = self._logged
@@ -111,3 +128,8 @@ class Supervisor:
         if text != last or now - when > _REPEAT_LOG:
             self._logged = (text, now)
             _log.error('%s: %s', self.name, text, exc_info=None if known else error)
+
+
+def _text_of(error: Exception) -> str:
+    known = isinstance(error, ExploreSlamError)
+    return str(error) if known else f'{type(error).__name__}: {error}'

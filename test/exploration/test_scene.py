@@ -171,7 +171,7 @@ def test_paths_bypass_vehicles_that_stand():
     made = scene({'a': at(3, 3), 'b': at(3, 9)})
     goal = made.cell_of(place(3, 16))
     straight = made.path('a', goal)
-    around = made.path('a', goal, made.costs_around('a', [made.vehicles['b'].pose]))
+    around = made.path('a', goal, made.costs_around('a', ['b']))
     assert made.costs_around('a', []) is None
 
     assert gap(straight, place(3, 9)) < 0.1

@@ -294,7 +294,6 @@ EFFECTS = {
     'maximum_attempts': (1, blacklisted),
     'progress_timeout': (10.0, cycles_until_failure),
     'vehicle_separation': (0.3, opposite_traffic(0.6)),
-    'nominal_speed': (0.05, opposite_traffic(0.2)),
     'traffic_margin': (0.0, crossing_traffic),
     'traffic_horizon': (3.0, opposite_traffic(0.2)),
     'empty_searches': (1, searches_until_complete),

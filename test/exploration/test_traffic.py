@@ -5,12 +5,11 @@ import math
 import numpy as np
 import pytest
 
+from explore_slam.data import VehicleBody
 from explore_slam.exploration.sections import TrafficConfig
 from explore_slam.exploration.traffic import Right, Traffic, Traveler, paths_conflict
 
-CONFIG = TrafficConfig(
-    vehicle_separation=1.0, nominal_speed=0.5, traffic_margin=4.0, traffic_horizon=40.0
-)
+CONFIG = TrafficConfig(vehicle_separation=1.0, traffic_margin=4.0, traffic_horizon=40.0)
 
 
 class Retreats:
@@ -28,7 +27,7 @@ class Retreats:
 
 def traveler(name, *points):
     path = np.array(points, float)
-    return Traveler(name, path[0], path if len(path) > 1 else None)
+    return Traveler(name, path[0], path if len(path) > 1 else None, VehicleBody(speed=0.5))
 
 
 def grants(*travelers, terrain=None, traffic=None):

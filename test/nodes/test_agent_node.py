@@ -332,7 +332,7 @@ def test_parameters_are_described_checked_and_set(live):
     assert 'fastslam2' in refused.reason
     fixed = team.set_parameter('seed', integer_value=3)
     assert not fixed.successful
-    assert fixed.reason == 'seed: set at start only'
+    assert fixed.reason == 'seed: set at start, or while the node is unconfigured'
 
 
 def test_pause_resume_and_return_home(live):

@@ -22,7 +22,7 @@ from explore_slam.geometry import Pose2
 from explore_slam.messages.follower_status import follower_report
 from explore_slam.nodes.ros_types import MESSAGES, message_class
 
-DOMAIN = str(own_domain(71))
+DOMAIN = own_domain(71)
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -108,25 +108,31 @@ class Harness:
 @pytest.fixture
 def harness():
     context = rclpy.Context()
-    context.init(domain_id=int(DOMAIN))
+    context.init(domain_id=DOMAIN)
     made = Harness(context)
     yield made
     made.node.destroy_node()
     context.try_shutdown()
 
 
-@pytest.fixture
-def follower():
-    environment = {**os.environ, 'ROS_DOMAIN_ID': DOMAIN, 'ROS_PYTHON_CHECK_FIELDS': '1'}
-    process = subprocess.Popen(
+def follower_process(domain, *arguments):
+    """Start the node on a domain."""
+    environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain), 'ROS_PYTHON_CHECK_FIELDS': '1'}
+    return subprocess.Popen(
         [
             sys.executable, '-m', 'explore_slam.nodes.path_follower', '--ros-args',
             '-r', '__ns:=/robot7', '-p', 'follow_speed:=1', '-p', 'follow_acceleration:=1.0',
+            *arguments,
         ],
         env=environment,
         stderr=subprocess.PIPE,
         text=True,
     )  # fmt: skip
+
+
+@pytest.fixture
+def follower():
+    process = follower_process(DOMAIN)
     yield process
     if process.poll() is None:
         process.kill()

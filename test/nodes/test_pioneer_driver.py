@@ -21,15 +21,15 @@ from explore_slam.nodes.ros_types import MESSAGES
 from explore_slam.simulation.emulators.kinematic_body import KinematicBody
 from explore_slam.simulation.emulators.vehicle_emulator import VehicleEmulator
 
-DOMAIN = str(own_domain(72))
+DOMAIN = own_domain(72)
 PACKET = 0.1  # s between status packets
 
 
 class Rig:
     """Emulated vehicle, driver process, and a node that listens and commands at 20 Hz."""
 
-    def __init__(self, folder, context):
-        self.folder = folder
+    def __init__(self, folder, context, domain):
+        self.folder, self.domain = folder, domain
         self.body = KinematicBody()
         self.emulator = VehicleEmulator(folder, 'robot7', self.body, self.body.scan).start()
         self.node = rclpy.create_node('rig', namespace='/robot7', context=context)
@@ -47,7 +47,7 @@ class Rig:
         self.motors = self.node.create_client(SetBool, 'enable_motors')
         self.sent = 0.0
 
-    def start(self, **parameters):
+    def start(self, stderr=None, **parameters):
         given = {
             'base_port': str(self.folder / 'robot7_base'),
             'laser_port': str(self.folder / 'robot7_laser'),
@@ -60,9 +60,24 @@ class Rig:
             arguments += ['-p', f'{name}:={text}']
         self.driver = subprocess.Popen(
             [sys.executable, '-m', 'explore_slam.nodes.pioneer_driver', '--ros-args', *arguments],
-            env={**os.environ, 'ROS_DOMAIN_ID': DOMAIN, 'ROS_PYTHON_CHECK_FIELDS': '1'},
-        )
+            env={
+                **os.environ, 'ROS_DOMAIN_ID': str(self.domain), 'ROS_PYTHON_CHECK_FIELDS': '1',
+            },
+            stderr=stderr,
+            text=True,
+        )  # fmt: skip
         return self
+
+    def end(self):
+        """End driver and emulator."""
+        if self.driver is not None and self.driver.poll() is None:
+            self.driver.terminate()
+            try:
+                self.driver.wait(8.0)
+            except subprocess.TimeoutExpired:
+                self.driver.kill()
+        self.emulator.stop()
+        self.node.destroy_node()
 
     def on_diagnostics(self, message):
         for status in message.status:
@@ -105,17 +120,10 @@ class Rig:
 @pytest.fixture
 def rig(tmp_path):
     context = rclpy.Context()
-    context.init(domain_id=int(DOMAIN))
-    made = Rig(tmp_path, context)
+    context.init(domain_id=DOMAIN)
+    made = Rig(tmp_path, context, DOMAIN)
     yield made
-    if made.driver is not None and made.driver.poll() is None:
-        made.driver.terminate()
-        try:
-            made.driver.wait(8.0)
-        except subprocess.TimeoutExpired:
-            made.driver.kill()
-    made.emulator.stop()
-    made.node.destroy_node()
+    made.end()
     context.try_shutdown()
 
 

@@ -34,7 +34,7 @@ FOLLOWER = {
     'arrival_tolerance': (0.4, 'corners'),
     'maximum_deviation': (0.2, 'beside'),
     'obstacle_stop': (False, 'wall'),
-    'body_radius': (0.5, 'wall'),
+    'vehicle_radius': (0.5, 'wall'),
     'side_clearance': (0.4, 'pillar'),
     'stop_distance': (0.8, 'wall'),
     'reaction_time': (1.5, 'wall'),

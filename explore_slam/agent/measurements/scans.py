@@ -84,11 +84,11 @@ def _add_keyframe_without_vision(team: Team, track: VehicleTrack, stamp: float) 
 
 def _bodies(team: Team, track: VehicleTrack, stamp: float) -> list[Body]:
     """Return the positions of the other vehicles, so that they do not become walls."""
-    radius = team.config.exploration.paths.planning_radius + team.config.scans.body_margin
     bodies = []
     for other in team.tracks.values():
         if other is track:
             continue
+        radius = team.body_radius(other)
         if other.keyframe is None:
             if other.start is None:
                 continue

@@ -1,0 +1,33 @@
+"""How large and how fast a vehicle is: one section of settings, for all that use it."""
+
+from dataclasses import dataclass
+
+from explore_slam.data import STANDARD_RADIUS, VehicleBody
+from explore_slam.settings import Section, setting
+
+
+@dataclass(frozen=True)
+class BodyConfig(Section):
+    """Size and speed of a vehicle; agent and path follower must agree on them."""
+
+    vehicle_radius: float = setting(
+        STANDARD_RADIUS,
+        'Radius of the circle around the vehicle origin that contains the body',
+        unit='m',
+        low=0.05,
+        high=2.0,
+        tier='basic',
+    )
+    follow_speed: float = setting(
+        VehicleBody().speed,
+        'Speed along the plan without obstacles',
+        unit='m/s',
+        low=0.02,
+        high=1.5,
+        tier='basic',
+    )
+
+    @property
+    def record(self) -> VehicleBody:
+        """Size and speed as a record."""
+        return VehicleBody(self.vehicle_radius, self.follow_speed)
