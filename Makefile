@@ -56,7 +56,7 @@ $(VENV)/.ready: requirements.txt requirements-ros.txt setup.py package.xml $(CON
 	@$(PY) -c 'from explore_slam import agent, simulation; agent.warm_up(); simulation.warm_up()'
 	@touch $@
 
-$(VENV)/.ready-dev: requirements-dev.txt $(VENV)/.ready
+$(VENV)/.ready-dev: requirements-dev.txt $(wildcard interfaces/nav2_msgs/*/*) $(VENV)/.ready
 	@echo "Installing what tests and benchmarks need ..."
 	@$(PY) tools/build_messages.py nav2_msgs
 	@$(PIP) install -q -r requirements-dev.txt $(if $(CONSTRAINTS),-c $(CONSTRAINTS)) 2> >(grep -v 'is ignored: it is neither' >&2)

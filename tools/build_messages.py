@@ -4,8 +4,9 @@
 
 The wheels of ROS hold common_interfaces alone; /tf needs tf2_msgs. The definitions in interfaces/
 have the names, fields and types of the packages that a ROS installation has, so that its nodes
-understand them. A package that is installed already is left alone. Without a C++ compiler or CMake
-nothing is compiled: one line says what will be missing, and the exit code is 0.
+understand them. A package that is installed already is left alone, unless it lacks one of them.
+Without a C++ compiler or CMake nothing is compiled: one line says what will be missing, and the
+exit code is 0.
 """
 
 import importlib.util
@@ -58,7 +59,7 @@ MANIFEST = """<package format="3">
 
 def main(names: list[str]) -> int:
     """Build the packages that are missing."""
-    missing = [name for name in names if importlib.util.find_spec(name) is None]
+    missing = [name for name in names if not _is_complete(name)]
     if not missing:
         return 0
     tools = {'C++ compiler': ('c++', 'g++', 'clang++'), 'CMake': ('cmake',)}
@@ -74,6 +75,24 @@ def main(names: list[str]) -> int:
     _correct_include_folders()
     with tempfile.TemporaryDirectory() as folder:
         return 0 if all(_build(name, Path(folder) / name) for name in missing) else 1
+
+
+def _is_complete(name: str) -> bool:
+    """Return whether a package is installed with all the types of its definitions."""
+    found = importlib.util.find_spec(name)
+    if found is None or not found.submodule_search_locations:
+        return False
+    folder = Path(next(iter(found.submodule_search_locations)))
+    return all(
+        (folder / path.parent.name / f'_{_module_name(path.stem)}.py').exists()
+        for path in (DEFINITIONS / name).glob('*/*')
+    )
+
+
+def _module_name(type_name: str) -> str:
+    """Return the name of the module of a type: FollowPath -> follow_path."""
+    spaced = re.sub(r'(.)([A-Z][a-z]+)', r'\1_\2', type_name)
+    return re.sub(r'([a-z0-9])([A-Z])', r'\1_\2', spaced).lower()
 
 
 def _correct_include_folders() -> None:

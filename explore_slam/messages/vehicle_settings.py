@@ -32,8 +32,8 @@ class VehicleConfig(Section):
     use_laser: bool = setting(True, 'Whether the vehicle has a laser scanner', tier='basic')
     navigator: str = setting(
         'follower',
-        'What drives the vehicle along its plans: follower, or nav2 by the action '
-        '<vehicle>/navigate_to_pose',
+        'What drives the vehicle along its plans: follower; nav2 by the action '
+        '<vehicle>/navigate_to_pose; nav2_path by <vehicle>/follow_path',
         tier='basic',
     )
     body: BodyConfig = section(BodyConfig)

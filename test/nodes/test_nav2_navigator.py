@@ -26,16 +26,17 @@ DOMAIN = own_domain(97)
 
 
 class Server:
-    """A bt_navigator that does what a test wants."""
+    """A bt_navigator or controller_server that does what a test wants."""
 
-    def __init__(self, context):
-        self.node = rclpy.create_node('bt_navigator', namespace='/robot1', context=context)
+    def __init__(self, context, kind):
+        self.node = rclpy.create_node('server', namespace='/robot1', context=context)
         self.goals, self.outcome, self.accepts, self.canceled = [], 'succeed', True, 0
         self.release = threading.Event()
+        self.type = getattr(NAV2, kind.type_name)
         self._server = ActionServer(
             self.node,
-            NAV2.NavigateToPose,
-            'navigate_to_pose',
+            self.type,
+            kind.name,
             execute_callback=self.execute,
             goal_callback=lambda _: GoalResponse.ACCEPT if self.accepts else GoalResponse.REJECT,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
@@ -43,28 +44,34 @@ class Server:
         )
 
     def execute(self, handle):
-        self.goals.append(handle.request.pose)
+        self.goals.append(handle.request)
         while not self.release.wait(0.02):
             if self.outcome != 'be silent':
-                handle.publish_feedback(NAV2.NavigateToPose.Feedback(distance_remaining=1.0))
+                handle.publish_feedback(self.type.Feedback())
             if handle.is_cancel_requested:
                 self.canceled += 1
                 handle.canceled()
-                return NAV2.NavigateToPose.Result()
+                return self.type.Result()
         if self.outcome == 'abort':
             handle.abort()
-            return NAV2.NavigateToPose.Result(error_code=103, error_msg='no valid path')
+            return self.type.Result(error_code=103, error_msg='no valid path')
         handle.succeed()
-        return NAV2.NavigateToPose.Result()
+        return self.type.Result()
 
 
-@pytest.fixture
-def robot(monkeypatch):
+KINDS = {'nav2': module.NAVIGATE_TO_POSE, 'nav2_path': module.FOLLOW_PATH}
+
+
+@pytest.fixture(params=KINDS)
+def robot(request, monkeypatch):
     """A server in a thread of its own, and a navigator with the reports that it has made."""
+    kind = KINDS[request.param]
+    if not hasattr(NAV2, kind.type_name):
+        pytest.skip(f'nav2_msgs has no {kind.type_name}: python tools/build_messages.py nav2_msgs')
     monkeypatch.setattr(module, 'SILENCE', 1.0)
     context = rclpy.Context()
     context.init(domain_id=DOMAIN)
-    server = Server(context)
+    server = Server(context, kind)
     # the server's executor must go on while a goal is executed
     serving = rclpy.executors.MultiThreadedExecutor(4, context=context)
     serving.add_node(server.node)
@@ -74,7 +81,7 @@ def robot(monkeypatch):
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
     reports = []
-    navigator = maker('nav2')(node, 'robot1', 'map', reports.append)
+    navigator = maker(request.param)(node, 'robot1', 'map', reports.append)
 
     def spin_until(condition, seconds=20.0):
         end = time.monotonic() + seconds
@@ -103,14 +110,36 @@ def test_a_goal_is_driven_to_and_reached(robot):
     server, navigator, reports, spin_until = robot
     navigator.follow(1.0, plan(2.0, 1.0))
     spin_until(lambda: FollowerState.DRIVING in states(reports) and server.goals)
-    assert server.goals[0].header.frame_id == 'map'
-    goal = planar_pose(server.goals[0].pose)
+    given = server.goals[0]
+    if hasattr(given, 'path'):
+        assert given.path.header.frame_id == 'map'
+        poses = np.array([planar_pose(stamped.pose) for stamped in given.path.poses])
+        assert poses[0, :2].tolist() == [0.0, 0.0]
+        assert np.hypot(*np.diff(poses[:, :2], axis=0).T).max() < 0.051
+        assert poses[:-1, 2] == pytest.approx(math.atan2(1.0, 2.0))
+        goal = poses[-1]
+    else:
+        assert given.pose.header.frame_id == 'map'
+        goal = planar_pose(given.pose.pose)
     assert math.dist(goal, (2.0, 1.0, 0.5)) < 1e-6
-    navigator.follow(2.0, plan(2.02, 1.0))  # the same goal by another way: nav2 plans itself
     server.release.set()
     spin_until(lambda: FollowerState.ARRIVED in states(reports))
     assert len(server.goals) == 1
     assert reports[-1].since > 0.0
+
+
+def test_another_way_to_the_same_goal_is_news_only_for_who_follows_the_path(robot):
+    server, navigator, reports, spin_until = robot
+    navigator.follow(1.0, plan(2.0, 1.0))
+    spin_until(lambda: FollowerState.DRIVING in states(reports) and server.goals)
+    navigator.follow(2.0, plan(2.02, 1.0))
+    if hasattr(server.goals[0], 'path'):
+        spin_until(lambda: len(server.goals) == 2)
+        assert server.goals[1].path.poses[-1].pose.position.x == pytest.approx(2.02)
+    server.release.set()
+    spin_until(lambda: FollowerState.ARRIVED in states(reports))
+    navigator.follow(3.0, plan(2.02, 1.0))
+    assert len(server.goals) == 1 + hasattr(server.goals[0], 'path')
 
 
 def test_aborted_is_blocked_with_the_error(robot):

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 NAVIGATORS = {
     'follower': 'explore_slam.nodes.navigators.follower',
     'nav2': 'explore_slam.nodes.navigators.nav2',
+    'nav2_path': 'explore_slam.nodes.navigators.nav2_path',
 }
 
 

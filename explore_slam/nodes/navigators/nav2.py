@@ -1,13 +1,19 @@
-"""nav2 as navigator: each target goes out as the action NavigateToPose in the vehicle's namespace.
+"""nav2 as navigator: an action in the vehicle's namespace, NavigateToPose or FollowPath.
 
-nav2 plans its own path, so that a plan whose goal is the one in force changes nothing. What the
-action says becomes a report: accepted and feedback are driving, succeeded is arrived; rejected,
-aborted and silence are blocked, so that the agent chooses another way or another vehicle.
+With NavigateToPose nav2 plans its own path, so that a plan whose goal is the one in force changes
+nothing. With FollowPath nav2's controller follows the path of the agent, and keeps the right of
+way that it was planned with.
+
+What an action says becomes a report: accepted and feedback are driving, succeeded is arrived;
+rejected, aborted and silence are blocked, so that the agent chooses another way or vehicle.
 """
 
 import time
-from typing import Any
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any, NamedTuple
 
+import numpy as np
 from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient
 from rclpy.clock import Clock, ClockType
@@ -15,38 +21,56 @@ from rclpy.node import Node
 
 from explore_slam.data import FollowerReport, FollowerState, Plan
 from explore_slam.errors import ConfigError
-from explore_slam.geometry import Pose2
+from explore_slam.messages import path_message
 from explore_slam.messages.base import header, pose_message
 from explore_slam.nodes.navigators.navigator import Report
 from explore_slam.nodes.ros_types import MESSAGES
+from explore_slam.polyline import sample
 
-ACTION = 'navigate_to_pose'
 PERIOD = 0.1  # s between looks at the newest plan and at silence
 SILENCE = 10.0  # s of wall time without answer or feedback after which a goal is given up
 SAME_GOAL = 0.1  # m and rad; nav2's default goal tolerance is 0.25
+PATH_SPACING = 0.05  # m between the poses of a path: nav2's planners make one per cell
+
+
+class ActionKind(NamedTuple):
+    """An action of nav2 and what it takes.
+
+    name: below the vehicle's. type_name: in nav2_msgs.action.
+    request(goal, stamp, map_frame, plan): fill in a goal of the action.
+    is_in_force(sent, plan): whether a plan needs not be sent after the one that was sent.
+    """
+
+    name: str
+    type_name: str
+    request: Callable[[Any, float, str, Plan], None]
+    is_in_force: Callable[[Plan, Plan], bool]
 
 
 class Nav2Navigator:
-    """Client of NavigateToPose of one vehicle; see Navigator.
+    """Client of an action of nav2 of one vehicle; see Navigator.
 
     `follow` may be called from any thread: the node's executor sends the goals.
     """
 
-    def __init__(self, node: Node, vehicle: str, map_frame: str, report: Report) -> None:
+    def __init__(
+        self, node: Node, vehicle: str, map_frame: str, report: Report, kind: ActionKind
+    ) -> None:
         try:
-            from nav2_msgs.action import NavigateToPose
-        except ImportError as error:
+            self._type = getattr(import_module('nav2_msgs.action'), kind.type_name)
+        except (ImportError, AttributeError) as error:
             raise ConfigError(
-                f'{vehicle}: navigator nav2 needs nav2_msgs, which is not installed'
+                f'{vehicle}: navigator nav2 needs {kind.type_name} of nav2_msgs, which is not '
+                'installed'
             ) from error
-        self._type = NavigateToPose
+        self._kind = kind
         self._node = node
         self._vehicle = vehicle
         self._map_frame = map_frame
         self._report_to = report
-        self._client = ActionClient(node, NavigateToPose, f'{vehicle}/{ACTION}')
-        self._wanted: tuple[float, Pose2] | None = None  # stamp (s) and goal of the newest plan
-        self._sent: Pose2 | None = None
+        self._client = ActionClient(node, self._type, f'{vehicle}/{kind.name}')
+        self._wanted: tuple[float, Plan] | None = None  # the newest plan, and its stamp (s)
+        self._sent: Plan | None = None
         self._sent_stamp = 0.0
         self._number = 0  # of the goal in force; answers about older ones are ignored
         self._handle: Any = None
@@ -58,9 +82,9 @@ class Nav2Navigator:
         )
 
     def follow(self, stamp: float, plan: Plan | None) -> None:
-        """Drive to the goal of the plan; None: cancel the goal in force."""
+        """Drive as the plan says; None: cancel the goal in force."""
         has_goal = plan is not None and len(plan.waypoints) > 0
-        self._wanted = (stamp, plan.goal) if plan is not None and has_goal else None
+        self._wanted = (stamp, plan) if plan is not None and has_goal else None
 
     # -- in the executor of the node -----------------------------------------------------------
 
@@ -69,29 +93,29 @@ class Nav2Navigator:
         if wanted is None:
             if self._sent is not None:
                 self._give_up(FollowerState.WAITING, 'no plan')
-        elif self._sent is None or _differ(wanted[1], self._sent) or self._is_retry(wanted[0]):
+        elif self._sent is None or self._is_news(*wanted):
             self._send(*wanted)
         elif self._busy and time.monotonic() - self._heard > SILENCE:
             sent = self._sent
             self._give_up(FollowerState.BLOCKED, f'nav2 silent for {SILENCE:.0f} s')
             self._sent = sent  # not again before the agent has another plan
 
-    def _is_retry(self, stamp: float) -> bool:
-        """Return whether the agent has sent a plan to the same goal after it had failed."""
+    def _is_news(self, stamp: float, plan: Plan) -> bool:
+        """Return whether a plan differs from the one that was sent, or tries it once more."""
         failed = self._state.state is FollowerState.BLOCKED and not self._busy
-        return failed and stamp > self._sent_stamp
+        retry = failed and stamp > self._sent_stamp
+        return self._sent is None or retry or not self._kind.is_in_force(self._sent, plan)
 
-    def _send(self, stamp: float, goal: Pose2) -> None:
+    def _send(self, stamp: float, plan: Plan) -> None:
         if not self._client.server_is_ready():
-            self._report(FollowerState.WAITING, f'{self._vehicle}/{ACTION} has no server')
+            self._report(FollowerState.WAITING, f'{self._vehicle}/{self._kind.name} has no server')
             return
         self._number += 1
-        self._sent, self._handle, self._busy = goal, None, True
+        self._sent, self._handle, self._busy = plan, None, True
         self._sent_stamp = stamp
         self._heard = time.monotonic()
         request = self._type.Goal()
-        request.pose.header = header(MESSAGES, stamp, self._map_frame)
-        request.pose.pose = pose_message(MESSAGES, goal)
+        self._kind.request(request, stamp, self._map_frame, plan)
         number = self._number
         self._report(FollowerState.WAITING, 'goal sent')
         future = self._client.send_goal_async(request, lambda _: self._on_feedback(number))
@@ -146,9 +170,33 @@ class Nav2Navigator:
             self._report_to(self._state)
 
 
-def _differ(a: Pose2, b: Pose2) -> bool:
-    increment = a.between(b)
-    return max(abs(value) for value in increment) > SAME_GOAL
+def _fill_in_pose(goal: Any, stamp: float, map_frame: str, plan: Plan) -> None:
+    goal.pose.header = header(MESSAGES, stamp, map_frame)
+    goal.pose.pose = pose_message(MESSAGES, plan.goal)
 
 
-make = Nav2Navigator
+def _have_same_goal(sent: Plan, plan: Plan) -> bool:
+    return max(abs(value) for value in sent.goal.between(plan.goal)) <= SAME_GOAL
+
+
+NAVIGATE_TO_POSE = ActionKind('navigate_to_pose', 'NavigateToPose', _fill_in_pose, _have_same_goal)
+
+
+def _fill_in_path(goal: Any, stamp: float, map_frame: str, plan: Plan) -> None:
+    points = sample(plan.waypoints, PATH_SPACING)
+    steps = np.diff(points, axis=0)
+    headings = np.append(np.arctan2(steps[:, 1], steps[:, 0]), plan.goal.theta)
+    poses = np.column_stack([points, headings])
+    goal.path = path_message(MESSAGES, stamp, map_frame, poses)
+
+
+def _have_same_path(sent: Plan, plan: Plan) -> bool:
+    return _have_same_goal(sent, plan) and np.array_equal(sent.waypoints, plan.waypoints)
+
+
+FOLLOW_PATH = ActionKind('follow_path', 'FollowPath', _fill_in_path, _have_same_path)
+
+
+def make(node: Node, vehicle: str, map_frame: str, report: Report) -> Nav2Navigator:
+    """Make a navigator that sends goals; see MakeNavigator."""
+    return Nav2Navigator(node, vehicle, map_frame, report, NAVIGATE_TO_POSE)
