@@ -1,4 +1,4 @@
-"""Sensor model of the occupancy grid: what the beams of one scan say about the cells.
+"""Inverse sensor model of the occupancy grid: the evidence of one scan for the cells.
 
 The evidence for a cell is its log-odds (Moravec and Elfes, "High resolution maps from wide angle
 sonar", 1985; Thrun, Burgard and Fox, "Probabilistic Robotics", 2005, chapter 9) in thousandths of
@@ -64,10 +64,10 @@ def classify_beams(
     max_laser_range: float,
     no_return_range: float,
 ) -> tuple[Array, NDArray[np.uint8]]:
-    """Return for each beam how far it frees cells (B,) m, and what it tells (B,).
+    """Return for each beam how far it frees cells (B,) m, and its kind (B,).
 
-    REP-117: NaN and -inf tell nothing, +inf is no return. A range beyond range_max is treated as
-    no return, a range below range_min tells nothing.
+    REP-117: NaN and -inf are invalid, +inf is no return. A range beyond range_max is treated as
+    no return, one below range_min is invalid.
     """
     lengths = np.zeros(ranges.size)
     kinds = np.zeros(ranges.size, np.uint8)
@@ -76,7 +76,7 @@ def classify_beams(
         if math.isnan(r) or r < range_min:
             continue
         if r > range_max:
-            # no return tells nothing about what lies beyond the range of the scanner
+            # no return says nothing about cells beyond the range of the scanner
             lengths[i] = min(no_return_range, max_laser_range, range_max)
             kinds[i] = FREE_ONLY if lengths[i] > 0.0 else NOTHING
         elif r > max_laser_range:

@@ -54,7 +54,7 @@ def count_choices(
 ) -> tuple[int, int, int]:  # pragma: no cover - compiled
     """Return one of the candidates that particles m0 … m0 + n chose for observation k, or -1.
 
-    The other results tell how many of them chose any candidate, and how many this one: mostly all.
+    Also returns how many of them chose any candidate, and how many chose this one: mostly all.
     """
     first, having, taking = -1, 0, 0
     for i in range(n):
