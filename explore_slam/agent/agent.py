@@ -172,7 +172,7 @@ class Agent:
 
     @property
     def loops(self) -> LoopClosing:
-        """Scans that hang on keyframes, and the closures found with them."""
+        """Scans attached to keyframes, and the closures found with them."""
         return self._team.loops
 
     @property

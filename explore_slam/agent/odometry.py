@@ -44,7 +44,7 @@ def _near_zero(pose: Pose2, factor: float) -> bool:
 
 
 def interpolate(a: Pose2, b: Pose2, fraction: float) -> Pose2:
-    """Return the pose at a fraction (0 to 1) between a and b; the heading takes the short way."""
+    """Return the pose at a fraction (0 to 1) from a to b; the heading takes the shorter turn."""
     return Pose2(
         a.x + fraction * (b.x - a.x),
         a.y + fraction * (b.y - a.y),
@@ -134,7 +134,7 @@ class OdometryBuffer:
         if self._stamps and self._is_restart(reading):
             logger.warning(
                 '%s: odometry begins at zero again, %.1f s after its last reading: the driver was '
-                'restarted, its way since then is unknown and no motion',
+                'restarted; the motion since then is unknown and counts as none',
                 self.vehicle,
                 reading.stamp - self.last,
             )
@@ -275,7 +275,7 @@ class OdometryBuffer:
     def _is_restart(self, reading: OdometryReading) -> bool:
         """Return whether a reading at zero after a gap is the first of a restarted driver."""
         if reading.stamp - self.last < _RESTART_GAP:
-            return False  # a reset of the base that goes on: a jump, which is no motion
+            return False  # a reset of a base that keeps running: a jump, which is no motion
         return _near_zero(reading.pose, 1.0) and not _near_zero(self.reading, _RESTART_CONTRAST)
 
     def _is_jump(self, stamp: float, pose: Pose2) -> bool:

@@ -2,7 +2,7 @@
 
 Odometry counts from where a base was started. A vehicle whose odometry begins elsewhere than at
 zero has driven since then, so that its start pose is in doubt; one whose odometry begins anew has
-moved by an unknown amount in between. Neither may drive on what is only believed.
+moved by an unknown amount in between. Neither may drive before its pose is confirmed.
 """
 
 import logging
@@ -17,7 +17,7 @@ from explore_slam.slam import UpdateSummary
 
 logger = logging.getLogger(__name__)
 
-# from here on a vehicle stands elsewhere than expected: more than odometry drifts on a way home
+# from here on a vehicle stands elsewhere than expected: more than odometry drifts on a drive home
 _AWAY = 0.5  # m
 _TURNED = 0.35  # rad, 20 degrees
 # (3, 3) m², rad²: a driver restarts in seconds, in which a person pushes or turns a vehicle
@@ -62,7 +62,7 @@ def check_first_reading(track: VehicleTrack, odometry: Pose2) -> None:
 def check_loaded_pose(track: VehicleTrack, before: Pose2 | None, loaded: Pose2) -> None:
     """Compare the pose in a loaded state with the estimate until then; None: there is none."""
     if before is None:
-        doubt(track, 'nothing is known of its way since the state was saved')
+        doubt(track, 'its motion since the state was saved is unknown')
     elif away(before, loaded):
         distance = math.dist(before[:2], loaded[:2])
         doubt(track, f'it stands {distance:.2f} m from where the loaded state has it')
@@ -89,7 +89,7 @@ def check_update(track: VehicleTrack, summary: UpdateSummary) -> None:
     """End the displacement of a vehicle whose landmarks show where it is.
 
     The first update may confirm that it has not moved; later ones associate with landmarks that
-    were inserted at the believed pose, so that only a relocalization counts.
+    were inserted at the doubtful pose, so that only a relocalization counts.
     """
     first, track.updated_since_displaced = not track.updated_since_displaced, True
     confirmed = (

@@ -39,7 +39,7 @@ class VehicleTrack:
     last_heard: time (s) of the agent when odometry arrived last.
     last_seen: stamp (s) of the newest frame or landmarks that were processed.
     follower: newest report of the path follower.
-    doubt: why its pose must be confirmed before it drives; '' if it need not be.
+    doubt: why its pose must be confirmed before it drives; '' if it is not in doubt.
     placed: its pose was given by a person or a saved state, not by its start.
     displaced: its odometry began anew after a gap, so that it may stand anywhere.
     updated_since_displaced: whether landmarks have updated its pose since then.
@@ -140,7 +140,7 @@ class VehicleTrack:
             return []
         steps = self.odometry.steps(self.keyframe.stamp, stamp)
         if self.odometry.first > self.keyframe.stamp:
-            # readings since the keyframe have left the buffer: one step stands for them
+            # readings since the keyframe have left the buffer: one step replaces them
             forgotten = self.keyframe.odometry.between(self.odometry.at(0.0))
             steps.insert(0, Step(forgotten, None))
         return steps

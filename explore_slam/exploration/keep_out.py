@@ -20,7 +20,7 @@ _TRAFFIC_DISTANCE = 1.5  # m; with another vehicle this near, that vehicle is th
 _WALL_LENGTH = 1.0  # m; permanent zones this near to each other are parts of one wall
 _WALL_SPACING = 0.3  # m between the zones that fill a wall
 _RELEASE_RADIUS = 2.0  # m around a trapped vehicle in which zones are released
-_MAXIMUM_RELEASES = 5  # at one place; then the zones are believed
+_MAXIMUM_RELEASES = 5  # at one place; then the zones are kept
 _OTHER_PLACE = 8.0  # m from the last release, after which releases are counted anew
 
 

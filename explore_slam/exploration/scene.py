@@ -142,7 +142,7 @@ class Scene:
         costs: tuple[Costs, ...],
         planning_radius: float,
     ) -> None:
-        """Make allowed cells (H, W) along a trail passable at a price: a way back."""
+        """Make allowed cells (H, W) along a trail passable at a price, for the way back."""
         if not trail:
             return
         scale = self.grid.resolution

@@ -19,7 +19,9 @@ from explore_slam.mapping.ray_model import (
     NOTHING,
     UNITS_PER_NAT,
     UNKNOWN,
+    Beams,
     BeamSteps,
+    Canvas,
     classify_beams,
     draw_beams,
     drop_bodies,
@@ -170,22 +172,15 @@ class OccupancyGrid:
         )
         headings = scan.angles + pose.theta
         if len(bodies):
-            drop_bodies(pose.x, pose.y, headings, lengths, kinds, bodies)
-        used = kinds != NOTHING
-        if not used.any():
+            drop_bodies(Beams(pose.x, pose.y, headings, lengths, kinds), bodies)
+        if not (kinds != NOTHING).any():
             return
         self._make_room(pose, headings, lengths)
         self._scan_number += 1
+        x, y = pose.x / scale - self._first_col, pose.y / scale - self._first_row
         draw_beams(
-            self._evidence,
-            self._touched,
-            self._scan_number,
-            pose.x / scale - self._first_col,
-            pose.y / scale - self._first_row,
-            headings,
-            lengths / scale,
-            kinds,
-            self._steps,
+            Canvas(self._evidence, self._touched, self._scan_number, self._steps),
+            Beams(x, y, headings, lengths / scale, kinds),
         )
 
     def _make_room(self, pose: Pose2, headings: Array, lengths: Array) -> None:

@@ -1,4 +1,4 @@
-"""Sensor model of the occupancy grid: what the beams of one scan say about the cells.
+"""Inverse sensor model of the occupancy grid: the evidence of one scan for the cells.
 
 The evidence for a cell is its log-odds (Moravec and Elfes, "High resolution maps from wide angle
 sonar", 1985; Thrun, Burgard and Fox, "Probabilistic Robotics", 2005, chapter 9) in thousandths of
@@ -29,6 +29,33 @@ class BeamSteps(NamedTuple):
     high: int
 
 
+class Beams(NamedTuple):
+    """Beams of one scan from a common origin.
+
+    x, y: the origin; headings (B,) rad; lengths (B,): how far each beam frees cells, in the unit
+    of the origin; kinds (B,): NOTHING, FREE_ONLY or HIT.
+    """
+
+    x: float
+    y: float
+    headings: Array
+    lengths: Array
+    kinds: NDArray[np.uint8]
+
+
+class Canvas(NamedTuple):
+    """What scans are drawn into: evidence (H, W), changed in place.
+
+    touched (H, W): number of the scan that changed a cell last; scan_number: of the scan that is
+    drawn.
+    """
+
+    evidence: NDArray[np.int16]
+    touched: NDArray[np.int32]
+    scan_number: int
+    steps: BeamSteps
+
+
 @kernel
 def classify_beams(
     ranges: NDArray[np.float32],
@@ -37,10 +64,10 @@ def classify_beams(
     max_laser_range: float,
     no_return_range: float,
 ) -> tuple[Array, NDArray[np.uint8]]:
-    """Return for each beam how far it frees cells (B,) m, and what it tells (B,).
+    """Return for each beam how far it frees cells (B,) m, and its kind (B,).
 
-    REP-117: NaN and -inf tell nothing, +inf is no return. A range beyond range_max is treated as
-    no return, a range below range_min tells nothing.
+    REP-117: NaN and -inf are invalid, +inf is no return. A range beyond range_max is treated as
+    no return, one below range_min is invalid.
     """
     lengths = np.zeros(ranges.size)
     kinds = np.zeros(ranges.size, np.uint8)
@@ -49,7 +76,7 @@ def classify_beams(
         if math.isnan(r) or r < range_min:
             continue
         if r > range_max:
-            # no return tells nothing about what lies beyond the range of the scanner
+            # no return says nothing about cells beyond the range of the scanner
             lengths[i] = min(no_return_range, max_laser_range, range_max)
             kinds[i] = FREE_ONLY if lengths[i] > 0.0 else NOTHING
         elif r > max_laser_range:
@@ -62,18 +89,12 @@ def classify_beams(
 
 
 @kernel
-def drop_bodies(
-    x: float,
-    y: float,
-    headings: Array,
-    lengths: Array,
-    kinds: NDArray[np.uint8],
-    bodies: Array,
-) -> None:
+def drop_bodies(beams: Beams, bodies: Array) -> None:
     """Shorten, in place, beams that end on a vehicle: no hit, and free up to its body only.
 
-    bodies (V, 3): x, y and radius (m) of the vehicles, in the frame of x and y.
+    bodies (V, 3): x, y and radius (m) of the vehicles, in the frame of the beams' origin.
     """
+    x, y, headings, lengths, kinds = beams
     for b in range(bodies.shape[0]):
         bx, by, radius = bodies[b, 0] - x, bodies[b, 1] - y, bodies[b, 2]
         distance_squared = bx * bx + by * by
@@ -92,61 +113,40 @@ def drop_bodies(
 
 
 @kernel
-def _add(evidence: NDArray[np.int16], row: int, col: int, step: int, low: int, high: int) -> None:
-    """Add evidence to one cell, clamped."""
-    before = int(evidence[row, col])
+def _add(canvas: Canvas, row: int, col: int, step: int) -> None:
+    """Add evidence to one cell, clamped, unless this scan has done so already."""
+    if canvas.touched[row, col] == canvas.scan_number:
+        return
+    canvas.touched[row, col] = canvas.scan_number
+    before = int(canvas.evidence[row, col])
     after = step if before == UNKNOWN else before + step
-    evidence[row, col] = min(max(after, low), high)
+    canvas.evidence[row, col] = min(max(after, canvas.steps.low), canvas.steps.high)
 
 
 @kernel
-def draw_beams(
-    evidence: NDArray[np.int16],
-    touched: NDArray[np.int32],
-    scan_number: int,
-    x: float,
-    y: float,
-    headings: Array,
-    lengths: Array,
-    kinds: NDArray[np.uint8],
-    steps: BeamSteps,
-) -> None:
-    """Add one scan to evidence (H, W), in place.
+def draw_beams(canvas: Canvas, beams: Beams) -> None:
+    """Add one scan to the evidence.
 
-    x, y and lengths are in cells, from the corner of cell [0, 0]; touched (H, W) holds the number
-    of the scan that changed a cell last. The caller guarantees that the origin and every end point
-    lie inside the array.
+    The beams are in cells, from the corner of cell [0, 0]. The caller guarantees that their origin
+    and every end point lie inside the array.
     """
-    hit, miss, low, high = steps
+    x, y, headings, lengths, kinds = beams
     for i in range(headings.size):
         if kinds[i] == HIT:
             col = math.floor(x + lengths[i] * math.cos(headings[i]))
             row = math.floor(y + lengths[i] * math.sin(headings[i]))
-            if touched[row, col] != scan_number:
-                touched[row, col] = scan_number
-                _add(evidence, row, col, hit, low, high)
+            _add(canvas, row, col, canvas.steps.hit)
     for i in range(headings.size):
         if kinds[i] != NOTHING:
             c, s = math.cos(headings[i]), math.sin(headings[i])
-            _free_ray(evidence, touched, scan_number, x, y, c, s, lengths[i], miss, low, high)
+            _free_ray(canvas, x, y, c, s, lengths[i])
 
 
 @kernel
-def _free_ray(
-    evidence: NDArray[np.int16],
-    touched: NDArray[np.int32],
-    scan_number: int,
-    x: float,
-    y: float,
-    c: float,
-    s: float,
-    length: float,
-    miss: int,
-    low: int,
-    high: int,
-) -> None:
+def _free_ray(canvas: Canvas, x: float, y: float, c: float, s: float, length: float) -> None:
     """Add a pass to every cell that a ray crosses before the one in which it ends.
 
+    x, y: origin; c, s: cosine and sine of the heading; all in cells.
     Traversal after Amanatides and Woo, "A fast voxel traversal algorithm for ray tracing" (1987).
     """
     col, row = math.floor(x), math.floor(y)
@@ -157,9 +157,7 @@ def _free_ray(
     to_col = (col + 1 - x if c > 0.0 else x - col) * per_col if c != 0.0 else np.inf
     to_row = (row + 1 - y if s > 0.0 else y - row) * per_row if s != 0.0 else np.inf
     for _ in range(abs(end_col - col) + abs(end_row - row)):
-        if touched[row, col] != scan_number:
-            touched[row, col] = scan_number
-            _add(evidence, row, col, miss, low, high)
+        _add(canvas, row, col, canvas.steps.miss)
         if to_col < to_row:
             to_col += per_col
             col += step_col

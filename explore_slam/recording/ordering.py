@@ -172,10 +172,10 @@ class StampOrder:
                 )
         if self.clock_jumps:
             before, after = self.clock_jumps[0]
-            times = f' (and {len(self.clock_jumps) - 1} times more)'
+            others = len(self.clock_jumps) - 1
             found.append(
                 f'the recorded clock jumps back from {before:.3f} s to {after:.3f} s'
-                + (times if len(self.clock_jumps) > 1 else '')
+                + (f', the first of {others + 1} jumps' if others else '')
             )
         return found + self._clocks()
 

@@ -152,7 +152,7 @@ def _iterate(
 
 @kernel
 def _without_normal_noise(A: Array, b: Array) -> tuple[Array, Array]:
-    """Return A and b less the information that noise of the normals feigns.
+    """Return A and b without the spurious information that comes from noisy normals.
 
     Normals that scatter around one direction have components along the surface. These sum up
     to NORMAL_DEVIATION² of the information across, all along the weakest direction v of the

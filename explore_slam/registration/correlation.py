@@ -6,6 +6,7 @@ over the pyramid of the likelihood grid skips only what cannot be better.
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +63,20 @@ class SearchWindow:
         return min(1 + int(math.log2(across)), _MOST_LEVELS)
 
 
+class _Offsets(NamedTuple):
+    """The offsets from the centre of a window that are searched, and what they cost.
+
+    extent: cells from the centre to the edge; step: rad between two headings; penalties: per
+    squared cell and per rad². excluded (5,): the mode that does not count, offsets in cells and
+    in rad, and half widths in m and in rad; zero widths: none.
+    """
+
+    extent: int
+    step: float
+    penalties: tuple[float, float]
+    excluded: Array
+
+
 @dataclass(frozen=True)
 class Peak:
     """A pose and its score, the mean likelihood (0 to 1) of the points there."""
@@ -116,9 +131,8 @@ def _search(
     penalties = (window.position_penalty * RESOLUTION**2, window.heading_penalty)
     start = (centre.x, centre.y, centre.theta)
     cells = _cells_of_points(points, start, grid.origin, window.turns, window.angle_step)
-    found, score, dx, dy, turn = _branch_and_bound(
-        levels, cells, window.cells, window.angle_step, penalties, excluded, least_score
-    )
+    offsets = _Offsets(window.cells, window.angle_step, penalties, excluded)
+    found, score, dx, dy, turn = _branch_and_bound(levels, cells, offsets, least_score)
     if not found:
         return None
     pose = Pose2(
@@ -212,13 +226,11 @@ def _block_bounds(
     level: Levels,
     cells: NDArray[np.int32],
     size: int,
-    extent: int,
-    step: float,
-    penalties: tuple[float, float],
-    excluded: Array,
+    offsets: _Offsets,
     least: float,
 ) -> Array:
     """Return bounds (headings * blocks * blocks,) of the coarsest level, -inf where excluded."""
+    extent, step, penalties, excluded = offsets
     headings, blocks = len(cells), (2 * extent) // size + 1
     bounds = np.full(headings * blocks * blocks, -np.inf)
     for k in range(headings):
@@ -240,13 +252,12 @@ def _best_in_block(
     cells: NDArray[np.int32],
     corner: tuple[int, int],
     bound: float,
-    extent: int,
     turn: float,
-    penalties: tuple[float, float],
-    excluded: Array,
+    offsets: _Offsets,
     best: float,
 ) -> tuple[float, int, int]:
     """Return the best value in a block of the coarsest level and its offset, if above best."""
+    extent, _, penalties, excluded = offsets
     top = len(levels) - 1
     turned = penalties[1] * turn * turn
     stack = np.empty((3 * top + 4, 3), np.int64)  # level, dx, dy
@@ -283,17 +294,15 @@ def _best_in_block(
 def _branch_and_bound(
     levels: Levels,
     cells: NDArray[np.int32],
-    extent: int,
-    step: float,
-    penalties: tuple[float, float],
-    excluded: Array,
+    offsets: _Offsets,
     least: float,
 ) -> tuple[bool, float, int, int, int]:
     """Return whether a pose above the least score exists, its score, cells (x, y) and turns."""
+    extent, step, penalties, _ = offsets
     top = len(levels) - 1
     size, turns = 1 << top, len(cells) // 2
     blocks = (2 * extent) // size + 1
-    bounds = _block_bounds(levels[top], cells, size, extent, step, penalties, excluded, least)
+    bounds = _block_bounds(levels[top], cells, size, offsets, least)
     best, found, best_x, best_y, best_turn = least, False, 0, 0, 0
     for candidate in np.argsort(-bounds, kind='mergesort'):
         if bounds[candidate] <= best:
@@ -302,7 +311,7 @@ def _branch_and_bound(
         corner = (block % blocks * size - extent, block // blocks * size - extent)
         turn = (k - turns) * step
         value, x, y = _best_in_block(
-            levels, cells[k], corner, bounds[candidate], extent, turn, penalties, excluded, best
+            levels, cells[k], corner, bounds[candidate], turn, offsets, best
         )
         if value > best:
             best, found, best_x, best_y, best_turn = value, True, x, y, k - turns

@@ -32,7 +32,7 @@ _FEWEST_POINTS = 15
 # distances over 100 scans are nearest to 3 on all data: 1.6 to 2.8 in the simulated office, 4.6 to
 # 5.4 on ACES, Belgioioso and Intel against the path with loops closed.
 _WINDOW_DRIFT = 0.2
-# rad; at 6 m half a step is one cell of 0.05 m off, which the alignment makes good.
+# rad; at 6 m half a step is one cell of 0.05 m off, which the alignment corrects.
 _ANGLE_STEP = math.radians(1.5)
 _SIGMAS = 3.0  # the window covers the odometry's error
 _LEAST_WINDOW = (0.1, 0.03)  # m, rad
@@ -42,7 +42,7 @@ _LEAST_SCORE = 0.1
 _PENALTY = 0.025
 _REACH = 0.4  # m, of the alignment at first
 _LAST_REACH = 0.15  # m, of one that begins at an alignment
-# A pose this far (m, rad) from the odometry's is believed only if there is no other like it.
+# A pose this far (m, rad) from the odometry's is accepted only if the match is unique.
 _WIDE_OVERLAP = 0.6
 _DOOR = 0.7  # of the least overlap: enough near the odometry's pose if nothing else fits
 _MODES_APART = (0.5, math.radians(10.0))
@@ -207,7 +207,7 @@ class ScanMatcher:
         slipped = np.diag([*_MOST_WINDOW[:1] * 2, _MOST_WINDOW[1]]) ** 2
         found = _register(local_map, cloud, prior, slipped, window)
         if found is None or found.share < _WIDE_OVERLAP:
-            # Through a door, little of what is known remains in sight, but the wheels are right.
+            # Through a door, little of the map remains in sight, but wheel odometry is reliable.
             if near is not None and likely and near.share >= _DOOR * self.config.matching_overlap:
                 return self._believed(local_map, cloud, near, prior, covariance)
             return RefusedScan(Refusal.LITTLE_OVERLAP, prior)
@@ -220,8 +220,9 @@ class ScanMatcher:
     ) -> ScanMatch:
         """Return the match, with the odometry as uncertain as its distance from the scan shows.
 
-        P (3, 3) is scaled until the squared Mahalanobis distance is what is expected of it: wheels
-        that slip in one direction are believed less in all (covariance matching; Mehra, 1972).
+        P (3, 3) is scaled until the squared Mahalanobis distance has its expected value, so that
+        wheels that slip in one direction are trusted less in all of them (covariance matching;
+        Mehra, 1972).
         """
         scale = _distance(found.pose, prior, P) ** 2 / 3.0
         if scale > 1.0:

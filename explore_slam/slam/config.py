@@ -206,7 +206,7 @@ class CalibrationConfig(Section):
     )
     heading_drift_deviation: float = setting(
         0.05,
-        'Prior deviation of the heading drift of unlike wheels',
+        'Prior deviation of the heading drift of wheels of unequal diameter',
         unit='rad/m',
         low=1e-6,
         high=1.0,

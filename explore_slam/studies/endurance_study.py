@@ -1,7 +1,7 @@
 """Endurance study: memory, map and update time of a team that patrols after exploring.
 
 A closed loop without ROS; features are extracted on the vehicles, so that the time of an update is
-that of the filter. Samples are written while the run goes on.
+that of the filter. Samples are written during the run.
 """
 
 import json

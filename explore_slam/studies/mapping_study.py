@@ -136,12 +136,12 @@ def _replay(task: MappingTask, seed: int) -> _Replayed:
 
 
 def join_figures(logs: Mapping[str, VehicleLog], joins: Sequence[Join]) -> dict[str, float | None]:
-    """Return when the last of several vehicles was joined to the others, and how rightly.
+    """Return when the last of several vehicles was joined to the others, and how accurately.
 
-    joined_after_m: way that it had driven, null if not all were joined; met_after_m: way after
-    which the last of them came to a place where another one had been before; join_error_m: the
-    largest error of the relative poses that were found, by the reference; false_joins: how many of
-    them are wrong. All are null for a single vehicle.
+    joined_after_m: distance that it had driven, null if not all were joined; met_after_m: distance
+    after which the last of them came to a place where another one had been before; join_error_m:
+    the largest error of the relative poses that were found, by the reference; false_joins: how
+    many of them are wrong. All are null for a single vehicle.
     """
     names = list(logs)
     figures: dict[str, float | None] = dict.fromkeys(
@@ -151,7 +151,7 @@ def join_figures(logs: Mapping[str, VehicleLog], joins: Sequence[Join]) -> dict[
         return figures
     met = [_met_after(logs, name) for name in names[1:]]
     if None not in met:
-        figures['met_after_m'] = max(way for way in met if way is not None)
+        figures['met_after_m'] = max(distance for distance in met if distance is not None)
     first = {join.vehicle: join for join in reversed(joins)}
     if set(first) >= set(names[1:]):
         figures['joined_after_m'] = max(join.distance_driven for join in first.values())
@@ -172,19 +172,19 @@ def join_figures(logs: Mapping[str, VehicleLog], joins: Sequence[Join]) -> dict[
 
 
 def _met_after(logs: Mapping[str, VehicleLog], name: str) -> float | None:
-    """Return the way (m) of a vehicle to where another one had been, None if it led nowhere so."""
+    """Return the distance (m) a vehicle drove until it was where another had been; None: never."""
     log = logs[name]
     if log.reference is None:
         return None
     steps = np.hypot(*np.diff(log.reference[:, :2], axis=0).T)
-    ways = np.concatenate([[0.0], np.cumsum(steps)])
-    for stamp, pose, way in zip(log.scan_stamps, log.reference, ways, strict=True):
+    distances = np.concatenate([[0.0], np.cumsum(steps)])
+    for stamp, pose, distance in zip(log.scan_stamps, log.reference, distances, strict=True):
         for other in logs.values():
             if other is log or other.reference is None:
                 continue
             before = other.reference[other.scan_stamps <= stamp]
             if (np.hypot(*(before[:, :2] - pose[:2]).T) < SAME_PLACE).any():
-                return float(way)
+                return float(distance)
     return None
 
 

@@ -74,9 +74,9 @@ class TwinRun(NamedTuple):
     """Figures of a run.
 
     drift_m: of the odometry over a corridor. ends_revisited: lobbies that a vehicle came back to;
-    ends_closed: those with a right closure. joined_after_m: way of the second vehicle when a
-    closure first tied it to the first one, NaN if none did. error_m: mean distance of all
-    keyframes in the map from the truth.
+    ends_closed: those with a correct closure. joined_after_m: distance driven by the second
+    vehicle when a closure first tied it to the first one, NaN if none did. error_m: mean distance
+    of all keyframes in the map from the truth.
     """
 
     world: int
@@ -93,7 +93,7 @@ class TwinRun(NamedTuple):
 
 
 class _Vehicle:
-    """A vehicle on a given path, with its wheels and laser."""
+    """A vehicle on a given path, with wheel odometry and laser."""
 
     def __init__(self, world: TwinCorridors, path: list[Pose2], scale: float, seed: int) -> None:
         self.world, self.path, self.scale = world, path, scale
@@ -101,7 +101,7 @@ class _Vehicle:
         self.wheels = IDENTITY
 
     def records(self, tick: int) -> tuple[OdometryReading, LaserScan]:
-        """Return what wheels and laser measure at a tick."""
+        """Return the odometry and the scan of a tick."""
         true, stamp = self.path[tick], PERIOD * tick
         if tick:
             u = np.asarray(self.path[tick - 1].between(true))

@@ -164,7 +164,7 @@ class Kinect:
         return int(freenect.DEPTH_11BIT if raw else freenect.DEPTH_REGISTERED)
 
     def _read(self, running: threading.Event, images: 'queue.Queue[Any]') -> None:
-        """Put images into the queue until told to end; None marks the loss of the camera."""
+        """Put images into the queue until asked to stop; None marks the loss of the camera."""
         freenect, index = self._freenect, self.own.camera_index
         while running.is_set():
             for kind in ('depth', 'color'):

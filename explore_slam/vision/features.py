@@ -25,7 +25,7 @@ class FeatureExtractor:
 
     The same frame gives the same observations, bit for bit, whatever the number of threads.
 
-    mount: of the camera, where a frame does not tell it; by default that of the settings.
+    mount: of the camera, for frames without one; by default that of the settings.
     """
 
     def __init__(self, config: VisionConfig | None = None, mount: CameraMount | None = None):

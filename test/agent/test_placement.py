@@ -82,7 +82,7 @@ def test_a_loaded_state_is_confirmed_where_its_vehicle_still_stands(tmp_path, ca
     assert 'from where the loaded state has it' in caplog.text
     fresh = Agent(CONFIG, {'robot1': START}, 1)
     fresh.load_state(path)
-    assert 'nothing is known of its way' in caplog.text
+    assert 'its motion since the state was saved is unknown' in caplog.text
     assert TeamPlanner(fresh).plan(14.0).status is ExplorationStatus.PAUSED
 
 

@@ -185,6 +185,7 @@ def test_paths_bypass_vehicles_that_stand():
         ([(3, 3), (3, 20)], False),
         ([(3, 3), (-3, 3)], False),
         ([(1, 1), (3, 3)], True),  # begins beside the wall
+        ([(3, 3), (3, 6), (3, 12), (0, 12), (3, 12)], False),  # into the wall and back
     ],
 )
 def test_whether_a_path_is_still_free(points, free):

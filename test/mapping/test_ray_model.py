@@ -10,7 +10,9 @@ from explore_slam.mapping.ray_model import (
     HIT,
     NOTHING,
     UNKNOWN,
+    Beams,
     BeamSteps,
+    Canvas,
     classify_beams,
     draw_beams,
     drop_bodies,
@@ -36,7 +38,8 @@ def test_beams_by_their_range():
 
 def dropped(length, heading, bodies, kind=HIT, x=1.0, y=-2.0):
     lengths, kinds = np.array([length]), np.array([kind], np.uint8)
-    drop_bodies(x, y, np.array([heading]), lengths, kinds, np.array(bodies, float))
+    beams = Beams(x, y, np.array([heading]), lengths, kinds)
+    drop_bodies(beams, np.array(bodies, float))
     return lengths[0], kinds[0]
 
 
@@ -73,10 +76,11 @@ def drawn(beams, start=None):
     """Evidence of a row of 12 cells after beams from (0.5, 1.5): length in cells and kind."""
     evidence = np.full((3, 12), UNKNOWN) if start is None else start.copy()
     lengths, kinds = zip(*beams, strict=True)
+    headings = np.zeros(len(beams))
     draw_beams(
-        evidence, np.zeros((3, 12), np.int32), 1, 0.5, 1.5, np.zeros(len(beams)),
-        np.array(lengths, float), np.array(kinds, np.uint8), STEPS,
-    )  # fmt: skip
+        Canvas(evidence, np.zeros((3, 12), np.int32), 1, STEPS),
+        Beams(0.5, 1.5, headings, np.array(lengths, float), np.array(kinds, np.uint8)),
+    )
     return evidence
 
 
@@ -108,9 +112,9 @@ def test_a_ray_visits_connected_cells_from_its_origin_to_its_end(heading):
     evidence = np.full((40, 40), UNKNOWN)
     x, y, length = 20.3, 19.6, 15.0
     draw_beams(
-        evidence, np.zeros((40, 40), np.int32), 1, x, y, np.array([heading]),
-        np.array([length]), np.array([HIT], np.uint8), STEPS,
-    )  # fmt: skip
+        Canvas(evidence, np.zeros((40, 40), np.int32), 1, STEPS),
+        Beams(x, y, np.array([heading]), np.array([length]), np.array([HIT], np.uint8)),
+    )
     end = math.floor(y + length * math.sin(heading)), math.floor(x + length * math.cos(heading))
     assert evidence[end] == 10
     visited = np.argwhere(evidence == -4)

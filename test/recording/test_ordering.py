@@ -51,6 +51,15 @@ def test_a_clock_that_jumps_back_starts_again():
     order = StampOrder()
     assert [stamp // SECOND for stamp, _ in order.sort(logged)] == [100, 101, 1, 2]
     assert order.clock_jumps == [(101.0, 1.0)]
+    assert order.notes()[0] == 'the recorded clock jumps back from 101.000 s to 1.000 s'
+
+
+def test_clock_jumps_are_one_note_with_their_number():
+    stamps = [100, 101, 1, 2, 90, 91, 5, 6]
+    order = StampOrder()
+    list(order.sort([message(s * SECOND, k * SECOND) for k, s in enumerate(stamps)]))
+    note = 'the recorded clock jumps back from 101.000 s to 1.000 s, the first of 2 jumps'
+    assert order.notes()[0] == note
 
 
 def test_data_without_a_header_are_counted():

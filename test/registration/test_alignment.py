@@ -8,6 +8,12 @@ from registration.ray_caster import box, polyline, scan_of
 
 from explore_slam.geometry import IDENTITY, Pose2
 from explore_slam.registration import LocalMap, Prior, scan_cloud
+from explore_slam.registration.alignment import (
+    _CORRELATED_BEAMS,
+    NORMAL_DEVIATION,
+    _noise,
+    _without_normal_noise,
+)
 
 ROOM = np.vstack([box(-3.0, -2.0, 3.0, 2.0), polyline((1.0, -2.0), (1.0, -0.5))])
 CORRIDOR = np.vstack([polyline((-50.0, 1.0), (50.0, 1.0)), polyline((-50.0, -1.0), (50.0, -1.0))])
@@ -88,3 +94,42 @@ def test_bad_input_is_named():
         LocalMap.of([cloud], [])
     with pytest.raises(match='one cloud or more'):
         LocalMap([])
+
+
+def test_information_that_noise_of_normals_feigns_is_taken_from_the_weakest_direction():
+    c, s = math.cos(0.5), math.sin(0.5)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    A, b = turn @ np.diag([100.0, 10.0, 50.0]) @ turn.T, np.array([3.0, -2.0, 1.0])
+    less, of_less = _without_normal_noise(A, b)
+    feigned = NORMAL_DEVIATION**2 * (100.0 + 10.0)
+    np.testing.assert_allclose(less, turn @ np.diag([100.0, 10.0 - feigned, 50.0]) @ turn.T)
+    np.testing.assert_allclose(np.linalg.solve(less, of_less), np.linalg.solve(A, b), rtol=1e-5)
+
+
+def test_no_more_information_is_taken_than_a_direction_has():
+    """Information of a corridor along x, where the heading is coupled to the position across."""
+    A = np.array([[1e-3, 0.0, 0.0], [0.0, 100.0, 30.0], [0.0, 30.0, 20.0]])
+    less, _ = _without_normal_noise(A, np.zeros(3))
+    expected = A.copy()
+    expected[0, 0] = 0.0
+    np.testing.assert_allclose(less, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize('correlation', [0.5, 0.8])
+def test_correlated_residuals_count_as_fewer_independent_ones(correlation):
+    """The share is that of an autoregressive process, weighted by Bartlett's window."""
+    random, beams = np.random.default_rng(4), 40_000
+    residuals = np.empty(beams)
+    value = 0.0
+    for k, noise in enumerate(random.standard_normal(beams)):
+        value = correlation * value + math.sqrt(1.0 - correlation**2) * noise
+        residuals[k] = 0.03 * value
+    deviation, share = _noise(residuals)
+    lags = np.arange(1, _CORRELATED_BEAMS + 1)
+    weights = 1.0 - lags / (_CORRELATED_BEAMS + 1.0)
+    assert deviation == pytest.approx(0.03, rel=0.05)
+    assert 1.0 / share == pytest.approx(1.0 + 2.0 * (weights @ correlation**lags), rel=0.08)
+
+
+def test_residuals_that_alternate_count_no_more_than_independent_ones():
+    assert _noise(np.tile([0.02, -0.02], 50)) == (pytest.approx(0.02), 1.0)

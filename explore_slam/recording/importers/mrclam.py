@@ -136,9 +136,9 @@ def odometry_delay(robots: Sequence[tuple[Array, Array]]) -> float:
     """Return by how much (s) the robots follow the logged velocities, from 0 to 0.5.
 
     A landmark that is seen twice within a second turns in view by what the robot has turned
-    meanwhile, since it is far away compared to the way driven. The delay is the one at which the
-    turns of the odometry explain most of the variance of the changes of bearing, over all robots
-    together; 0 with too few bearings.
+    meanwhile, since it is far away compared to the distance driven. The delay is the one at which
+    the turns of the odometry explain most of the variance of the changes of bearing, over all
+    robots together; 0 with too few bearings.
 
     robots: odometry (N, 3) time, forward and angular velocity, and measurements (N, 4) time,
     subject, range and bearing, of each.

@@ -166,7 +166,7 @@ class _Search:
     def _near(self) -> tuple[Ids, Distances, NDArray[np.bool_]]:
         """Compare with all landmarks within the radius: entries (K, J), nearest first, distances.
 
-        The last result (K,) tells where there are more of them than the forest would compare.
+        The last result (K,) marks where there are more of them than the forest would compare.
         """
         count = len(self.points)
         wanted = self.config.candidates_per_observation
@@ -199,8 +199,7 @@ class _Search:
     ) -> tuple[Ids, Distances, NDArray[np.bool_], NDArray[np.bool_]]:
         """Search the index for some (K,) observations: entries and distances, both (k, 2 J).
 
-        The other results tell which of them lie within the radius, and which up to `beyond` (m)
-        outside it.
+        The other results mark those within the radius, and those up to `beyond` (m) outside it.
         """
         similar, distances = self.landmarks.index.query(
             self.vectors[some],

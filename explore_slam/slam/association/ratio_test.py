@@ -19,7 +19,7 @@ _SAME_PLACE = 0.5
 def is_distinctive(
     nearest: Ids, distances: Distances, reference: Array, limit: float, kind: DescriptorKind
 ) -> NDArray[np.bool_]:
-    """Return (K,) whether the nearest descriptor tells the landmark from all others compared.
+    """Return (K,) whether the nearest descriptor is distinctive among all those compared.
 
     nearest (K, A): entries within the limit, nearest first, or -1; distances (K, A) to them;
     reference (n, 3): positions of all entries (m). The distance to a landmark that is not among

@@ -87,11 +87,11 @@ class CandidateSet:
     vectors (K, D) of the descriptors; entries (L,): the candidates' landmarks in the map;
     candidates (K, J): places in entries, or -1; distances (K, J) of descriptors;
     similar_ids (K, A): ids of all landmarks within reach with a similar descriptor, or -1;
-    is_distinctive (K,): the descriptor tells the landmark from all others (see ratio_test);
+    is_distinctive (K,): the descriptor passes Lowe's ratio test (see ratio_test);
     hidden: which entries of the whole map are in another frame than the vehicle, None: no entry.
 
     Covariances of `measured` are those of each observation by itself: with them it is associated.
-    Those of `observed` are larger where observations repeat earlier ones: so much they tell.
+    Those of `observed` are inflated where observations repeat earlier ones, and update the filter.
     """
 
     measured: Observed

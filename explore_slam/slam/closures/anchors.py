@@ -84,7 +84,7 @@ class _Trail:
     added: int = 0
 
     def around(self, distance_driven: float, half: float, newest_distance: float) -> list[Anchor]:
-        """Return the anchors within half (m driven), none beyond newest_way."""
+        """Return the anchors within half (m driven), none beyond newest_distance (m driven)."""
         distances_driven = np.array(self.distances_driven)
         first = int(np.searchsorted(distances_driven, distance_driven - half, 'left'))
         last = int(
@@ -261,7 +261,7 @@ class Anchors:
     def region(
         self, vehicle: int, number: int, poses: Array, newest_distance: float = math.inf
     ) -> Region | None:
-        """Return the map of a region, None where it has no anchors up to newest_way (m).
+        """Return the map of a region, None where it has no anchors up to newest_distance (m).
 
         number: of the centre, in steps of REGION_SPACING of distance driven by the vehicle.
         """

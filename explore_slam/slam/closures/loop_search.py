@@ -94,7 +94,7 @@ class LoopSearch:
         self._closed_at: dict[
             int, float
         ] = {}  # distance driven by each vehicle at its last closure
-        # vehicle and way at both ends of the closures that the next may share scans with
+        # vehicle and distance driven at both ends of closures that may share scans with the next
         self._accepted: list[tuple[int, float, int, float]] = []
         self._inconsistent: dict[tuple[int, int], int] = {}
 

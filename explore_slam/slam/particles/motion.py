@@ -116,8 +116,8 @@ def calibrated(increment: Pose2, calibration: Array) -> CalibratedStep:
     """Correct an increment of wheel odometry by the systematic errors of a differential drive.
 
     calibration (3,): scale error of turning and of driving, and the heading drift (rad/m) of
-    unlike wheels (Borenstein and Feng, "Measurement and correction of systematic odometry errors
-    in mobile robots", 1996); zero where the odometry is right.
+    wheels of unequal diameter (Borenstein and Feng, "Measurement and correction of systematic
+    odometry errors in mobile robots", 1996); zero where the odometry is right.
     """
     turn, distance, drift = calibration.tolist()
     corrected = Pose2(
@@ -227,7 +227,7 @@ class PendingMotion:
         return total
 
     def copy(self) -> 'PendingMotion':
-        """Return a motion that goes on by itself."""
+        """Return an independent copy."""
         return PendingMotion(list(self.segments), self.white)
 
     def end_covariance(self) -> Array:

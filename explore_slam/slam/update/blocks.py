@@ -49,6 +49,24 @@ SCRATCH = 59
 
 
 @kernel(inline='always')
+def count_choices(
+    choice: Choice, k: int, m0: int, n: int
+) -> tuple[int, int, int]:  # pragma: no cover - compiled
+    """Return one of the candidates that particles m0 … m0 + n chose for observation k, or -1.
+
+    Also returns how many of them chose any candidate, and how many chose this one: mostly all.
+    """
+    first, having, taking = -1, 0, 0
+    for i in range(n):
+        first = max(first, choice[k, m0 + i])
+    for i in range(n):
+        j = choice[k, m0 + i]
+        having += 1 if j >= 0 else 0
+        taking += 1 if j == first else 0
+    return first, having, taking
+
+
+@kernel(inline='always')
 def load(
     w: Array, rows: CandidateRows, choice: Choice, k: int, m0: int, n: int
 ) -> bool:  # pragma: no cover - compiled
@@ -57,14 +75,9 @@ def load(
     Returns whether any of them chose one.
     """
     slab, addresses, candidates = rows.rows, rows.addresses, rows.candidates
-    first, having, taking = -1, 0, 0
+    first, having, taking = count_choices(choice, k, m0, n)
     for i in range(n):
-        first = max(first, choice[k, m0 + i])
-    for i in range(n):
-        j = choice[k, m0 + i]
-        having += 1 if j >= 0 else 0
-        taking += 1 if j == first else 0
-        w[MASK, i] = 1.0 if j >= 0 else 0.0
+        w[MASK, i] = 1.0 if choice[k, m0 + i] >= 0 else 0.0
     if first >= 0:
         row = slab[addresses[candidates[k, first]]]
         for v in range(9):

@@ -32,6 +32,7 @@ from explore_slam.slam.update.blocks import (
     WEIGHT,
     S,
     W,
+    count_choices,
     expect,
     invert,
     load,
@@ -84,13 +85,8 @@ def _store(
 ) -> None:  # pragma: no cover - compiled
     """Write back the landmarks of columns that have one, unless numbers overflowed."""
     slab, addresses, candidates = rows.rows, rows.addresses, rows.candidates
-    first, having, taking = -1, 0, 0
+    first, having, taking = count_choices(choice, k, m0, n)
     for i in range(n):
-        first = max(first, choice[k, m0 + i])
-    for i in range(n):
-        j = choice[k, m0 + i]
-        having += 1 if j >= 0 else 0
-        taking += 1 if j == first else 0
         least = min(w[LM + 3, i], w[LM + 6, i], w[LM + 8, i])
         w[MASK, i] = w[MASK, i] if least > 0.0 and least < _LARGEST_VARIANCE else 0.0
     if taking < having:

@@ -18,10 +18,10 @@ VEHICLE = 'camera'
 # Standard deviation (m) added to a motion between two frames: motion capture errs by millimeters,
 # and a rolling shutter distorts frames of a turning camera.
 TRUTH_SIGMA = 0.005
-# What all observations of one frame of this camera err by together (m, rad). Innovations on
-# fr1_rpy show 9 to 11 mm and 10.5 mrad; frames in succession err alike, so that errors taken as
-# white must be larger: chosen among 10, 12 and 16 mm on seeds 0 to 4 of that sequence. It replaces
-# the limit of independent observations.
+# Error that all observations of one frame of this camera share (m, rad). Innovations on fr1_rpy
+# show 9 to 11 mm and 10.5 mrad; errors of successive frames are correlated, so that errors taken
+# as white must be larger: chosen among 10, 12 and 16 mm on seeds 0 to 4 of that sequence. It
+# replaces the limit of independent observations.
 FRAME_ERROR = {
     'frame_position_deviation': 0.016,
     'frame_heading_deviation': 0.016,

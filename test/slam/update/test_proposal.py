@@ -118,6 +118,35 @@ def test_proposal_and_likelihood_equal_the_dense_filter():
     np.testing.assert_allclose(off, off[0], atol=1e-8)
 
 
+@pytest.mark.parametrize('seed', range(3))
+def test_association_equals_brute_force_with_a_correlated_motion(seed):
+    """Each observation takes the landmark of least d² + ln|S| that is left for it."""
+    scene = Scene(seed=seed)
+    random = np.random.default_rng(seed)
+    scene.P = spd(random, 0.2)
+    shift = 0.12 * random.standard_normal((scene.K, 3))
+    for k in range(scene.K):  # all of them are near each other
+        scene.means[k] += scene.means[0].mean(0) - scene.means[k].mean(0) + shift[k]
+        scene.rows[k, :3] = scene.means[k].T
+    scene.z = scene.z[:1] + 0.12 * random.standard_normal((scene.K, 3))
+    scene.candidates = np.tile(np.arange(scene.K), (scene.K, 1))
+    scene.shared[:] = True
+    scene.propose(np.zeros((M, 3)))
+    for m in range(M):
+        turn, left = rotation(scene.poses[m, 2]).T, set(range(scene.K))
+        for k in range(scene.K):
+            scores = {}
+            for j in left:
+                expected = turn @ (scene.means[j, m] - [*scene.poses[m, :2], 0.0])
+                H = np.array([[-1.0, 0.0, expected[1]], [0.0, -1.0, -expected[0]], [0, 0, 0]])
+                S = H @ scene.P @ H.T + turn @ scene.covariances[j, m] @ turn.T + scene.R[k]
+                off = scene.z[k] - expected
+                scores[j] = off @ np.linalg.solve(S, off) + np.linalg.slogdet(S)[1]
+            best = min(scores, key=scores.get)
+            assert scene.chosen.choice[k, m] == best
+            left.remove(best)
+
+
 def test_samples_have_the_posterior_covariance():
     scene = Scene()
     scene.poses[:] = scene.poses[0]
