@@ -14,6 +14,11 @@ from explore_slam.slam.graph.config import GraphConfig
 from explore_slam.slam.graph.factors import Integers
 from explore_slam.slam.graph.storage import Storage
 
+# Landmarks that newer keyframes must have observed before an older one may go: two of them and
+# their bearings fix a pose, a third one where these are nearly in line.
+_LEAST_LANDMARKS = 3
+_MOST_RECENT = 100  # keyframes of a vehicle that wait for newer observations
+
 
 def count_visits(storage: Storage, row: int, landmarks: Integers, gap: int) -> Integers:
     """Return (n,) in which visit of its vehicle a keyframe observes landmarks (n,), from 1.
@@ -31,16 +36,39 @@ def count_visits(storage: Storage, row: int, landmarks: Integers, gap: int) -> I
     return np.array(visits, np.int64)
 
 
-def retire_oldest(storage: Storage, vehicle: int, config: GraphConfig) -> None:
-    """Decide on the keyframe that is no longer among a vehicle's newest ones."""
-    keyframes = storage.keyframes
-    row = storage.newest[vehicle]
-    for _ in range(config.graph_recent_keyframes):
-        row = int(keyframes['previous'][row])
-        if row < 0:
-            return
-    if keyframes['retired'][row]:
+def retire_older(storage: Storage, vehicle: int, config: GraphConfig) -> None:
+    """Decide on the keyframes of a vehicle that are no longer among its newest ones.
+
+    What is known of the present pose must not go with them: a keyframe with observations is
+    decided on only when newer ones have enough of their own.
+    """
+    keyframes, table = storage.keyframes, storage.observations
+    own = np.flatnonzero(~keyframes['retired'] & (keyframes['vehicle'] == vehicle))
+    older = own[: -config.graph_recent_keyframes]
+    if not len(older):
         return
+    begin = np.searchsorted(table['keyframe'], older[0])
+    frames, owners = table['keyframe'][begin:], table['landmark'][begin:]
+    seen = (owners >= 0) & (keyframes['vehicle'][frames] == vehicle)
+    frames, owners = frames[seen], owners[seen]
+    counts = np.bincount(frames, minlength=own[-1] + 1)[own]
+    newer = counts.sum() - np.cumsum(counts)
+    waits = config.graph_recent_observations > 0 and len(own) <= _MOST_RECENT
+    for row, count, later in zip(older.tolist(), counts, newer, strict=False):
+        if (
+            waits
+            and count
+            and (
+                later < config.graph_recent_observations
+                or len(np.unique(owners[frames > row])) < _LEAST_LANDMARKS
+            )
+        ):
+            continue
+        _retire(storage, row, config)
+
+
+def _retire(storage: Storage, row: int, config: GraphConfig) -> None:
+    keyframes = storage.keyframes
     keyframes['retired'][row] = True
     keyframes['holds_landmarks'][row] = _is_needed(storage, row, config)
     if not keyframes['holds_landmarks'][row]:

@@ -67,6 +67,13 @@ class GraphConfig(Section):
     graph_recent_keyframes: int = setting(
         8, 'Newest keyframes of each vehicle that are never dropped', low=1, high=1000
     )
+    graph_recent_observations: int = setting(
+        40,
+        'A keyframe with observations is not dropped before newer ones of the vehicle have this '
+        'many: where few landmarks are seen, it is what is known of the present pose',
+        low=0,
+        high=10000,
+    )
     graph_visit_gap: int = setting(
         10,
         'A visit of a landmark ends when the vehicle has not observed it for this many keyframes',

@@ -214,7 +214,7 @@ class JointGraph:
             chain=pose,
         )
         if self.config.graph_bounded:
-            bounding.retire_oldest(store, vehicle, self.config)
+            bounding.retire_older(store, vehicle, self.config)
 
     def add_observations(
         self,

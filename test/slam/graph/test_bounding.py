@@ -13,6 +13,7 @@ from explore_slam.slam.particles.motion import calibrated
 NOISE = np.diag([0.02, 0.01, 0.01]) ** 2
 STEP = np.array([0.4, 0.0, 0.25])  # 25 of them are a circle
 LAP = 25
+LANDMARK_NOISE = [[1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-4]]
 
 
 @pytest.fixture
@@ -149,7 +150,7 @@ def test_what_is_measured_or_pinned_stays(bounded_world):
 
 def test_observations_kept_per_visit(bounded_world):
     """One landmark in view all the time: three observations of each of two visits are kept."""
-    graph = bounded_world().graph
+    graph = bounded_world(graph_recent_observations=0).graph
     R = [[0.01, 0.0, 0.0, 0.01, 0.0, 0.01]]
     graph.add_start(0, 0, [0.0, 0.0, 0.0])
     for k in range(1, 100):
@@ -159,6 +160,34 @@ def test_observations_kept_per_visit(bounded_world):
     kept = graph.observations_of([7]).keyframes
     assert kept.tolist() == [1, 2, 3, 30, 31, 32, *range(92, 100)]
     assert graph.live_keyframes().tolist() == [0, *kept]
+
+
+def test_what_is_known_of_the_present_pose_is_not_dropped(bounded_world):
+    """Three landmarks fix the pose, seen often before; then only one of them is in view."""
+    graph = bounded_world().graph
+    places = np.array([[2.0, 0.0, 1.0], [0.0, 2.0, 1.0], [-2.0, 1.0, 1.0]])
+    noise = np.repeat(LANDMARK_NOISE, 3, axis=0)
+    graph.add_start(0, 0, [0.0, 0.0, 0.0])
+    for k in range(1, 120):
+        graph.add_keyframe(0, k, np.zeros(3), NOISE)
+        if k < 90:
+            graph.add_observations(k, [0, 1, 2], places, noise)
+        else:
+            graph.add_observations(k, [0], places[:1], noise[:1])
+    graph.optimize()
+    deviations = np.sqrt(np.diag(graph.covariance(119)))
+    # thirty steps of the motion alone, from where three landmarks were in view
+    assert deviations[2] < math.sqrt(30.0 * NOISE[2, 2])
+    assert len(graph.live_keyframes()) < 110
+
+
+def test_keyframes_that_wait_for_newer_observations_are_bounded(bounded_world):
+    graph = bounded_world().graph
+    graph.add_start(0, 0, [0.0, 0.0, 0.0])
+    for k in range(1, 400):
+        graph.add_keyframe(0, k, np.zeros(3), NOISE)
+        graph.add_observations(k, [7], [[2.0, 0.0, 1.0]], LANDMARK_NOISE)
+    assert len(graph.live_keyframes()) < 110
 
 
 def test_last_chain_is_where_the_next_motion_starts(bounded_world):
@@ -274,9 +303,6 @@ def test_dropped_keyframes_hang_by_the_calibrated_motion(bounded_world):
     assert graph.calibration(0)[0] == pytest.approx(1.0 / 1.1 - 1.0, abs=0.01)
     assert len(graph.live_keyframes()) < 15
     np.testing.assert_allclose(graph.path()[:, :2], np.array(path)[:, :2], atol=0.02)
-
-
-LANDMARK_NOISE = [[1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-4]]
 
 
 def drive_back_and_forth(bounded_world, sees):
