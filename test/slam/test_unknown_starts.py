@@ -253,3 +253,21 @@ def test_the_graph_moves_as_a_rigid_body(apart):
     ]:
         with pytest.raises(SlamError, match=message):
             graph.move(vehicles, pose, deviations)
+
+
+def test_vehicles_of_unknown_start_cannot_be_tied_to_each_other_by_a_join():
+    slam = FastSlam(
+        {'a': IDENTITY, 'b': None, 'c': None}, with_values(FastSlamConfig(), {'particles': 5})
+    )
+    first = {name: slam.add_keyframe(name, 0.0) for name in 'abc'}
+    for name in 'abc':
+        slam.pin(first[name])
+    between_all = [RelativePose(first['a'], first[name], IDENTITY, EXACT) for name in 'bc']
+    with pytest.raises(SlamError, match=r"closures tie \['a', 'b', 'c'\]"):
+        slam.join('b', IDENTITY, between_all)
+    with pytest.raises(SlamError, match=r"closures tie \['a', 'c'\]"):
+        slam.join('b', IDENTITY, between_all[1:])
+    assert not slam.is_in_map('b')
+    slam.join('b', IDENTITY, between_all[:1])
+    assert slam.is_in_map('b')
+    assert not slam.is_in_map('c')

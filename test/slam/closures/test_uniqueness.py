@@ -10,7 +10,7 @@ from slam.closures.test_loop_search import FURNITURE, LAP, OFFICE
 
 from explore_slam.registration import scan_cloud
 from explore_slam.slam.closures.anchors import Anchor
-from explore_slam.slam.closures.uniqueness import fit_of, trail_of
+from explore_slam.slam.closures.uniqueness import _mark, fit_of, trail_of
 
 OTHER_MODE = 0.92
 
@@ -80,3 +80,12 @@ def test_a_trail_is_the_newest_way_in_steps():
     assert 18.0 < distances_driven[-1] - distances_driven[0] <= 20.0
     assert min(np.diff(distances_driven)) >= 0.8
     assert trail_of(anchors[:1]) == anchors[:1]
+
+
+def test_points_outside_of_the_map_mark_no_cell():
+    """Also those that lie one cell beyond an edge."""
+    cells, low = np.zeros((3, 4), np.bool_), np.array([1.0, 2.0])
+    inside = low + 0.2 * np.array([[0.5, 0.5], [3.5, 2.5]])
+    outside = low + 0.2 * np.array([[-0.5, 0.5], [0.5, -0.5], [4.5, 0.5], [0.5, 3.5]])
+    _mark(cells, np.vstack([inside, outside]), low, True)
+    assert np.argwhere(cells).tolist() == [[0, 0], [2, 3]]
