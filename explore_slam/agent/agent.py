@@ -244,7 +244,7 @@ class Agent:
         }
 
     def odometry_calibrations(self) -> dict[str, OdometryCalibration]:
-        """Return what was found out about the wheel odometry of every vehicle."""
+        """Return the estimated calibration of the wheel odometry of every vehicle."""
         return {
             name: OdometryCalibration.of(*self.belief.odometry_calibration(name))
             for name in self.tracks

@@ -71,7 +71,7 @@ class OdometryBuffer:
     """Recent odometry readings of one vehicle as one continuous trajectory.
 
     resets: jumps of the odometry that were no motion, restarts among them.
-    restarts: of the driver, after which the vehicle may stand anywhere.
+    restarts: of the driver, after which the position of the vehicle is unknown.
     When the base is reset or its clock jumps back, the trajectory continues from its last pose, as
     if the vehicle had stood still in between. `correct` bends the trajectory onto a pose that was
     measured better than by wheel odometry, for example by scan matching.

@@ -1,4 +1,4 @@
-"""Laser scans: matched to refine odometry, thinned, drawn into the grid, and closing loops."""
+"""Laser scans: matched to refine odometry, thinned, drawn into the grid, and used to close loops."""
 
 from explore_slam.agent.measurements.kind import MeasurementKind, enqueue
 from explore_slam.agent.team import Team
@@ -39,7 +39,7 @@ def process(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
 
 
 def _close_loops(team: Team, track: VehicleTrack, scan: LaserScan, moved: Pose2) -> None:
-    """Hang a scan on the newest keyframe, unless matching has refused it, and search for loops.
+    """Attach a scan to the newest keyframe, unless matching refused it, and search for loops.
 
     moved: motion since the keyframe.
     """

@@ -132,7 +132,7 @@ def calibrated(increment: Pose2, calibration: Array) -> CalibratedStep:
 
 
 class OdometryCalibration(NamedTuple):
-    """What was found out about a vehicle's wheel odometry, with deviations; see `calibrated`.
+    """Estimated calibration of a vehicle's wheel odometry, with deviations; see `calibrated`.
 
     The scales are the factors that turns and distances as measured are multiplied by; the drift of
     the heading, per metre driven, is added.

@@ -35,11 +35,11 @@ class PoseProposal:
         return self.given.log_likelihoods
 
     def is_finite(self) -> bool:
-        """Return whether no number has overflown."""
+        """Return whether no number has overflowed."""
         return all(bool(np.isfinite(part).all()) for part in (self.poses, *self.given))
 
     def checked(self) -> Self:
-        """Return the proposal; FloatingPointError if a number has overflown."""
+        """Return the proposal; FloatingPointError if a number has overflowed."""
         if not self.is_finite():
             raise FloatingPointError('a proposal is not finite')
         return self

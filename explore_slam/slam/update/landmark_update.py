@@ -39,7 +39,7 @@ from explore_slam.slam.update.blocks import (
 )
 from explore_slam.slam.update.parallel import over_particles
 
-_LARGEST_VARIANCE = 1e300  # m²: beyond it numbers have overflown
+_LARGEST_VARIANCE = 1e300  # m²: beyond it numbers have overflowed
 _LEAST_WEIGHT = 1e-12  # robust weights are not smaller, so that R / w stays finite
 
 
