@@ -25,7 +25,7 @@ def classes(grid):
 
 
 def test_a_map_round_trips(grid, tmp_path):
-    path = save_map(grid, tmp_path / 'deep' / 'map')
+    path = save_map(grid, tmp_path / 'deep' / 'down' / 'map')
     assert path.name == 'map.yaml'
     again = load_map(path)
     assert again.origin == grid.origin

@@ -1,4 +1,4 @@
-"""Laser scans: matched to refine odometry, thinned, drawn into the grid, and used to close loops."""
+"""Laser scans: matched to refine odometry, thinned, drawn into the grid, used to close loops."""
 
 from explore_slam.agent.measurements.kind import MeasurementKind, enqueue
 from explore_slam.agent.team import Team

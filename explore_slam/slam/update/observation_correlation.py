@@ -1,8 +1,9 @@
 """Correlated errors of repeated observations of one landmark by one vehicle.
 
 Measurements of a landmark from about the same place have about the same error: ranges from the
-size of a bar code or from stereo have a bias per view, not white noise. On MR.CLAM 6 successive range errors of a landmark correlate by 0.94 to 0.97, bearing errors by 0.4 to
-0.8 (`benchmarks/noise_mrclam.py`). Of a first-order autoregressive error with correlation ρ, n
+size of a bar code or from stereo have a bias per view, not white noise. On MR.CLAM 6 successive
+range errors of a landmark correlate by 0.94 to 0.97, bearing errors by 0.4 to 0.8
+(`benchmarks/noise_mrclam.py`). Of a first-order autoregressive error with correlation ρ, n
 samples carry the information of n (1 − ρ)/(1 + ρ) independent ones, so each counts with its
 covariance times (1 + ρ)/(1 − ρ).
 """
