@@ -29,6 +29,13 @@ def test_the_cost_is_the_travel_over_blocks_in_metres():
     assert at.tolist() == pytest.approx(expected, rel=1e-5)
 
 
+def test_costs_of_a_map_that_begins_off_the_origin():
+    grid = grid_of_costs(4, 10, first=(4, -6))
+    field = grid.values_from(np.array([2, -3]))
+    at = field.at(np.array([[2, -3], [2, 1], [3, -3], [4, -3], [2, 2]]))
+    assert at.tolist() == pytest.approx([0.0, 4.0, 1.0, INF, INF])
+
+
 def test_a_block_costs_what_its_cheapest_reachable_cell_costs():
     costs = np.full((2, 6), 5.0, np.float32)
     costs[1, 3] = 2.0
