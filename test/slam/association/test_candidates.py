@@ -15,6 +15,7 @@ from explore_slam.slam.storage.ancestry import AncestryTree
 CONFIG = AssociationConfig(candidates_per_observation=3, association_gate=2.0)
 LEAST_RADIUS = 0.5  # m
 POSE = Pose2(4.0, 5.0, 0.8)
+FAR_ALONG_Y, FAR_ALONG_X = Pose2(4.0, 30.0, 0.8), Pose2(30.0, -5.0, 0.8)
 COVARIANCE = np.diag([0.02, 0.05, 0.01])
 
 
@@ -32,13 +33,13 @@ def map_of(positions, descriptors):
     return found
 
 
-def expected(landmarks, observations, distances):
+def expected(landmarks, observations, distances, pose):
     """Return the entries (K, J) of CandidateSet by comparing everything with everything."""
     z, R = observations.positions, observations.covariances
     variance = COVARIANCE[0, 0] + COVARIANCE[1, 1] + np.trace(R, axis1=1, axis2=2)
     variance = variance + (z[:, 0] ** 2 + z[:, 1] ** 2) * COVARIANCE[2, 2]
     radius = LEAST_RADIUS + CONFIG.association_gate * np.sqrt(variance)
-    points = to_world(POSE, z)
+    points = to_world(pose, z)
     off = np.linalg.norm(landmarks.reference[: landmarks.size] - points[:, None], axis=2)
     fits = (off <= radius[:, None]) & (distances <= CONFIG.maximum_descriptor_distance)
     fits &= landmarks.ids[: landmarks.size] >= 0
@@ -50,13 +51,14 @@ def expected(landmarks, observations, distances):
     return wanted
 
 
-@pytest.mark.parametrize('seed', range(4))
-def test_candidates_are_those_of_brute_force(seed):
+@pytest.mark.parametrize('pose', [POSE, FAR_ALONG_X, FAR_ALONG_Y])
+@pytest.mark.parametrize('seed', range(3))
+def test_candidates_are_those_of_brute_force(seed, pose):
     """Landmarks of few kinds in a box; observations whose errors differ in every direction."""
     random = np.random.default_rng(seed)
     kinds = unit_rows(random, 3)
-    positions = np.c_[random.uniform(2, 9, (60, 2)), random.uniform(-1.5, 3.0, 60)]
-    positions[0] = to_world(POSE, np.array([[2.0, 0.0, 0.5]]))[0]
+    positions = np.c_[random.uniform(-2, 5, (60, 2)) + pose[:2], random.uniform(-1.5, 3.0, 60)]
+    positions[0] = to_world(pose, np.array([[2.0, 0.0, 0.5]]))[0]
     landmarks = map_of(positions, unit_rows(random, 60, kinds[np.arange(60) % 3], 0.02))
     landmarks.remove(np.array([7, 31]))
     count = 25
@@ -66,9 +68,9 @@ def test_candidates_are_those_of_brute_force(seed):
     covariances = np.array([np.diag(random.uniform(0.0, 0.1, 3)) for _ in range(count)])
     vectors = unit_rows(random, count, kinds[np.arange(count) % 3], 0.02)
     observations = LandmarkObservations(0.0, z, covariances, vectors)
-    found = find_candidates(landmarks, observations, CONFIG, POSE, COVARIANCE, 0.0)
+    found = find_candidates(landmarks, observations, CONFIG, pose, COVARIANCE, 0.0)
     distances = 2.0 - 2.0 * vectors @ landmarks.index.vectors(np.arange(60)).T
-    wanted = expected(landmarks, observations, distances)
+    wanted = expected(landmarks, observations, distances, pose)
     entries = np.where(found.candidates >= 0, found.entries[found.candidates], -1)
     np.testing.assert_array_equal(entries, wanted)
     assert (wanted >= 0).sum() > 20
