@@ -129,6 +129,8 @@ def test_correlated_residuals_count_as_fewer_independent_ones(correlation):
     weights = 1.0 - lags / (_CORRELATED_BEAMS + 1.0)
     assert deviation == pytest.approx(0.03, rel=0.05)
     assert 1.0 / share == pytest.approx(1.0 + 2.0 * (weights @ correlation**lags), rel=0.08)
+    products = np.array([residuals[k:] @ residuals[:-k] for k in lags]) / (residuals @ residuals)
+    assert 1.0 / share == pytest.approx(1.0 + 2.0 * (weights @ products), rel=1e-9)
 
 
 def test_residuals_that_alternate_count_no_more_than_independent_ones():
