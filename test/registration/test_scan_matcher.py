@@ -101,6 +101,19 @@ def test_a_place_that_only_a_refused_scan_has_seen_is_matched_with_that_scan():
     np.testing.assert_allclose(match.pose, second, atol=0.01)
 
 
+def test_the_map_begins_anew_with_the_third_scan_that_nothing_matches():
+    matcher = started(ROOM)
+    worlds = box(-0.7, -9.0, 0.9, 12.0), box(-9.0, -0.8, 11.0, 0.7), box(-13.0, -12.0, 14.0, 15.0)
+    for number, world in enumerate(worlds, start=1):
+        refused = matcher.match(scan_of(world, IDENTITY), IDENTITY, IDENTITY, WHEELS)
+        assert isinstance(refused, RefusedScan)
+        assert matcher.restarts == number // 3
+    last = worlds[-1]
+    match = matcher.match(scan_of(last, Pose2(0.1, 0.0, 0.0)), IDENTITY, IDENTITY, WHEELS)
+    np.testing.assert_allclose(match.pose, (0.1, 0.0, 0.0), atol=0.01)
+    assert matcher.restarts == 1
+
+
 @pytest.mark.parametrize('value', [np.inf, -np.inf, np.nan, 0.0])
 def test_scans_without_returns_change_nothing(value):
     matcher = started(ROOM)

@@ -5,7 +5,7 @@ import pytest
 
 from explore_slam.data import LandmarkObservations
 from explore_slam.errors import SlamError
-from explore_slam.geometry import Pose2
+from explore_slam.geometry import Pose2, to_world
 from explore_slam.slam import FastSlamConfig
 from explore_slam.slam.relocalization import Relocalizer
 
@@ -197,6 +197,25 @@ def test_unmapped_region_leaves_places_to_who_mapped_them_first(make_world, make
 
     assert inserted('always') > 3
     assert inserted('unmapped_region') == 0
+
+
+def test_regions_are_squares_of_the_map_whatever_the_headings(make_world, make_slam):
+    world = make_world(seed=4, landmarks=150, deviation=1e-4)
+    starts = world.start(a=Pose2(2.0, 3.0, 0.6), b=Pose2(4.5, 2.0, 2.2))
+    slam = make_slam(starts, insertion_policy='unmapped_region', region_size=1.5)
+    for vehicle in 'ab':
+        slam.predict(vehicle, Pose2(0.0, 0.0, 0.0), np.zeros((3, 3)))
+
+    def squares(vehicle, seen):
+        points = to_world(starts[vehicle], seen.positions)
+        return [tuple(square) for square in np.floor(points[:, :2] / 1.5).astype(int).tolist()]
+
+    first, second = (world.see(vehicle, 0.0) for vehicle in 'ab')
+    assert slam.update('a', first).inserted == len(first)
+    taken = set(squares('a', first))
+    free = sum(square not in taken for square in squares('b', second))
+    assert 5 < free < len(second) - 5
+    assert slam.update('b', second).inserted == free
 
 
 def changed(slam, before):

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from explore_slam.geometry import IDENTITY, Pose2, compose, rotated
-from explore_slam.slam import OdometryNoise, compound
+from explore_slam.slam import OdometryCalibration, OdometryNoise, compound
 from explore_slam.slam.particles.motion import (
     PendingMotion,
     Segment,
@@ -141,3 +141,8 @@ def test_motion_continues_from_its_saved_state():
         strict=True,
     ):
         np.testing.assert_array_equal(found, expected)
+
+
+def test_a_calibration_holds_factors_and_their_deviations():
+    found = OdometryCalibration.of(np.array([0.1, -0.2, 0.03]), np.diag([0.01, 0.02, 0.04]) ** 2)
+    assert found == pytest.approx((1.1, 0.01, 0.8, 0.02, 0.03, 0.04))
