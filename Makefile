@@ -4,7 +4,7 @@ VENV ?= .venv
 PY := $(VENV)/bin/python
 PIP := $(PY) -m pip --disable-pip-version-check
 export PIP_NO_WARN_SCRIPT_LOCATION := 1
-TESTS_WITH_NODES := test/nodes test/live test/test_live_demo.py test/test_install.py test/test_readme.py
+TESTS_WITH_NODES := test/test_live_demo.py test/test_readme.py test/live test/nodes test/test_install.py
 
 .PHONY: demo test lint types unit bench experiments test-lowest setup setup-dev clean
 
@@ -20,14 +20,14 @@ lint: setup-dev
 types: setup-dev
 	$(VENV)/bin/mypy
 
-# ARGS: options and paths of pytest, for a part of the tests. All of them run in two processes, but
-# for those with nodes, which are processes themselves and wait for each other.
+# ARGS: options and paths of pytest, for a part of the tests. All of them run in two processes. Those
+# with nodes come last, the longest ones first: they mostly wait for processes of their own.
 unit: setup-dev
 ifdef ARGS
 	$(PY) -m pytest $(ARGS)
 else
 	$(PY) -m pytest -n 2 --dist loadfile $(addprefix --ignore=,$(TESTS_WITH_NODES))
-	$(PY) -m pytest $(TESTS_WITH_NODES)
+	$(PY) -m pytest -n 2 --dist loadfile --no-loadscope-reorder $(TESTS_WITH_NODES)
 endif
 
 bench: setup-dev

@@ -21,6 +21,10 @@ ARGUMENTS = {
     'use_laser': ('true', 'false for a team without laser scanners'),
     'seed': ('0', 'seed of all random numbers'),
     'explore': ('true', 'start exploring at once; false: wait for explore/resume'),
+    'autostart': (
+        'true',
+        'configure and activate at the start; false: wait for a lifecycle manager',
+    ),
     'run_directory': ('.', 'folder into which save_map and save_state write'),
     'namespace': ('', 'namespace of the agent'),
     'params_file': (
@@ -48,6 +52,7 @@ def start_agent(context):
         'use_laser': read.boolean('use_laser', given['use_laser']),
         'seed': read.whole_number('seed', given['seed'], 0),
         'explore': read.boolean('explore', given['explore']),
+        'autostart': read.boolean('autostart', given['autostart']),
         'run_directory': given['run_directory'],
         **sim_time,
     }

@@ -26,6 +26,10 @@ ARGUMENTS = {
     'motors': ('false', 'enable the motors at the start; false: service enable_motors does'),
     'follower': ('true', 'run the path follower'),
     'features': ('false', 'extract features on the vehicle (needs vision:=vehicle of the agent)'),
+    'autostart': (
+        'true',
+        'configure and activate at the start; false: wait for a lifecycle manager',
+    ),
     'use_sim_time': ('false', 'use the time of /clock'),
     'scan_topic': ('', 'scans, if not scan; without slash: in the namespace of the vehicle'),
     'odom_topic': ('', 'odometry, if not odom'),
@@ -37,7 +41,9 @@ ARGUMENTS = {
 
 def start(context):
     given = values(ARGUMENTS, context)
-    flags = ('base', 'laser', 'camera', 'motors', 'follower', 'features', 'use_sim_time')
+    flags = (
+        'base', 'laser', 'camera', 'motors', 'follower', 'features', 'autostart', 'use_sim_time',
+    )  # fmt: skip
     on = {name: read.boolean(name, given[name]) for name in flags}
     common = {
         'package': 'explore_slam',
@@ -46,6 +52,7 @@ def start(context):
         'output': 'screen',
     }
     time = {'use_sim_time': on['use_sim_time']}
+    managed = {**time, 'autostart': on['autostart']}
     driver = {
         'base_port': ParameterValue(given['base_port'], value_type=str),
         'laser_port': ParameterValue(given['laser_port'], value_type=str),
@@ -55,9 +62,9 @@ def start(context):
         'motors_at_start': on['motors'],
     }
     file = read.existing_file('params_file', given['params_file'])
-    nodes = [('pioneer_driver', [file, driver, time])]
+    nodes = [('pioneer_driver', [file, driver, managed])]
     if on['follower']:
-        nodes.append(('path_follower', [file, time]))
+        nodes.append(('path_follower', [file, managed]))
     if on['features']:
         nodes.append(('feature_extractor', [time]))
     return [

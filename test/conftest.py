@@ -6,10 +6,12 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from ros_domain import default_domain
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+os.environ['ROS_DOMAIN_ID'] = str(default_domain())
 
 # the same examples in every run (HYPOTHESIS_PROFILE=search looks for new ones), and results are
 # asserted, never seconds: a busy machine must not fail them

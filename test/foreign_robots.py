@@ -170,6 +170,21 @@ class Robots:
                 self.publish(robot, time.time())
             self.spin(max(end - time.monotonic(), 0.001))
 
+    def settle(self):
+        """Let all robots stand until the agent has taken what they have measured before."""
+        begun = time.time()
+
+        def is_newer(name):
+            pose = self.heard.get(f'{name}/pose')
+            return pose is not None and messages.seconds(pose.header.stamp) > begun
+
+        end = time.monotonic() + 60.0
+        while not all(map(is_newer, self.robots)):
+            assert time.monotonic() < end, 'the agent has not caught up after 60 s'
+            for robot in self.robots.values():
+                self.publish(robot, time.time())
+            self.spin(PERIOD)
+
     def publish(self, robot, now):
         reading = OdometryReading(now + robot.odom_ahead, robot.odometry)
         frames = robot.odom_frame, robot.base_frame

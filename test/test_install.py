@@ -4,9 +4,13 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
+from ros_domain import default_domain
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 EXECUTABLES = {
@@ -75,18 +79,29 @@ def test_an_installed_node_starts_and_ends_when_asked(installed):
     prefix, environment = installed
     command = f'source {prefix}/share/explore_slam/package.bash; '
     command += f'exec {prefix}/lib/explore_slam/path_follower --ros-args -r __ns:=/robot1'
-    environment = {**environment, 'ROS_DOMAIN_ID': '77'}
+    heard = []
+    context = rclpy.Context()
+    context.init(domain_id=default_domain())
+    listener = rclpy.create_node('listener', context=context)
+    listener.create_subscription(DiagnosticStatus, '/robot1/follower_status', heard.append, 10)
+    executor = rclpy.executors.SingleThreadedExecutor(context=context)
+    executor.add_node(listener)
     node = subprocess.Popen(
         ['bash', '-c', command], cwd=prefix, env=environment, stderr=subprocess.PIPE, text=True
     )
     try:
-        with pytest.raises(subprocess.TimeoutExpired):
-            node.wait(timeout=8.0)
+        end = time.monotonic() + 60.0
+        while not heard:
+            assert node.poll() is None, node.stderr.read()
+            assert time.monotonic() < end
+            executor.spin_once(timeout_sec=0.1)
         node.terminate()
         assert node.wait(timeout=20.0) == 0
     finally:
         node.kill()
         node.stderr.close()
+        listener.destroy_node()
+        context.try_shutdown()
 
 
 @pytest.mark.parametrize(

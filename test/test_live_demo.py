@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ros_domain import own_domain
 
 COMMAND = [sys.executable, '-m', 'explore_slam.cli.main', 'demo', '--world', 'small']
 
@@ -24,7 +25,12 @@ def finished(tmp_path_factory):
     runs = tmp_path_factory.mktemp('runs')
     command = [*COMMAND, '--out', str(runs), '--record', '--time-limit', '300']
     done = subprocess.run(
-        command, capture_output=True, text=True, timeout=420, env=environment(95), check=False
+        command,
+        capture_output=True,
+        text=True,
+        timeout=420,
+        env=environment(own_domain(64)),
+        check=False,
     )
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr
     return runs / 'latest', done.stdout
@@ -83,7 +89,7 @@ def test_ctrl_c_ends_everything_and_leaves_the_folder(tmp_path):
         command,
         stdout=subprocess.PIPE,
         text=True,
-        env=environment(96),
+        env=environment(own_domain(65)),
         preexec_fn=_heed_interrupts,  # noqa: PLW1509 -- a single system call
     )
     try:

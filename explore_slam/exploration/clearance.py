@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from explore_slam.compiled import kernel
 from explore_slam.data import VehicleBody
 from explore_slam.exploration.records import Grid
-from explore_slam.exploration.sections import PathConfig
+from explore_slam.exploration.sections import LARGEST_PLANNING_RADIUS, PathConfig
 
 # Design values
 _TIGHT_FACTOR = 20.0  # by which cells within planning_radius of an obstacle cost more
@@ -140,11 +140,10 @@ def make_cost_map(grid: Grid, config: PathConfig, *, probability_costs: bool = F
 
 def paths_of(config: PathConfig, body: VehicleBody) -> PathConfig:
     """Return the settings with the planning radii of a body: its clearance stays the same."""
-    return replace(
-        config,
-        planning_radius=max(config.planning_radius + body.wider, 0.0),
-        minimum_planning_radius=max(config.minimum_planning_radius + body.wider, 0.0),
-    )
+    largest = LARGEST_PLANNING_RADIUS
+    radii = (config.planning_radius, config.minimum_planning_radius)
+    radius, smallest = (min(max(one + body.wider, 0.0), largest) for one in radii)
+    return replace(config, planning_radius=radius, minimum_planning_radius=smallest)
 
 
 def tight_factor(distances: NDArray[Any], radius: float) -> NDArray[np.float32]:

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 from explore_slam.settings import Section, setting
 
+LARGEST_PLANNING_RADIUS = 5.0  # m
+
 
 @dataclass(frozen=True)
 class PathConfig(Section):
@@ -15,7 +17,7 @@ class PathConfig(Section):
         'for others it differs as much as their vehicle_radius',
         unit='m',
         low=0.0,
-        high=5.0,
+        high=LARGEST_PLANNING_RADIUS,
         tier='basic',
     )
     minimum_planning_radius: float = setting(
@@ -23,7 +25,7 @@ class PathConfig(Section):
         'Distance kept instead by a vehicle that is trapped at the planning radius',
         unit='m',
         low=0.0,
-        high=5.0,
+        high=LARGEST_PLANNING_RADIUS,
         tier='basic',
     )
     occ_max: float = setting(

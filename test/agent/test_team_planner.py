@@ -5,7 +5,13 @@ import pytest
 from synthetic import SyntheticVehicle, SyntheticWorld
 
 from explore_slam.agent import Agent, AgentConfig, TeamPlanner
-from explore_slam.data import FollowerReport, FollowerState, OdometryReading, VehicleState
+from explore_slam.data import (
+    FollowerReport,
+    FollowerState,
+    OdometryReading,
+    VehicleBody,
+    VehicleState,
+)
 from explore_slam.errors import AgentError
 from explore_slam.exploration import ExplorationConfig, ExplorationStatus, PlanningMode
 from explore_slam.geometry import Pose2
@@ -64,6 +70,15 @@ def test_plan_and_state_are_stored_in_the_track():
     planner.plan(2.0)
     assert (track.plan, track.state) == (None, VehicleState.WAITING)
     assert agent.statuses()[0].goal is None
+
+
+def test_the_planner_knows_the_size_of_each_vehicle_also_after_a_reset():
+    large = VehicleBody(0.6, 0.2)
+    agent = Agent(CONFIG, {'robot1': START, 'robot2': START}, 1, {'robot2': large})
+    for _ in range(2):
+        snapshots = [TeamPlanner(agent)._snapshot(status) for status in agent.statuses()]
+        assert [snapshot.body for snapshot in snapshots] == [VehicleBody(), large]
+        agent.reset()
 
 
 def test_a_vehicle_called_home_returns_and_is_home():

@@ -11,6 +11,7 @@ from explore_slam.exploration import ExplorationConfig, Planner, PlanningMode, V
 from explore_slam.exploration.traffic import Right, Traffic, Traveler
 from explore_slam.geometry import Pose2
 from explore_slam.polyline import remaining_path, sample, truncated
+from explore_slam.settings import with_values
 
 # one letter is 0.8 m: a door for a body of 0.25 m (paths keep 0.3 m clear), not for one of 0.45 m
 SCALE = {'resolution': 0.1, 'cells_per_letter': 8}
@@ -96,6 +97,12 @@ def test_paths_keep_the_same_clearance_beside_every_body(radius):
     result = Planner(CONFIG).plan(grid_of(ROOMS, **SCALE), 0.0, vehicles)
     kept = CONFIG.paths.planning_radius - 0.25
     assert clearance(result.plans['a'].waypoints, ROOMS) >= radius + kept - 0.05  # half a cell
+
+
+def test_a_body_beyond_all_bounds_leads_to_no_error():
+    vehicles = {'a': at(5, 2, VehicleBody(2.0))}
+    huge = with_values(CONFIG, {'planning_radius': 5.0})
+    assert Planner(huge).plan(grid_of(ROOMS, **SCALE), 0.0, vehicles).plans == {}
 
 
 def test_a_goal_behind_a_door_is_refused_to_the_wide_one_only():

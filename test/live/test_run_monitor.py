@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import rclpy
 from geometry_msgs.msg import Point32, PolygonStamped
+from grid_worlds import drawn_world
 from nav_msgs.msg import OccupancyGrid
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
@@ -17,7 +18,6 @@ from explore_slam.messages.maps import grid_message
 from explore_slam.nodes.ros_types import MESSAGES
 from explore_slam.results.reachable_area import ReachableArea
 from explore_slam.results.run_data import RunRecorder
-from explore_slam.simulation.worlds.grid_world import GridWorld
 
 START = {'robot1': Pose2(1.0, 1.0, 0.0)}
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
@@ -25,7 +25,7 @@ LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
 def room():
     """A room from 0.5 m to 3.5 m in x and to 2 m in y, whose right half is not known yet."""
-    world = GridWorld.from_drawing(['########', '#      #', '#      #', '#      #', '########'])
+    world = drawn_world(['########', '#      #', '#      #', '#      #', '########'])
     return ReachableArea(world, START.values(), radius=0.2)
 
 

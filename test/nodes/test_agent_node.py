@@ -396,9 +396,12 @@ def test_poses_of_the_operator_are_checked_and_go_to_the_selected_vehicle(live):
     team.spin(0.5)
     send('robot1/odom', spread)
     logged("frame 'robot1/odom' belongs to vehicle 'robot1'")
-    team.spin(5.1)  # warnings are throttled
+    # warnings are throttled per vehicle
+    assert team.set_parameter('selected_vehicle', string_value='robot1').successful
+    team.spin(0.5)
     send('base_link', spread)
     logged("pose is in frame 'base_link', expected 'map'")
+    assert team.set_parameter('selected_vehicle', string_value='robot2').successful
     team.spin(5.1)
     send('map', np.zeros((3, 3)))
     logged('variances of x, y and yaw are [0.0, 0.0, 0.0], expected more than 0')

@@ -93,7 +93,8 @@ def driven(tmp_path_factory):
         team.static.append(team.node.create_publisher(TFMessage, 'robot2/tf', 10))
         team.spin(1.0)
         team.drive(200)
-        team.spin(1.5)
+        team.settle()
+        team.spin(1.0)
         yield team, folder, processes
     team.close()
 

@@ -40,7 +40,7 @@ class Manager:
         client = self._node.create_client(kind, f'{self._name}/{service}')
         assert client.wait_for_service(timeout_sec=30.0), service
         future = client.call_async(request)
-        assert self._spin(40.0, future.done), service
+        assert self._spin(240.0, future.done), service  # kernels may have to be compiled
         return future.result()
 
     def change(self, transition):

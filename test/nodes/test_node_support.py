@@ -1,4 +1,3 @@
-import os
 import subprocess
 import sys
 
@@ -25,7 +24,6 @@ sys.exit(run_node(Faulty))
 def run(*arguments):
     return subprocess.run(
         [sys.executable, *arguments],
-        env={**os.environ, 'ROS_DOMAIN_ID': '77'},
         capture_output=True,
         text=True,
         timeout=60,

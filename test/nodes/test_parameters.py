@@ -72,11 +72,11 @@ def test_the_nodes_of_a_vehicle_take_their_sections_of_the_file(tmp_path):
     node = PathFollowerNode(
         namespace='/robot9', context=context, cli_args=['--ros-args', '--params-file', str(file)]
     )
-    assert node.active.follower.config.follow_speed == 0.3
+    assert node.active.follower.config.body.follow_speed == 0.3
     result = node.set_parameters([Parameter('follow_speed', value=9.0)])[0]
     assert not result.successful
     assert node.set_parameters([Parameter('follow_speed', value=0.2)])[0].successful
-    assert node.active.follower.config.follow_speed == 0.2
+    assert node.active.follower.config.body.follow_speed == 0.2
     node.set_parameters([Parameter('control_frequency', value=10.0)])
     assert node.active.period == pytest.approx(0.1)
     result = node.set_parameters([Parameter('autostart', value=False)])[0]

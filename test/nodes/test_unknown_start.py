@@ -9,7 +9,7 @@ from ros_domain import own_domain
 
 from explore_slam import messages
 
-DOMAIN = own_domain(97)
+DOMAIN = own_domain(98)
 
 
 def test_a_vehicle_of_unknown_start_is_published_when_it_has_joined(tmp_path, monkeypatch):

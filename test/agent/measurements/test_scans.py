@@ -8,7 +8,7 @@ import pytest
 from explore_slam.agent import AgentConfig
 from explore_slam.agent.measurements import scans
 from explore_slam.agent.team import Team
-from explore_slam.data import LaserScan, OdometryReading
+from explore_slam.data import LaserScan, OdometryReading, VehicleBody
 from explore_slam.geometry import IDENTITY, Pose2
 from explore_slam.mapping import MAP_FRAME
 from explore_slam.settings import with_values
@@ -91,6 +91,15 @@ def test_the_other_vehicles_are_discs_where_they_were_at_the_stamp():
     assert body.keyframe == team.track('robot2').keyframe.number
     np.testing.assert_allclose(body.offset, (0.3, 0.0, 0.0), atol=1e-12)
     assert body.radius == 0.5
+
+
+def test_the_disc_of_another_vehicle_is_as_large_as_its_body():
+    config = with_values(AgentConfig(), {'body_margin': 0.1, 'planning_radius': 0.4})
+    team = Team(config, STARTS, 1, {'robot2': VehicleBody(0.45)})
+    drive(team, 'robot1', IDENTITY, IDENTITY)
+    mapped(team, 'robot1', 0.0)
+    (body,) = team.laser_map.scans[0].bodies
+    assert body.radius == pytest.approx(0.4 + 0.2 + 0.1)
 
 
 def keyframes_without_vision(last_seen, moved, **values):

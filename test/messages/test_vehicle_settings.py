@@ -1,0 +1,28 @@
+"""Settings of the team and of single vehicles."""
+
+import pytest
+
+from explore_slam.data import VehicleBody
+from explore_slam.errors import ConfigError
+from explore_slam.messages.vehicle_settings import settings_of_vehicles
+
+
+def test_size_and_speed_are_those_of_the_team_unless_a_vehicle_has_its_own():
+    values = {'vehicle_radius': 0.3, 'robot2.vehicle_radius': 0.5, 'robot2.follow_speed': 0.8}
+    made = settings_of_vehicles(values, ('robot1', 'robot2'))
+    assert made['robot1'].body.record == VehicleBody(0.3, 0.4)
+    assert made['robot2'].body.record == VehicleBody(0.5, 0.8)
+    assert settings_of_vehicles({}, ['robot1'])['robot1'].body.record == VehicleBody()
+
+
+@pytest.mark.parametrize(
+    ('name', 'value', 'words'),
+    [
+        ('robot2.vehicle_radius', 0.0, 'robot2: vehicle_radius is 0.0, expected 0.05 to 2.0'),
+        ('robot2.follow_speed', float('nan'), 'robot2: follow_speed is nan'),
+        ('robot2.vehicle_radios', 0.3, "did you mean 'vehicle_radius'"),
+    ],
+)
+def test_a_value_that_cannot_be_is_named_with_its_vehicle(name, value, words):
+    with pytest.raises(ConfigError, match=words):
+        settings_of_vehicles({name: value}, ('robot1', 'robot2'))
