@@ -86,3 +86,29 @@ def test_a_crowd_that_hides_the_walls_closes_nothing_wrong():
     distances, turns = run.errors()
     assert (distances < WRONG[0]).all()
     assert (turns < WRONG[1]).all()
+
+
+@pytest.mark.parametrize('seed', [0, 1])
+def test_glass_before_equal_rooms_closes_nothing_wrong(seed):
+    """Half of the walls are panes that a laser sees in one scan and looks through in the next."""
+    walls, lap = ring_of_rooms(4.0)
+    random = np.random.default_rng(seed)
+    panes = random.permutation(len(walls)) < len(walls) // 2
+    # behind them a fence, with posts that are all alike
+    posts = [box(x, y, x + 0.1, y + 0.1) for x in range(-8, 34, 2) for y in (-9.0, 16.0)]
+    beyond = np.vstack([polyline((-8.0, -10.0), (34.0, -10.0)), *posts])
+
+    def world(_keyframe, _vehicle):
+        return np.vstack([walls[~panes | (random.random(len(walls)) < 0.5)], beyond])
+
+    path = along(*lap, *lap[1:3])
+    run = drive(world, [Vehicle(path, way_scale=1.02, noise=0.01)], seed=seed)
+    distances, turns = run.errors()
+    assert len(distances) >= 5  # at the ends
+    assert distances.max() < 0.15
+    assert turns.max() < 0.03
+    off = [
+        math.dist(true[:2], pose[:2])
+        for true, pose in zip(run.true, run.graph.path(), strict=True)
+    ]
+    assert max(off) < 0.8
