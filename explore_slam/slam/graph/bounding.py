@@ -125,7 +125,8 @@ def _reference_of(storage: Storage, row: int) -> int:
 def drop_if_free(storage: Storage, row: int) -> None:
     """Drop a keyframe that is retired, holds no landmarks and is neither pinned nor measured.
 
-    The first one of a vehicle, at which its path begins, stays.
+    The first one of a vehicle, at which its path begins, stays; so do those where it was placed
+    anew, and the last ones before.
     """
     keyframes, factors = storage.keyframes, storage.factors
     if (
@@ -137,7 +138,10 @@ def drop_if_free(storage: Storage, row: int) -> None:
         or ((factors['a'] == row) | (factors['b'] == row)).any()
     ):
         return
-    after = int(np.flatnonzero(keyframes['live'] & (keyframes['previous'] == row))[0])
+    following = np.flatnonzero(keyframes['live'] & (keyframes['previous'] == row))
+    if not len(following):
+        return
+    after = int(following[0])
     calibration = storage.calibration_of(row)
     first, second = (
         keyframes['motion'][end] + keyframes['motion_sensitivity'][end] @ calibration

@@ -190,6 +190,22 @@ def test_keyframes_that_wait_for_newer_observations_are_bounded(bounded_world):
     assert len(graph.live_keyframes()) < 110
 
 
+def test_paths_on_both_sides_of_a_restart_are_bounded(bounded_world):
+    graph = bounded_world().graph
+    graph.add_start(0, 0, [0.0, 0.0, 0.0])
+    for k in range(1, 100):
+        if k == 50:
+            graph.restart(0, k, [9.0, 0.0, 0.0], 1e-4 * np.eye(3))
+        else:
+            graph.add_keyframe(0, k, STEP, NOISE)
+        if k == 45:
+            graph.add_observations(k, [7], [[2.0, 0.0, 1.0]], LANDMARK_NOISE)
+    graph.optimize()
+    # 45 is the only one with an observation
+    assert graph.live_keyframes().tolist() == [0, 45, 49, 50, *range(92, 100)]
+    assert np.isfinite(graph.path()).all()
+
+
 def test_last_chain_is_where_the_next_motion_starts(bounded_world):
     graph = bounded_world().graph
     white = np.diag([0.02, 0.02, 0.01]) ** 2
