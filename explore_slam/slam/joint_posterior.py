@@ -20,7 +20,7 @@ from explore_slam.geometry import Array, Pose2, between, wrap_angle
 from explore_slam.slam.association.state import Observed
 from explore_slam.slam.checkpoint import State, part, under
 from explore_slam.slam.config import FastSlamConfig
-from explore_slam.slam.graph import JointGraph, Solution
+from explore_slam.slam.graph import Draws, JointGraph, Solution
 from explore_slam.slam.particles.group import Group
 from explore_slam.slam.particles.joint_samples import JointSamples
 from explore_slam.slam.particles.motion import PendingMotion, Segment
@@ -275,27 +275,40 @@ class JointPosterior:
         """
         members = list(vehicles)
         solutions = self._solutions(members)
-        drawn = [solution.draw(self.config.particles, random) for solution in solutions]
-        if not all(np.isfinite(draw.poses).all() for draw in drawn):
+        drawn = [self._drawn(solution, random) for solution in solutions]
+        if not all(
+            np.isfinite(some).all() for draw in drawn for some in (draw.poses, draw.chains)
+        ):
             raise SlamError(f'samples of vehicles {members} are not finite')
         for solution in solutions:
             self.graph.adopt(solution)
+            for factor in solution.problem.made_robust:
+                self._believed.pop(factor, None)
             self.relative_covariance.renew(solution.problem.vehicles[0])
         chains = {
-            v: draw.chains[np.searchsorted(draw.keyframes, self._tails[v].keyframe)].T.copy()
+            v: draw.chains[np.searchsorted(draw.ends, self._tails[v].keyframe)].T.copy()
             for draw, solution in zip(drawn, solutions, strict=True)
             for v in solution.problem.vehicles
         }
         # the nodes of a keyframe that observations belong to contain the error of its frame
         framed = self.config.frame_error.covariance() is not None
-        numbers = np.concatenate([draw.keyframes for draw in drawn])
+        numbers, means, poses = (
+            np.concatenate(parts)
+            for parts in zip(
+                *(
+                    (draw.keyframes, solution.poses_of(draw.keyframes), draw.poses)
+                    for draw, solution in zip(drawn, solutions, strict=True)
+                ),
+                strict=True,
+            )
+        )
         order = np.argsort(numbers)
         ids, observations = self.graph.observations_from(members)
         samples = JointSamples(
             self.draws,
             numbers[order],
-            self.graph.path()[numbers[order]],
-            np.concatenate([draw.poses for draw in drawn])[order],
+            means[order],
+            poses[order],
             ids,
             observations,
             np.arange(self.config.particles, dtype=np.int32),
@@ -317,6 +330,13 @@ class JointPosterior:
             samples.fused_at_mean(ids)[:, :3] if len(ids) else np.empty((0, 3)),
         )
 
+    def _drawn(self, solution: Solution, random: np.random.Generator) -> Draws:
+        """Draw what the particles need: where landmarks were observed, and the newest poses."""
+        vehicles = solution.problem.vehicles
+        newest = np.sort([self._tails[v].keyframe for v in vehicles])
+        observing = self.graph.observing_keyframes(vehicles)
+        return solution.draw(self.config.particles, random, np.union1d(observing, newest), newest)
+
     def _solutions(self, vehicles: Sequence[int]) -> list[Solution]:
         """Return the optimum of each set of vehicles that are tied together.
 
@@ -328,15 +348,8 @@ class JointPosterior:
                 continue
             tied = self.graph.tied(vehicle)
             done |= tied
-            solution = self.graph.solve(self.graph.snapshot(vehicle))
             believed = [factor for factor, owner in self._believed.items() if owner in tied]
-            if believed:
-                self.graph.adopt(solution)
-                for factor in believed:
-                    self.graph.make_robust(factor)
-                    del self._believed[factor]
-                solution = self.graph.solve(self.graph.snapshot(vehicle))
-            solutions.append(solution)
+            solutions.append(self.graph.solve(self.graph.snapshot(vehicle), believed))
         return solutions
 
     def path(self) -> Array:

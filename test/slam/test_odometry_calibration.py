@@ -35,7 +35,7 @@ def test_wheels_that_turn_too_far_are_calibrated(make_world, make_slam, seed):
     mean, covariance = slam.odometry_calibration('a')
     assert mean[0] == pytest.approx(1.0 / 1.3 - 1.0, abs=0.03)
     assert np.sqrt(np.diag(covariance)) == pytest.approx([0.02, 0.02, 0.02], abs=0.02)
-    assert errors[75:].max() < 0.2
+    assert errors[75:].max() < 0.3
     # a redraw gives the particles the calibration of the graph: samples around its optimum
     slam.redraw([0])
     found, spread = slam.odometry_calibration('a')

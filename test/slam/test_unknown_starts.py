@@ -240,9 +240,10 @@ def test_the_graph_moves_as_a_rigid_body(apart):
     assert {owners[n] for n in ids[mine].tolist()} == {1}
     np.testing.assert_allclose(moved[mine, 2], positions[mine, 2])
     # nothing but the tie to the map is looser: relative poses are as well known as before
-    np.testing.assert_allclose(
-        graph.relative_covariance(keyframes[-1], keyframes[:3]), relative, rtol=1e-3, atol=1e-8
-    )
+    # (linearized at the optimum, before a small step away from it)
+    again = graph.relative_covariance(keyframes[-1], keyframes[:3])
+    for found, expected in zip(again, relative, strict=True):
+        np.testing.assert_allclose(found, expected, atol=3e-3 * np.abs(expected).max())
     graph.optimize(1)
     off = between(after, np.array([graph.estimate(k) for k in keyframes]))
     assert np.abs(off).max() < 0.01

@@ -35,6 +35,8 @@ def warm_up() -> None:
     for keyframe in range(6, 20):
         graph.add_keyframe(0, keyframe, np.array([0.5, 0.0, 0.1]), noise, noise)
     graph.optimize()
+    problem = graph.snapshot(0)
+    graph.solve(problem._replace(start=problem.start + 1e-3))
     draws = graph.draw(2, np.random.default_rng(0))
     graph.relative_covariance(0, [5])
     graph.closure_residuals()

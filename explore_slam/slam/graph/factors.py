@@ -295,6 +295,43 @@ def assemble(
 
 
 @kernel
+def _subtract_transposed(J: Array, v: Array, out: Array) -> None:
+    """Subtract Jᵀ v from a vector out (3,)."""
+    for i in range(3):
+        out[i] -= J[0, i] * v[0] + J[1, i] * v[1] + J[2, i] * v[2]
+
+
+@kernel
+def steepest_descent(factors: Factors, x: Array, place: Integers, out: Array) -> float:
+    """Write −g = −Σ w Jᵀ W e over all factors at x (N, 3); returns the cost. See `assemble`.
+
+    out (N, 3): in the order of the system, overwritten.
+    """
+    out[:] = 0.0
+    cost = 0.0
+    e, We = np.empty(3), np.empty(3)
+    A, B = np.empty((3, 3)), np.empty((3, 3))
+    for f in range(len(factors.kind)):
+        b = factors.b[f]
+        a = factors.a[f] if factors.a[f] >= 0 else b
+        W = factors.W[f]
+        linearize_factor(factors.kind[f], x[a], x[b], factors.z[f], e, A, B)
+        _calibrate(factors.c[f], factors.C[f], x, e)
+        q = squared_norm(e, W)
+        cost += robust_cost(factors.robust[f], factors.scale[f], q)
+        weight = robust_weight(factors.robust[f], factors.scale[f], q)
+        for i in range(3):
+            We[i] = weight * (W[i, 0] * e[0] + W[i, 1] * e[1] + W[i, 2] * e[2])
+        _subtract_transposed(B, We, out[place[b]])
+        if a == b:
+            continue
+        _subtract_transposed(A, We, out[place[a]])
+        if factors.c[f] >= 0:
+            _subtract_transposed(-factors.C[f], We, out[place[factors.c[f]]])
+    return cost
+
+
+@kernel
 def moved(x: Array, step: Array, place: Integers, poses: int) -> Array:
     """Return the nodes x (N, 3) moved by a step (N, 3) in the order of the system.
 

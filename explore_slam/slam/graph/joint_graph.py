@@ -8,7 +8,8 @@ records what was measured, and asks for joint samples of the path and for landma
 A call that raises SlamError leaves the graph unchanged.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Self
 
 import numpy as np
@@ -419,16 +420,35 @@ class JointGraph:
         """
         return collect(self._storage, self._component(vehicle), self.config)
 
-    def solve(self, problem: Problem) -> Solution:
-        """Return the optimum of a problem and the posterior there; the graph stays unchanged."""
-        return optimize(problem, self.config.graph_iterations, self.config.graph_tolerance)
+    def solve(self, problem: Problem, believed: Sequence[int] = ()) -> Solution:
+        """Return the optimum of a problem and the posterior there; the graph stays unchanged.
+
+        believed: relative poses that were recorded without a robust kernel, and are given one
+        once the optimum with them is known.
+        """
+        most, tolerance = self.config.graph_iterations, self.config.graph_tolerance
+        found = optimize(problem, most, tolerance)
+        if not believed:
+            return found
+        robust = problem.with_robust(believed, self.config.closure_scale)
+        start = robust._replace(start=found.nodes)
+        return optimize(start, most, tolerance, found.factorization.structure)
 
     def adopt(self, solution: Solution) -> None:
-        """Take over an optimum; keyframes added since then move with the one before them."""
+        """Take over an optimum; keyframes added since then move with the one before them.
+
+        Relative poses that were believed in it have a robust kernel from now on.
+        """
         problem = solution.problem
+        is_current = problem.versions == self._storage.versions_of(problem.vehicles)
         take_over(self._storage, problem, solution.nodes)
-        if problem.versions == self._storage.versions_of(problem.vehicles):
-            self._posteriors[problem.vehicles] = solution
+        numbers = self._storage.factors['number']
+        for factor in np.intersect1d(problem.made_robust, numbers).tolist():
+            self.make_robust(int(factor))
+        if is_current:
+            versions = self._storage.versions_of(problem.vehicles)
+            problem = problem._replace(versions=versions, made_robust=())
+            self._posteriors[problem.vehicles] = replace(solution, problem=problem)
 
     def posterior(self, vehicle: int) -> Solution:
         """Return the posterior of a vehicle and those tied to it around the present estimate."""
@@ -447,10 +467,11 @@ class JointGraph:
         drawn = [self.posterior(v[0]).draw(samples, random) for v in self._components(vehicle)]
         if len(drawn) == 1:
             return drawn[0]
-        numbers, poses, chains = (np.concatenate([d[n] for d in drawn]) for n in range(3))
+        numbers, poses, _, chains = (np.concatenate([d[n] for d in drawn]) for n in range(4))
         order = np.argsort(numbers)
         calibrations = {v: c for part in drawn for v, c in part.calibrations.items()}
-        return Draws(numbers[order], poses[order], chains[order], calibrations)
+        numbers = numbers[order]
+        return Draws(numbers, poses[order], numbers, chains[order], calibrations)
 
     def estimate(self, keyframe: int) -> Array:
         """Return the estimated pose (3,) of a keyframe."""
@@ -567,6 +588,16 @@ class JointGraph:
         rows = landmarks_of(self._storage, list(vehicles))
         ids = np.sort(self._storage.landmarks['number'][rows])
         return ids, self.observations_of(ids)
+
+    def observing_keyframes(self, vehicles: Iterable[int]) -> Integers:
+        """Return the numbers (N,), ascending, of keyframes of vehicles that hold observations."""
+        keyframes, observations = self._storage.keyframes, self._storage.observations
+        holding = np.zeros(len(keyframes), np.bool_)
+        holding[observations['keyframe'][observations['landmark'] >= 0]] = True
+        numbers: Integers = keyframes['number'][
+            holding & np.isin(keyframes['vehicle'], list(vehicles))
+        ]
+        return numbers
 
     def tied(self, vehicle: int) -> set[int]:
         """Return the vehicles that measurements connect with a vehicle, itself included."""

@@ -1,6 +1,6 @@
 """One least-squares problem, independent of the graph's growth: collected from it, taken over."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +11,7 @@ from explore_slam.slam.graph import bounding
 from explore_slam.slam.graph.config import GraphConfig
 from explore_slam.slam.graph.factors import (
     CALIBRATION,
+    CAUCHY,
     HUBER,
     OBSERVATION,
     RELATIVE_POSE,
@@ -38,8 +39,10 @@ class Problem(NamedTuple):
     landmarks: Integers  # (L,) ids
     start: Array  # (K + C + L + V, 3) estimate from which to iterate
     factors: Factors
+    measurements: Integers  # (Q,) numbers, in the graph, of the Q factors before the last O
     observations: Integers  # (O,) serial numbers of the last O factors
     calibrated: tuple[int, ...]  # vehicles with a calibration
+    made_robust: tuple[int, ...] = ()  # factors that the graph still has without robust kernel
 
     @property
     def poses(self) -> int:
@@ -50,6 +53,15 @@ class Problem(NamedTuple):
     def first_calibration(self) -> int:
         """Node of the first calibration."""
         return len(self.start) - len(self.calibrated)
+
+    def with_robust(self, numbers: Sequence[int], scale: float) -> 'Problem':
+        """Return the problem with a Cauchy kernel of a scale on factors that had no kernel."""
+        end = len(self.factors.kind) - len(self.observations)
+        rows = end - len(self.measurements) + np.flatnonzero(np.isin(self.measurements, numbers))
+        robust, scales = self.factors.robust.copy(), self.factors.scale.copy()
+        robust[rows], scales[rows] = CAUCHY, scale
+        factors = self.factors._replace(robust=robust, scale=scales)
+        return self._replace(factors=factors, made_robust=tuple(numbers))
 
 
 def chosen_landmarks(
@@ -105,6 +117,7 @@ def collect(storage: Storage, vehicles: tuple[int, ...], config: GraphConfig) ->
     calibrated = tuple(v for v in vehicles if v in storage.calibrations)
     calibrations = [storage.calibrations[v] for v in calibrated]
     first = len(poses) + len(positions)
+    measured = np.flatnonzero(node[storage.factors['b']] >= 0)
     parts = [
         _motions(storage, rows, chain_node, {v: first + n for n, v in enumerate(calibrated)}),
         Factors.of(
@@ -115,7 +128,7 @@ def collect(storage: Storage, vehicles: tuple[int, ...], config: GraphConfig) ->
             np.array([np.diag(c.deviations**-2.0) for c in calibrations]).reshape(-1, 3, 3),
         ),
         _white_errors(storage, chained, node, chain_node),
-        _measurements(storage, node),
+        _measurements(storage, measured, node),
     ]
     return Problem(
         vehicles,
@@ -125,6 +138,7 @@ def collect(storage: Storage, vehicles: tuple[int, ...], config: GraphConfig) ->
         numbers,
         np.concatenate([poses, positions, *(c.mean[None] for c in calibrations)]),
         Factors.joined(*parts, factors),
+        storage.factors['number'][measured],
         seen,
         calibrated,
     )
@@ -161,10 +175,8 @@ def _white_errors(
     )
 
 
-def _measurements(storage: Storage, node: Integers) -> Factors:
-    table = storage.factors
-    own = node[table['b']] >= 0
-    found = Factors.of_rows(table, own)
+def _measurements(storage: Storage, rows: Integers, node: Integers) -> Factors:
+    found = Factors.of_rows(storage.factors, rows)
     return found._replace(a=node[found.a], b=node[found.b])
 
 

@@ -20,6 +20,7 @@ from explore_slam.slam.graph.factors import (
     antithetic_poses,
     assemble,
     moved,
+    steepest_descent,
     total_cost,
 )
 from explore_slam.slam.graph.ordering import Structure, eliminate
@@ -29,6 +30,10 @@ from explore_slam.slam.graph.problem import Problem
 # changes by after each step; below the least it is zero
 FIRST_DAMPING, DAMPING_FACTOR, LEAST_DAMPING = 1e-4, 10.0, 1e-7
 LARGEST_DAMPING = 1e8
+# After a step of which no component (m, rad) is larger, the Jacobians are those from before to a
+# few percent: further steps are solved with the factor at hand, as long as each promises so much
+# less, in squared Mahalanobis distances, than the one before.
+SMALL_STEP, CONTRACTION = 0.03, 0.1
 ROUNDING = 1e-12  # of the cost: what summing it up may err by
 PAIRS_AT_ONCE = 32  # samples that are solved for together, so that they stay in the cache
 
@@ -59,11 +64,12 @@ class OptimizeSummary(NamedTuple):
 
 
 class Draws(NamedTuple):
-    """Joint samples of keyframe poses."""
+    """Joint samples of keyframe poses, and of where the motions to keyframes end."""
 
     keyframes: Integers  # (N,) numbers, ascending
     poses: Array  # (N, 3, M)
-    chains: Array  # (N, 3, M) with their white errors: where the next increment starts
+    ends: Integers  # (E,) numbers, ascending
+    chains: Array  # (E, 3, M) poses with their white errors: where the next increment starts
     calibrations: dict[int, Array]  # (3, M) by vehicle
 
 
@@ -97,7 +103,7 @@ class Factorization:
 
     def solve(self, right: Array) -> Array:
         """Return H⁻¹ b for right-hand sides b (N, 3, R) in the order of the system."""
-        x = np.ascontiguousarray(right)
+        x = np.array(right, np.float64, order='C')
         cholesky.solve_lower(*self._parts(), x)
         cholesky.solve_upper(*self._parts(), np.ones(len(x), np.bool_), x)
         return x
@@ -116,15 +122,20 @@ class Factorization:
         return found
 
     def sample(
-        self, poses: Array, calibrations: Array, samples: int, random: np.random.Generator
+        self,
+        nodes: Integers,
+        poses: Array,
+        calibrations: Array,
+        samples: int,
+        random: np.random.Generator,
     ) -> tuple[Array, Array]:
-        """Draw the first nodes, poses (P, 3), and the last ones, calibrations (V, 3).
+        """Draw some nodes (P,), which are poses, and the last ones, which are calibrations.
 
-        Returns samples (P, 3, samples) and (V, 3, samples) around their estimates.
+        poses (P, 3), calibrations (V, 3): their estimates. Returns samples (P, 3, samples) and
+        (V, 3, samples). Only what these nodes depend on is drawn.
         """
-        nodes = len(self.structure.place)
-        place = self.structure.place[: len(poses)]
-        last = self.structure.place[nodes - len(calibrations) :]
+        place = self.structure.place[nodes]
+        last = self.structure.place[len(self.structure.place) - len(calibrations) :]
         wanted = np.zeros(len(self.diagonal), np.bool_)
         wanted[place] = True
         wanted[last] = True
@@ -155,31 +166,61 @@ class Solution:
     factorization: Factorization
     summary: OptimizeSummary
 
-    def draw(self, samples: int, random: np.random.Generator) -> Draws:
-        """Draw joint samples of all keyframe poses from the posterior.
+    def draw(
+        self,
+        samples: int,
+        random: np.random.Generator,
+        keyframes: Integers | None = None,
+        ends: Integers | None = None,
+    ) -> Draws:
+        """Draw joint samples of keyframe poses, and of where motions end, from the posterior.
+
+        keyframes (n,), ends (m,): numbers, ascending, of the keyframes that either is wanted of.
+        Default: all. What is not wanted takes no time unless something wanted depends on it.
 
         Samples come in antithetic pairs (2m, 2m + 1), optimum ⊞ ± L⁻ᵀ ε with ε standard normal
         and H = L Lᵀ, so that their mean is the optimum; the last of an odd number is the optimum.
         """
         if samples < 1:
             raise SlamError(f'samples are {samples}, expected 1 or more')
-        keyframes = self.problem.keyframes
-        nodes = self.nodes[: self.problem.poses]
+        keyframes = self.problem.keyframes if keyframes is None else keyframes
+        ends = keyframes if ends is None else ends
+        motion_ends, chained = self._nodes_of(ends), np.isin(ends, self.problem.chains)
+        motion_ends[chained] = len(self.problem.keyframes) + np.searchsorted(
+            self.problem.chains, ends[chained]
+        )
+        nodes, rows = np.unique(
+            np.concatenate([self._nodes_of(keyframes), motion_ends]), return_inverse=True
+        )
         calibrated = self.nodes[self.problem.first_calibration :]
-        drawn, others = self.factorization.sample(nodes, calibrated, samples, random)
-        calibrations = dict(zip(self.problem.calibrated, others, strict=True))
-        poses = chains = drawn[: len(keyframes)]
-        if len(self.problem.chains):
-            chains = poses.copy()
-            chains[np.searchsorted(keyframes, self.problem.chains)] = drawn[len(keyframes) :]
-        return Draws(keyframes, poses, chains, calibrations)
+        drawn, others = self.factorization.sample(
+            nodes, self.nodes[nodes], calibrated, samples, random
+        )
+        return Draws(
+            keyframes,
+            drawn[rows[: len(keyframes)]],
+            ends,
+            drawn[rows[len(keyframes) :]],
+            dict(zip(self.problem.calibrated, others, strict=True)),
+        )
+
+    def _nodes_of(self, keyframes: Integers) -> Integers:
+        """Return the nodes (n,) of the poses of keyframes (n,)."""
+        known = self.problem.keyframes
+        nodes = np.minimum(np.searchsorted(known, keyframes), len(known) - 1)
+        unknown = keyframes[known[nodes] != keyframes]
+        if len(unknown):
+            raise SlamError(f'keyframe {unknown[0]} is not in the graph')
+        return nodes
 
     def node_of(self, keyframe: int) -> int:
         """Return the node of a keyframe's pose."""
-        found = int(np.searchsorted(self.problem.keyframes, keyframe))
-        if found == len(self.problem.keyframes) or self.problem.keyframes[found] != keyframe:
-            raise SlamError(f'keyframe {keyframe} is not in the graph')
-        return found
+        return int(self._nodes_of(np.array([keyframe], np.int64))[0])
+
+    def poses_of(self, keyframes: Integers) -> Array:
+        """Return the most likely poses (n, 3) of keyframes (n,)."""
+        poses: Array = self.nodes[self._nodes_of(keyframes)]
+        return poses
 
     def covariance(self, keyframe: int) -> Array:
         """Return the covariance (3, 3) of a pose (m, m, rad) in the axes of the map."""
@@ -192,7 +233,7 @@ class Solution:
         They are in the axes of the reference, those of the components of the relative pose.
         """
         a = self.node_of(reference)
-        b = np.array([self.node_of(int(k)) for k in others], np.int64)
+        b = self._nodes_of(others)
         column = self.factorization.columns(a)
         # relative pose z = a⁻¹ b: its step in the frame of b is δ_b − T δ_a
         theta = self.nodes[b, 2] - self.nodes[a, 2]
@@ -224,14 +265,18 @@ def linearized(problem: Problem, structure: Structure, x: Array) -> Factorizatio
     return system
 
 
-def optimize(problem: Problem, iterations: int, tolerance: float) -> Solution:
+def optimize(
+    problem: Problem, iterations: int, tolerance: float, structure: Structure | None = None
+) -> Solution:
     """Minimize the robust cost, starting from the estimate of the problem.
 
+    structure: of the factor, where a problem of the same nodes and factors has been solved.
     The iteration ends when the quadratic model promises less than the tolerance (in squared
     Mahalanobis distances), or after a number of steps. No step is taken that raises the cost.
     """
     factors = problem.factors
-    structure = eliminate(factors, len(problem.start))
+    if structure is None:
+        structure = eliminate(factors, len(problem.start))
     x = linearized_at = problem.start
     system = Factorization(factors, x, structure)
     before = cost = system.cost
@@ -249,6 +294,10 @@ def optimize(problem: Problem, iterations: int, tolerance: float) -> Solution:
             linearized_at, x, cost = x, candidate, reached
             if converged:
                 break
+            if damping == 0.0 and np.abs(step).max() <= SMALL_STEP:
+                x, cost, converged = _refined(problem, system, x, cost, promised, tolerance)
+                if converged:
+                    break
             damping = damping / DAMPING_FACTOR if damping > LEAST_DAMPING else 0.0
         else:
             damping = max(FIRST_DAMPING, damping * DAMPING_FACTOR)
@@ -260,6 +309,36 @@ def optimize(problem: Problem, iterations: int, tolerance: float) -> Solution:
         len(problem.keyframes), len(problem.landmarks), len(factors.kind),
     )  # fmt: skip
     return Solution(problem, x, linearized_at, system, summary)
+
+
+def _refined(
+    problem: Problem,
+    system: Factorization,
+    x: Array,
+    cost: float,
+    promised: float,
+    tolerance: float,
+) -> tuple[Array, float, bool]:
+    """Approach the optimum with a factor from nearby (chord method).
+
+    promised: what the last step was to lower the cost by. Returns the nodes, their cost, and
+    whether the next step would lower it by less than the tolerance.
+    """
+    right = np.empty_like(x)
+    place = system.structure.place
+    steepest_descent(problem.factors, x, place, right)
+    while True:
+        step = system.solve(right[:, :, None])[:, :, 0]
+        before, promised = promised, float((right * step).sum())
+        if promised > CONTRACTION * before:
+            return x, cost, False
+        candidate = moved(x, step, place, problem.poses)
+        reached = steepest_descent(problem.factors, candidate, place, right)
+        if reached > cost * (1.0 + ROUNDING):
+            return x, cost, False
+        x, cost = candidate, reached
+        if promised <= tolerance:
+            return x, cost, True
 
 
 def posterior_at(problem: Problem, x: Array | None = None) -> Solution:

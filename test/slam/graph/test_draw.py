@@ -33,6 +33,35 @@ def test_samples_have_the_joint_covariance_of_the_posterior(world):
     np.testing.assert_allclose(found / deviation, expected / deviation, atol=0.05)
 
 
+def test_what_is_not_wanted_does_not_change_the_distribution(make_world):
+    """Poses of some keyframes, and the ends of motions at others, are drawn jointly."""
+    world = make_world(4, landmarks=15)
+    world.circle(10)
+    white = np.diag([0.02, 0.01, 0.01]) ** 2
+    last = world.newest[0]
+    world.graph.add_keyframe(0, last + 2, [0.3, 0.0, 0.1], white, white)
+    world.graph.optimize()
+    solution = world.graph.posterior(0)
+    wanted, ends = np.array([2, 5, last + 2]), np.array([last, last + 2])
+    draws = solution.draw(40_000, np.random.default_rng(0), wanted, ends)
+    everything = solution.draw(40_000, np.random.default_rng(1))
+    rows = np.searchsorted(everything.keyframes, wanted)
+    end_rows = np.searchsorted(everything.keyframes, ends)
+    found = np.concatenate([draws.poses, draws.chains]).reshape(15, -1)
+    expected = np.concatenate([everything.poses[rows], everything.chains[end_rows]])
+    found, expected = np.cov(found), np.cov(expected.reshape(15, -1))
+    deviations = np.sqrt(expected.diagonal())
+    np.testing.assert_allclose(
+        found / np.outer(deviations, deviations),
+        expected / np.outer(deviations, deviations),
+        atol=0.05,
+    )
+    np.testing.assert_array_equal(draws.keyframes, wanted)
+    np.testing.assert_array_equal(draws.ends, ends)
+    with pytest.raises(SlamError, match='keyframe 999 is not in the graph'):
+        solution.draw(2, np.random.default_rng(0), np.array([999]))
+
+
 def test_samples_come_in_pairs_around_the_optimum(world):
     path = world.graph.path()
     steps = steps_of(world.graph.draw(7, np.random.default_rng(0)), path)

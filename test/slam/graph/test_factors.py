@@ -18,6 +18,7 @@ from explore_slam.slam.graph.factors import (
     moved,
     robust_cost,
     robust_weight,
+    steepest_descent,
     total_cost,
 )
 from explore_slam.slam.graph.ordering import eliminate
@@ -124,6 +125,16 @@ def test_gradient_with_calibration_is_the_numeric_derivative_of_the_cost(seed):
             slope = (ends[0] - ends[1]) / (2 * STEP)
             # the cost is twice the sum whose gradient is assembled
             assert gradient[structure.place[node], i] == pytest.approx(0.5 * slope, abs=2e-6)
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_steepest_descent_is_the_negative_gradient(seed):
+    random = np.random.default_rng(seed)
+    factors, x = calibrated_factors(random), random.uniform(-1, 1, (4, 3))
+    structure, cost, _, _, gradient = system_at(factors, x)
+    descent = np.full((4, 3), np.nan)
+    assert steepest_descent(factors, x, structure.place, descent) == pytest.approx(cost, rel=1e-12)
+    np.testing.assert_allclose(descent, -gradient, rtol=1e-12, atol=1e-12)
 
 
 def test_information_with_calibration_is_that_of_the_stacked_jacobians():
