@@ -464,8 +464,9 @@ def test_contradicted_particles_are_redrawn_before_the_update(make_world, make_s
     drive_ring(slam, world, path, len(path))
     group = slam.groups.of(0)
     group.resample(np.zeros(200, np.int32))  # one ancestor, all alike
-    slam._states[0] = slam._states[0][:1]
-    slam._states[0, :, 0] += 0.5
+    arrays = slam._team.particles.arrays
+    arrays[0] = arrays[0][:1]
+    arrays[0, :, 0] += 0.5
     assert np.trace(slam.estimate('a')[1]) < 1e-12
     draws, count = slam.joint.draws, len(slam.map)
     slam.predict('a', STILL, 1e-8 * np.eye(3))
@@ -532,7 +533,7 @@ def test_path_and_map_are_bounded_by_the_area(make_world, make_slam):
     sizes = []
     for _ in range(10):
         drive_ring(slam, world, path, len(path))
-        slam._stamps[0] = -1.0
+        slam.restart_clock('a')
         graph = slam.joint.graph
         state = slam.state_dict()
         sizes.append(
@@ -573,7 +574,7 @@ def test_what_is_seen_only_once_is_forgotten_everywhere(make_world, make_slam):
     sizes = []
     for _ in range(6):
         drive_ring(slam, world, path, len(path))
-        slam._stamps[0] = -1.0
+        slam.restart_clock('a')
         state = slam.state_dict()
         stored = state['joint/graph/storage/landmarks/number'] >= 0
         visits = state['joint/graph/storage/visits']
@@ -689,7 +690,7 @@ def test_a_motion_is_appended_to_the_graph_as_the_filter_has_it(make_slam):
     slam = make_slam({'a': STARTS['a']})
     for _ in range(30):
         slam.predict('a', Pose2(0.3, 0.0, 0.2))
-    total = slam._pending[0].total()
+    total = slam._team.particles.pending[0].total()
     recorded = slam.joint._tails[0].motion.total()
     for mine, theirs in zip(total, recorded, strict=True):
         np.testing.assert_array_equal(mine, theirs)

@@ -1,0 +1,76 @@
+"""Relative poses of keyframes, as loop closing measures them, in the joint graph of the filter."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from explore_slam.errors import SlamError
+from explore_slam.geometry import Array
+from explore_slam.slam.joint_posterior import RelativePose
+from explore_slam.slam.redrawing import Redrawing
+from explore_slam.slam.storage.row_format import Places
+from explore_slam.slam.team_state import TeamState
+
+
+class LoopConstraints:
+    """Closures between keyframes of the path, by their numbers there."""
+
+    def __init__(self, team: TeamState, redrawing: Redrawing) -> None:
+        self._team = team
+        self._redrawing = redrawing
+
+    def node_of(self, keyframe: int) -> int:
+        """Return the number of a keyframe in the joint graph."""
+        path = self._team.path
+        if not 0 <= keyframe < len(path):
+            raise SlamError(f'keyframe is {keyframe}, expected 0 … {len(path) - 1}')
+        return path.nodes[keyframe]
+
+    def pin(self, keyframe: int) -> None:
+        """Keep a keyframe, so that closures can be measured relative to it."""
+        self._team.required_joint().pin(self.node_of(keyframe))
+
+    def unpin(self, keyframe: int) -> None:
+        """Take back a `pin`."""
+        self._team.required_joint().unpin(self.node_of(keyframe))
+
+    def close(self, closures: Sequence[RelativePose]) -> list[int]:
+        """Record closures, see FastSlam.close_loops; return a number for each."""
+        joint, groups = self._team.required_joint(), self._team.groups
+        measured = [
+            closure._replace(
+                reference=self.node_of(closure.reference), keyframe=self.node_of(closure.keyframe)
+            )
+            for closure in closures
+        ]
+        ends = [joint.graph.vehicles_of([c.reference, c.keyframe]).tolist() for c in measured]
+        merges = any(groups.of(a) is not groups.of(b) for a, b in ends)
+        factors: list[int] = []
+        try:
+            factors.extend(joint.close(closure) for closure in measured)
+        except SlamError:
+            for factor in factors:
+                joint.reopen(factor)
+            raise
+        if merges or joint.is_closure_due(measured):
+            redraw = self._redrawing.draw(vehicle for pair in ends for vehicle in pair)
+            if redraw is None:
+                for factor in factors:
+                    joint.reopen(factor)
+                raise SlamError('with these closures the joint graph has no definite optimum')
+            self._redrawing.take(redraw)
+        return factors
+
+    def reopen(self, number: int) -> None:
+        """Take back a closure."""
+        self._team.required_joint().reopen(number)
+
+    def distances(self) -> dict[int, float]:
+        """Return the squared Mahalanobis distance of every closure from the path, by number."""
+        return self._team.required_joint().closure_distances()
+
+    def relative_covariance(self, reference: int, keyframes: Places) -> Array:
+        """Return covariances (n, 3, 3) of keyframes' poses in the frame of a reference."""
+        nodes = np.array(self._team.path.nodes, np.int64)
+        joint = self._team.required_joint()
+        return joint.relative_covariance(self.node_of(reference), nodes[keyframes])
