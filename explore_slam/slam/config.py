@@ -312,6 +312,14 @@ class FastSlamConfig(Section):
         low=0.0,
         high=1.0,
     )
+    redraw_beside: int = setting(
+        10_000,
+        'Redraws of graphs of more measurements than this run in another thread, beside what '
+        'follows the update, until the next update. The default takes about 50 ms on one core '
+        '(benchmarks/graph_speed.py); those of the simulated office have 5,000',
+        low=0,
+        high=10_000_000,
+    )
     odometry_noise: OdometryNoise = section(OdometryNoise)
     calibration: CalibrationConfig = section(CalibrationConfig)
     correlation: CorrelationConfig = section(CorrelationConfig)

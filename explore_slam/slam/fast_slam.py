@@ -131,6 +131,7 @@ class FastSlam(Checkpointed):
         number = self._number(vehicle)
         known = checks.check_pose('pose', pose)
         spread = checks.check_motion_covariance('covariance', covariance)
+        self._redrawing.settle()
         if number in self._team.apart:
             self._joining.at_pose(number, known, spread)
         else:
@@ -143,6 +144,7 @@ class FastSlam(Checkpointed):
         """
         number = self._number(vehicle)
         spread = checks.check_motion_covariance('covariance', covariance)
+        self._redrawing.settle()
         self._restart_at(number, self.estimate(vehicle)[0], spread)
 
     def _restart_at(self, number: int, pose: Pose2, covariance: Array) -> None:
@@ -162,6 +164,8 @@ class FastSlam(Checkpointed):
     def update(self, vehicle: str, observations: LandmarkObservations) -> UpdateSummary:
         """Update with landmark observations of a vehicle at its current pose.
 
+        Particles that are being redrawn are replaced first, see `Redrawing.redraw_if_due`.
+
         The numbers of the steps are those of the paper's algorithm. Engine paper samples poses
         (2.1) before the association and resamples (5) at the end, once all vehicles have updated;
         engine fastslam2 resamples and samples after it, from the proposal given the observations.
@@ -175,6 +179,7 @@ class FastSlam(Checkpointed):
         """
         number = self._number(vehicle)
         self._check(number, observations)
+        settled = self._redrawing.settle()
         if self._engine.starts_new_round(number):
             self._end_round()
 
@@ -215,7 +220,7 @@ class FastSlam(Checkpointed):
             resampled = True
         agreed = support.sum(axis=1) > MAJORITY
         lost, relocated = self._recovery.update(number, found, agreed)
-        redrawn = self._redrawing.redraw_if_due(group)
+        redrawn = self._redrawing.redraw_if_due(group) or settled
         joined = self._joining.by_landmarks(number, observations)
         return UpdateSummary(
             stamp=observations.stamp,
@@ -353,6 +358,7 @@ class FastSlam(Checkpointed):
         observation is stored are removed.
         """
         self._team.required_joint()
+        self._redrawing.settle()
         redraw = self._redrawing.draw(vehicles)
         if redraw is None:
             names = [self.vehicles[number] for number in vehicles]
@@ -381,6 +387,7 @@ class FastSlam(Checkpointed):
             measured = self._inter_robot.without_repetition(number, target, observation)
             if measured is None:
                 continue
+            self._redrawing.settle()
             what = f'observation of {observation.vehicle!r} at stamp {observation.stamp}'
             with self._rejecting(what):
                 self._inter_robot.update(number, target, measured)
@@ -470,6 +477,7 @@ class FastSlam(Checkpointed):
 
     def resample_now(self, weights: Array | None = None) -> None:
         """Resample all groups by their weights, or by given normalized weights (M,)."""
+        self._redrawing.settle()
         for group in self.groups.all:
             self._team.resample(group, weights)
 
@@ -552,6 +560,8 @@ class FastSlam(Checkpointed):
         if not math.isfinite(stamp):
             raise SlamError(f'add_keyframe({vehicle!r}): stamp is {stamp}, expected seconds')
         if self.joint is not None:
+            if self.joint.has_moved(number):
+                self._redrawing.settle()
             node = self.joint.keyframe(number, self.estimate(vehicle)[0])
             return self.path.append_node(number, stamp, node)
         tree = self.groups.of(number).tree
@@ -585,7 +595,8 @@ class FastSlam(Checkpointed):
     # -- state ----------------------------------------------------------------------------------
 
     def state_dict(self) -> State:
-        """See Checkpointed."""
+        """See Checkpointed. Particles that are being redrawn are replaced before."""
+        self._redrawing.settle()
         about = {
             'settings': values_of(self.config),
             'vehicles': list(self.vehicles),

@@ -49,6 +49,7 @@ class Joining:
         if number not in tied or tied & (team.apart - {number}) or len(tied) < 2:
             names = [team.vehicles[other] for other in sorted(tied)]
             raise SlamError(f'closures tie {names}, expected {name!r} and vehicles in the map')
+        self._redrawing.settle()
         saved = {name: np.array(value) for name, value in joint.state_dict().items()}
         joint.move([number], at)
         team.apart.remove(number)
@@ -89,6 +90,7 @@ class Joining:
     def at_pose(self, number: int, pose: Pose2, covariance: Array) -> None:
         """Join a vehicle whose present pose in the map is known, covariance (3, 3)."""
         team, joint = self._team, self._team.required_joint()
+        self._redrawing.settle()
         estimate = team.estimate(number)[0]
         saved = {name: np.array(value) for name, value in joint.state_dict().items()}
         keyframe = joint.keyframe(number, estimate)

@@ -20,7 +20,7 @@ from explore_slam.geometry import Array, Pose2, between, wrap_angle
 from explore_slam.slam.association.state import Observed
 from explore_slam.slam.checkpoint import State, part, under
 from explore_slam.slam.config import FastSlamConfig
-from explore_slam.slam.graph import Draws, JointGraph, Solution
+from explore_slam.slam.graph import Draws, JointGraph, Problem, Solution
 from explore_slam.slam.particles.group import Group
 from explore_slam.slam.particles.joint_samples import JointSamples
 from explore_slam.slam.particles.motion import PendingMotion, Segment
@@ -76,6 +76,34 @@ class Redraw(NamedTuple):
     calibrations: dict[int, Array]
     ids: Places
     positions: Array
+
+
+class _Part(NamedTuple):
+    """Vehicles that are tied together: their problem, and what is wanted of its solution."""
+
+    problem: Problem
+    believed: list[int]  # closures that are new
+    keyframes: Places  # whose poses are drawn, ascending
+    newest: Places  # of each vehicle, ascending
+
+
+class Snapshot(NamedTuple):
+    """The joint graph of some vehicles at a moment."""
+
+    vehicles: list[int]
+    parts: list[_Part]
+
+    @property
+    def factors(self) -> int:
+        """Number of measurements, which what a redraw takes grows with."""
+        return sum(len(tied.problem.factors.kind) for tied in self.parts)
+
+
+class Drawn(NamedTuple):
+    """The optimum of vehicles that are tied together, and samples around it."""
+
+    solution: Solution
+    draws: Draws
 
 
 class RelativePose(NamedTuple):
@@ -224,6 +252,10 @@ class JointPosterior:
                 return True
         return False
 
+    def has_moved(self, vehicle: int) -> bool:
+        """Return whether a keyframe at the present pose would be a new one."""
+        return self._tails[vehicle].moved
+
     def restart(self, vehicle: int, pose: Pose2, covariance: Array) -> None:
         """Continue the path of a vehicle at a pose that its motion does not lead to."""
         self.graph.restart(vehicle, self._next, np.asarray(pose), covariance)
@@ -268,56 +300,69 @@ class JointPosterior:
             return True
         return min(samples.distinct() for samples in group.samples) < least
 
-    def redraw(self, vehicles: Sequence[int], random: np.random.Generator) -> Redraw:
-        """Draw the paths of vehicles anew; of vehicles that are tied together, all are given.
+    def snapshot(self, vehicles: Sequence[int]) -> Snapshot:
+        """Return what paths are drawn from; of vehicles that are tied together, all are given.
 
-        SlamError if the graph has no definite optimum; what was measured is unchanged then.
+        It shares nothing with what is recorded later, so that another thread may draw from it.
         """
-        members = list(vehicles)
-        solutions = self._solutions(members)
-        drawn = [self._drawn(solution, random) for solution in solutions]
-        if not all(
-            np.isfinite(some).all() for draw in drawn for some in (draw.poses, draw.chains)
-        ):
-            raise SlamError(f'samples of vehicles {members} are not finite')
-        for solution in solutions:
+        parts, done = list[_Part](), set[int]()
+        for vehicle in vehicles:
+            if vehicle in done:
+                continue
+            tied = self.graph.tied(vehicle)
+            done |= tied
+            newest = np.sort([self._tails[v].keyframe for v in tied])
+            observing = self.graph.observing_keyframes(tied)
+            parts.append(
+                _Part(
+                    self.graph.snapshot(vehicle),
+                    [factor for factor, owner in self._believed.items() if owner in tied],
+                    np.union1d(observing, newest),
+                    newest,
+                )
+            )
+        return Snapshot(list(vehicles), parts)
+
+    def draw(self, snapshot: Snapshot, random: np.random.Generator) -> list[Drawn]:
+        """Draw the paths in a snapshot anew; nothing that is recorded changes.
+
+        SlamError if the graph has no definite optimum. Closures that are new become robust once
+        they have been believed. Drawn is what the particles need: poses where landmarks were
+        observed, and the newest ones.
+        """
+        drawn = []
+        for tied in snapshot.parts:
+            solution = self.graph.solve(tied.problem, tied.believed)
+            draws = solution.draw(self.config.particles, random, tied.keyframes, tied.newest)
+            if not (np.isfinite(draws.poses).all() and np.isfinite(draws.chains).all()):
+                raise SlamError(f'samples of vehicles {tied.problem.vehicles} are not finite')
+            drawn.append(Drawn(solution, draws))
+        return drawn
+
+    def adopt(self, snapshot: Snapshot, drawn: Sequence[Drawn]) -> Redraw:
+        """Make the optimum of a snapshot the estimate, and return what the particles take over.
+
+        No keyframe may have been added since, and no vehicle may have been restarted or moved.
+        """
+        members = snapshot.vehicles
+        chains: dict[int, Array] = {}
+        calibrations: dict[int, Array] = {}
+        for solution, draws in drawn:
             self.graph.adopt(solution)
             for factor in solution.problem.made_robust:
                 self._believed.pop(factor, None)
             self.relative_covariance.renew(solution.problem.vehicles[0])
-        chains = {
-            v: draw.chains[np.searchsorted(draw.ends, self._tails[v].keyframe)].T.copy()
-            for draw, solution in zip(drawn, solutions, strict=True)
-            for v in solution.problem.vehicles
-        }
-        # the nodes of a keyframe that observations belong to contain the error of its frame
-        framed = self.config.frame_error.covariance() is not None
-        numbers, means, poses = (
-            np.concatenate(parts)
-            for parts in zip(
-                *(
-                    (draw.keyframes, solution.poses_of(draw.keyframes), draw.poses)
-                    for draw, solution in zip(drawn, solutions, strict=True)
-                ),
-                strict=True,
-            )
-        )
-        order = np.argsort(numbers)
-        ids, observations = self.graph.observations_from(members)
-        samples = JointSamples(
-            self.draws,
-            numbers[order],
-            means[order],
-            poses[order],
-            ids,
-            observations,
-            np.arange(self.config.particles, dtype=np.int32),
-        )
-        self.draws += 1
-        self._redrawn_at = self._next
-        calibrations = {v: some.T for draw in drawn for v, some in draw.calibrations.items()}
+            for v in solution.problem.vehicles:
+                row = np.searchsorted(draws.ends, self._tails[v].keyframe)
+                chains[v] = draws.chains[row].T.copy()
+            calibrations |= {v: some.T for v, some in draws.calibrations.items()}
         for vehicle in members:
             self.calibrations[vehicle] = self.graph.calibration(vehicle)
+        samples = self._samples(members, drawn)
+        self.draws += 1
+        self._redrawn_at = self._next
+        # the nodes of a keyframe that observations belong to contain the error of its frame
+        framed = self.config.frame_error.covariance() is not None
         return Redraw(
             members,
             samples,
@@ -326,31 +371,25 @@ class JointPosterior:
             {v: self._tails[v].motion.copy() for v in members},
             {v: self._tails[v].moved for v in members},
             calibrations,
-            ids,
-            samples.fused_at_mean(ids)[:, :3] if len(ids) else np.empty((0, 3)),
+            samples.ids,
+            samples.fused_at_mean(samples.ids)[:, :3] if len(samples.ids) else np.empty((0, 3)),
         )
 
-    def _drawn(self, solution: Solution, random: np.random.Generator) -> Draws:
-        """Draw what the particles need: where landmarks were observed, and the newest poses."""
-        vehicles = solution.problem.vehicles
-        newest = np.sort([self._tails[v].keyframe for v in vehicles])
-        observing = self.graph.observing_keyframes(vehicles)
-        return solution.draw(self.config.particles, random, np.union1d(observing, newest), newest)
-
-    def _solutions(self, vehicles: Sequence[int]) -> list[Solution]:
-        """Return the optimum of each set of vehicles that are tied together.
-
-        Closures that are new become robust once they have been believed.
-        """
-        solutions, done = [], set[int]()
-        for vehicle in vehicles:
-            if vehicle in done:
-                continue
-            tied = self.graph.tied(vehicle)
-            done |= tied
-            believed = [factor for factor, owner in self._believed.items() if owner in tied]
-            solutions.append(self.graph.solve(self.graph.snapshot(vehicle), believed))
-        return solutions
+    def _samples(self, members: Sequence[int], drawn: Sequence[Drawn]) -> JointSamples:
+        numbers = np.concatenate([draws.keyframes for _, draws in drawn])
+        means = np.concatenate([found.poses_of(draws.keyframes) for found, draws in drawn])
+        poses = np.concatenate([draws.poses for _, draws in drawn])
+        order = np.argsort(numbers)
+        ids, observations = self.graph.observations_from(members)
+        return JointSamples(
+            self.draws,
+            numbers[order],
+            means[order],
+            poses[order],
+            ids,
+            observations,
+            np.arange(self.config.particles, dtype=np.int32),
+        )
 
     def path(self) -> Array:
         """Return the most likely poses (N, 3) of all keyframes, without errors of frames."""

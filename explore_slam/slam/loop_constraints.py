@@ -44,6 +44,7 @@ class LoopConstraints:
             for closure in closures
         ]
         ends = [joint.graph.vehicles_of([c.reference, c.keyframe]).tolist() for c in measured]
+        self._redrawing.settle()
         merges = any(groups.of(a) is not groups.of(b) for a, b in ends)
         factors: list[int] = []
         try:
@@ -63,6 +64,7 @@ class LoopConstraints:
 
     def reopen(self, number: int) -> None:
         """Take back a closure."""
+        self._redrawing.settle()
         self._team.required_joint().reopen(number)
 
     def distances(self) -> dict[int, float]:

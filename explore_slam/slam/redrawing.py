@@ -1,12 +1,15 @@
 """When the paths are drawn anew from the joint posterior, and what the particles take over."""
 
 from collections.abc import Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
 from explore_slam.errors import SlamError
 from explore_slam.slam.association.state import MAJORITY, AssociationState
-from explore_slam.slam.joint_posterior import Redraw
+from explore_slam.slam.joint_posterior import Drawn, Redraw, Snapshot
 from explore_slam.slam.particles.group import Group
 from explore_slam.slam.particles.resampling import normalized
 from explore_slam.slam.team_state import TeamState
@@ -17,11 +20,24 @@ from explore_slam.slam.update.engine import PoseProposal
 _CONTRADICTED = 0.3
 
 
+class _Flight(NamedTuple):
+    """Samples that another thread draws."""
+
+    snapshot: Snapshot
+    drawn: Future[list[Drawn]]
+
+
+@cache
+def _executor() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(1, thread_name_prefix='redraw')
+
+
 class Redrawing:
     """Replaces particles by samples of the joint posterior; without one, nothing is ever due."""
 
     def __init__(self, team: TeamState) -> None:
         self._team = team
+        self._flight: _Flight | None = None
 
     def is_contradicted(
         self, number: int, association: AssociationState, proposal: PoseProposal
@@ -46,13 +62,41 @@ class Redrawing:
         return bool(missed > _CONTRADICTED * np.count_nonzero(distinctive))
 
     def redraw_if_due(self, group: Group) -> bool:
-        """Redraw the paths of a group if it no longer represents the posterior."""
-        if self._team.joint is None or not self._team.joint.is_due(group):
+        """Redraw the paths of a group if it no longer represents the posterior.
+
+        A small graph is drawn from at once. A large one is drawn from in another thread while the
+        caller goes on; `settle`, at the next update, waits for the samples and takes them. Nothing
+        but motion happens in between, whatever the threads do, so that nothing has to be repeated
+        and the same calls give the same results. Return whether the paths have been redrawn.
+        """
+        joint = self._team.joint
+        if joint is None or not joint.is_due(group):
             return False
-        redraw = self.draw(group.vehicles)
+        snapshot = joint.snapshot(self._tied(group.vehicles))
+        if snapshot.factors > self._team.config.redraw_beside:
+            random = np.random.default_rng(self._team.random.integers(0, 2**63, 2))
+            self._flight = _Flight(snapshot, _executor().submit(joint.draw, snapshot, random))
+            return False
+        redraw = self._drawn(snapshot)
         if redraw is None:
             return False
         self.take(redraw)
+        return True
+
+    def settle(self) -> bool:
+        """Take the samples that another thread draws, if it does; return whether there are any.
+
+        Must be called before anything but motion changes what is known of the paths.
+        """
+        flight, self._flight = self._flight, None
+        joint = self._team.joint
+        if flight is None or joint is None:
+            return False
+        try:
+            drawn = flight.drawn.result()
+        except SlamError:
+            return False
+        self.take(joint.adopt(flight.snapshot, drawn))
         return True
 
     def draw(self, vehicles: Iterable[int]) -> Redraw | None:
@@ -61,20 +105,27 @@ class Redrawing:
         None if the graph has no definite optimum, because covariances differ by too many orders of
         magnitude; the particles that there are then go on.
         """
-        joint, groups, random = self._team.joint, self._team.groups, self._team.random
-        if joint is None:
+        joint = self._team.joint
+        return None if joint is None else self._drawn(joint.snapshot(self._tied(vehicles)))
+
+    def _drawn(self, snapshot: Snapshot) -> Redraw | None:
+        joint, random = self._team.required_joint(), self._team.random
+        before = random.bit_generator.state
+        try:
+            return joint.adopt(snapshot, joint.draw(snapshot, random))
+        except SlamError:
+            random.bit_generator.state = before
             return None
+
+    def _tied(self, vehicles: Iterable[int]) -> list[int]:
+        """Return vehicles and all that groups or measurements connect with them, ascending."""
+        joint, groups = self._team.required_joint(), self._team.groups
         members, found = set[int](), set(vehicles)
         while found != members:
             members = found
             found = {v for n in members for v in groups.of(n).vehicles}
             found |= {v for n in members for v in joint.graph.tied(n)}
-        before = random.bit_generator.state
-        try:
-            return joint.redraw(sorted(members), random)
-        except SlamError:
-            random.bit_generator.state = before
-            return None
+        return sorted(members)
 
     def take(self, redraw: Redraw) -> None:
         """Replace the particles of some vehicles by samples.
