@@ -436,7 +436,7 @@ class FastSlam(Checkpointed):
 
     def forget_loop(self, number: int) -> None:
         """Drop a closure of a place that others hold as well; the path stays where it is."""
-        self._joint().forget(number)
+        self._constraints.forget(number)
 
     def closure_distances(self) -> dict[int, float]:
         """Return the squared Mahalanobis distance of every closure from the path, by number."""

@@ -32,6 +32,7 @@ class LoopConstraints:
 
     def unpin(self, keyframe: int) -> None:
         """Take back a `pin`."""
+        self._redrawing.settle()
         self._team.required_joint().unpin(self.node_of(keyframe))
 
     def close(self, closures: Sequence[RelativePose]) -> list[int]:
@@ -66,6 +67,11 @@ class LoopConstraints:
         """Take back a closure."""
         self._redrawing.settle()
         self._team.required_joint().reopen(number)
+
+    def forget(self, number: int) -> None:
+        """Drop a closure of a place that others hold as well."""
+        self._redrawing.settle()
+        self._team.required_joint().forget(number)
 
     def distances(self) -> dict[int, float]:
         """Return the squared Mahalanobis distance of every closure from the path, by number."""
