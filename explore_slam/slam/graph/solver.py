@@ -33,7 +33,7 @@ LARGEST_DAMPING = 1e8
 # After a step of which no component (m, rad) is larger, the Jacobians are those from before to a
 # few percent: further steps are solved with the factor at hand, as long as each promises so much
 # less, in squared Mahalanobis distances, than the one before.
-SMALL_STEP, CONTRACTION = 0.03, 0.1
+SMALL_STEP, CONTRACTION = 0.03, 0.5
 ROUNDING = 1e-12  # of the cost: what summing it up may err by
 PAIRS_AT_ONCE = 32  # samples that are solved for together, so that they stay in the cache
 
