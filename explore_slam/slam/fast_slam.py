@@ -24,7 +24,6 @@ from explore_slam.slam.joint_posterior import RelativePose
 from explore_slam.slam.landmarks.landmark_map import Landmarks
 from explore_slam.slam.loop_constraints import LoopConstraints
 from explore_slam.slam.particles.group import Group
-from explore_slam.slam.particles.motion import Segment, calibrated
 from explore_slam.slam.particles.resampling import stratified_normals
 from explore_slam.slam.recovery import Recovery
 from explore_slam.slam.redrawing import Redrawing
@@ -99,7 +98,8 @@ class FastSlam(Checkpointed):
         pose by itself, so that increments lead from measured pose to measured pose. Default: none.
         """
         number = self._number(vehicle)
-        step = self._step(number, checks.check_pose('increment', increment), covariance)
+        motion = checks.check_pose('increment', increment)
+        step = self._team.step_of(number, motion, covariance)
         error = np.zeros((3, 3))
         if white is not None:
             error = checks.check_motion_covariance('white', white)
@@ -110,18 +110,6 @@ class FastSlam(Checkpointed):
         if self.joint is not None:
             self.joint.predict(number, step, error)
         self._team.has_motion[number] = True
-
-    def _step(self, number: int, increment: Pose2, covariance: Array | None) -> Segment:
-        """Return an increment as a motion, corrected by the calibration if it is of wheels."""
-        if covariance is not None:
-            noise = checks.check_motion_covariance('covariance', covariance)
-            return Segment.empty()._replace(mean=increment, covariance=noise)
-        noise = self.config.odometry_noise.covariance(increment)
-        if self.joint is None or not self.config.calibration.odometry_calibration:
-            return Segment.empty()._replace(mean=increment, covariance=noise)
-        calibration = self.joint.calibrations[number]
-        corrected, sensitivity = calibrated(increment, calibration)
-        return Segment(corrected, noise, sensitivity, sensitivity @ calibration)
 
     def set_pose(self, vehicle: str, pose: Pose2, covariance: Array) -> None:
         """Give a vehicle a known pose; covariance (3, 3) in the map frame (m², rad²).
@@ -503,12 +491,7 @@ class FastSlam(Checkpointed):
         They are in the frame of the vehicle before it. steps: increments and their covariances as
         for `predict`, so that those of wheel odometry are corrected by the calibration.
         """
-        number, total = self._number(vehicle), Segment.empty()
-        for increment, covariance in steps:
-            total = total.extended(self._step(number, increment, covariance))
-        mean, spread = self.odometry_calibration(vehicle)
-        covariance = total.covariance + total.sensitivity @ spread @ total.sensitivity.T
-        return Pose2.from_array(total.moves(mean[None])[0]), covariance
+        return self._team.motion(self._number(vehicle), steps)
 
     def odometry_calibration(self, vehicle: str) -> tuple[Array, Array]:
         """Return mean (3,) and covariance (3, 3) of a vehicle's odometry calibration.
@@ -517,8 +500,7 @@ class FastSlam(Checkpointed):
         which increments are corrected, see `particles.motion.calibrated`; zero where nothing is
         calibrated.
         """
-        number = self._number(vehicle)
-        return self._team.particles.calibration(number, self.groups.of(number).weights())
+        return self._team.calibration(self._number(vehicle))
 
     def best_pose(self, vehicle: str) -> Pose2:
         """Return the pose of a vehicle that its path ends at, predicted motion included.

@@ -1,19 +1,21 @@
 """What the filter of a team knows: particles, landmark map, paths and joint graph."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.errors import SlamError
 from explore_slam.geometry import IDENTITY, Array, Pose2
+from explore_slam.slam import checks
 from explore_slam.slam.checkpoint import State, part, under
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.descriptors.kinds import kind_named
 from explore_slam.slam.joint_posterior import JointPosterior
 from explore_slam.slam.landmarks.landmark_map import LandmarkMap, make_index
 from explore_slam.slam.particles.group import Group, Groups
+from explore_slam.slam.particles.motion import Segment, calibrated
 from explore_slam.slam.particles.path_store import PathStore
 from explore_slam.slam.particles.resampling import stratified_normals
 from explore_slam.slam.particles.vehicle_states import VehicleStates
@@ -85,6 +87,36 @@ class TeamState:
     def estimate(self, number: int) -> tuple[Pose2, Array]:
         """Return mean and covariance (3, 3) of a pose in the map, predicted motion included."""
         return self.particles.estimate(number, self.groups.of(number).weights())
+
+    def calibration(self, number: int) -> tuple[Array, Array]:
+        """Return mean (3,) and covariance (3, 3) of a vehicle's odometry calibration."""
+        return self.particles.calibration(number, self.groups.of(number).weights())
+
+    def step_of(self, number: int, increment: Pose2, covariance: Array | None) -> Segment:
+        """Return an increment as a motion, corrected by the calibration if it is of wheels.
+
+        covariance (3, 3); None: that of wheel odometry.
+        """
+        if covariance is not None:
+            noise = checks.check_motion_covariance('covariance', covariance)
+            return Segment.empty()._replace(mean=increment, covariance=noise)
+        noise = self.config.odometry_noise.covariance(increment)
+        if self.joint is None or not self.config.calibration.odometry_calibration:
+            return Segment.empty()._replace(mean=increment, covariance=noise)
+        calibration = self.joint.calibrations[number]
+        corrected, sensitivity = calibrated(increment, calibration)
+        return Segment(corrected, noise, sensitivity, sensitivity @ calibration)
+
+    def motion(
+        self, number: int, steps: Iterable[tuple[Pose2, Array | None]]
+    ) -> tuple[Pose2, Array]:
+        """Return mean and covariance (3, 3) of a motion, in the frame of the vehicle before it."""
+        total = Segment.empty()
+        for increment, noise in steps:
+            total = total.extended(self.step_of(number, increment, noise))
+        mean, spread = self.calibration(number)
+        covariance = total.covariance + total.sensitivity @ spread @ total.sensitivity.T
+        return Pose2.from_array(total.moves(mean[None])[0]), covariance
 
     def resample(self, group: Group, weights: Array | None = None) -> Index:
         """Resample a group by its or other normalized weights (M,); return the ancestors (M,)."""
