@@ -42,12 +42,20 @@ EFFECTS = {
 }
 
 
+@pytest.fixture(scope='module')
+def usual():
+    """Matches with the usual settings, which effects are compared with."""
+    return {experiment: experiment(ScanMatchingConfig()) for _, experiment in EFFECTS.values()}
+
+
 @pytest.mark.parametrize('name', EFFECTS)
-def test_every_setting_changes_the_matches(name):
+def test_every_setting_changes_the_matches(name, usual):
     value, experiment = EFFECTS[name]
-    usual = ScanMatchingConfig()
-    assert experiment(usual) == experiment(usual)
-    assert experiment(usual) != experiment(with_values(usual, {name: value}))
+    assert experiment(with_values(ScanMatchingConfig(), {name: value})) != usual[experiment]
+
+
+def test_the_same_settings_give_the_same(usual):
+    assert drive(ScanMatchingConfig()) == usual[drive]
 
 
 def test_no_setting_is_left_out():

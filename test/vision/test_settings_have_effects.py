@@ -74,12 +74,24 @@ EFFECTS = {
 }
 
 
+USUAL = with_values(VisionConfig(), {'feature_budget': 100})
+
+
+@pytest.fixture(scope='module')
+def usual():
+    """Outcomes with usual settings, which effects are compared with."""
+    return {experiment: experiment(USUAL) for _, experiment in EFFECTS.values()}
+
+
 @pytest.mark.parametrize('name', EFFECTS)
-def test_every_setting_changes_what_is_observed(name):
+def test_every_setting_changes_what_is_observed(name, usual):
     value, experiment = EFFECTS[name]
-    usual = with_values(VisionConfig(), {'feature_budget': 100})
-    assert experiment(usual) == experiment(usual)
-    assert experiment(usual) != experiment(with_values(usual, {name: value}))
+    assert experiment(with_values(USUAL, {name: value})) != usual[experiment]
+
+
+@pytest.mark.parametrize('experiment', [observations, keyframes])
+def test_the_same_settings_give_the_same(experiment, usual):
+    assert experiment(USUAL) == usual[experiment]
 
 
 def test_the_detector_is_the_one_of_the_setting(monkeypatch):
