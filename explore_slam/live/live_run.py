@@ -264,7 +264,7 @@ class LiveRun:
         """Write the run folder and return its data."""
         state = RunState() if self.monitor is None else self.monitor.state
         grid = None
-        if state.grid is not None:
+        if state.grid is not None and state.grid[0].size:  # the first map may have no cells
             cells, resolution, origin = state.grid
             config = with_values(self.config.agent.mapping, {'resolution': round(resolution, 6)})
             probability = np.where(cells >= 0, cells / 100.0, 0.5)
