@@ -113,6 +113,20 @@ def test_the_cost_of_a_path_is_the_value_of_its_goal(seed):
         assert cost == pytest.approx(paid, rel=1e-5)
 
 
+@pytest.mark.parametrize('seed', range(3))
+def test_paths_are_cheapest_where_the_lower_bound_is_tight(seed):
+    """All free cells cost the same, so that a bound too high would lead astray."""
+    grid = np.where(random_grid(seed) > OCC_MAX, 0.9, 0.1).astype(np.float32)
+    start = (18, 26)
+    grid[start] = 0.1
+    values = travel_cost(grid, start, OCC_MAX)
+    goals = np.argwhere(np.isfinite(values))
+    for goal in goals[:: len(goals) // 60]:
+        cells, cost = plan_path(grid, start, tuple(goal), OCC_MAX)
+        assert cost == pytest.approx(values[tuple(goal)], rel=1e-5)
+        assert tuple(cells[-1]) == tuple(goal)
+
+
 def test_a_goal_behind_walls_has_no_path():
     grid = np.full((9, 9), 0.1, np.float32)
     grid[:, 4] = 0.9

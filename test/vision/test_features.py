@@ -12,7 +12,7 @@ from explore_slam.geometry import rotation_matrix
 from explore_slam.settings import settings_of, with_values
 from explore_slam.vision import CameraMount, FeatureExtractor, VisionConfig
 from explore_slam.vision.detectors.sift import normalise
-from explore_slam.vision.features import spread_over_image
+from explore_slam.vision.features import _nearest_pixels, spread_over_image
 
 CAMERA = Intrinsics(320, 240, 260.0, 262.0, 158.0, 121.0)
 
@@ -286,3 +286,11 @@ def test_unusable_settings_are_refused():
 def test_setting_names_are_unique():
     names = [info.name for info, _ in settings_of(VisionConfig())]
     assert len(names) == len(set(names))
+
+
+def test_the_nearest_pixel_is_inside_the_image():
+    places = np.array([[3.2, 4.6], [-0.6, 0.4], [0.2, -3.0], [319.7, 239.8]])
+    columns, rows = _nearest_pixels(places, (240, 320))
+    assert list(zip(columns.tolist(), rows.tolist(), strict=True)) == [
+        (3, 5), (0, 0), (0, 0), (319, 239),
+    ]  # fmt: skip

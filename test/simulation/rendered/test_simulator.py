@@ -238,7 +238,7 @@ def test_most_views_are_rich_in_features():
     extractor = FeatureExtractor(with_values(VisionConfig(), {'feature_budget': 2000}))
     counts = []
     with Simulator(world, {'a': world.starts['robot1']}, config()) as simulator:
-        while len(counts) < 40:
+        while len(counts) < 20:
             x, y = rng.uniform(0, 17), rng.uniform(0, 10.5)
             if room(x, y) < 0.4:
                 continue

@@ -110,8 +110,8 @@ def test_landmarks_far_away_are_noted_up_to_the_distance_asked_for():
 def test_hidden_landmarks_are_no_candidates_near_or_far():
     random = np.random.default_rng(2)
     kinds = unit_rows(random, 2)
-    at = to_world(POSE, np.array([[1.0, 0.0, 0.0], [1.0, 0.1, 0.0], [1.0, 4.0, 0.0]]))
-    landmarks = map_of(at, kinds[[0, 1, 0]])
+    at = to_world(POSE, np.array([[1.0, 4.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.1, 0.0]]))
+    landmarks = map_of(at, kinds[[0, 0, 1]])
     observations = LandmarkObservations(
         0.0, np.array([[1.0, 0.0, 0.0]] * 2), np.tile(1e-4 * np.eye(3), (2, 1, 1)), kinds
     )
@@ -121,7 +121,7 @@ def test_hidden_landmarks_are_no_candidates_near_or_far():
         made = find_candidates(landmarks, observations, CONFIG, POSE, COVARIANCE, 9.0, mask)
         return made.entries.tolist(), made.has_similar().tolist()
 
-    assert found() == ([0, 1], [True, True])
-    assert found(0) == ([1], [True, True])  # the third landmark is similar
-    assert found(0, 2) == ([1], [False, True])
+    assert found() == ([1, 2], [True, True])
+    assert found(1) == ([2], [True, True])  # the first landmark, far away, is similar
+    assert found(0, 1) == ([2], [False, True])
     assert found(0, 1, 2) == ([], [False, False])
