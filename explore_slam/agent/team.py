@@ -156,6 +156,7 @@ class Team:
             summary = self.belief.update(track.name, observations)
             if summary.joined:
                 logger.info('%s joined the map by the landmarks that it observes', track.name)
+            track.count_many('landmark_closures', int(summary.closed))
             check_update(track, summary)
         else:
             track.count('frames_without_landmarks')

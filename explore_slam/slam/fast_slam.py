@@ -74,7 +74,7 @@ class FastSlam(Checkpointed):
         self._redrawing = Redrawing(self._team)
         self._constraints = LoopConstraints(self._team, self._redrawing)
         self._joining = Joining(self._team, self._redrawing, self._constraints)
-        self._recovery = Recovery(self._team)
+        self._recovery = Recovery(self._team, self._redrawing)
         self._inter_robot = InterRobotUpdates(self._team, self._redrawing)
 
     # -- motion ---------------------------------------------------------------------------------
@@ -207,8 +207,9 @@ class FastSlam(Checkpointed):
             self._end_round()
             resampled = True
         agreed = support.sum(axis=1) > MAJORITY
-        lost, relocated = self._recovery.update(number, found, agreed)
-        redrawn = self._redrawing.redraw_if_due(group) or settled
+        recovered = self._recovery.update(number, observations, found, agreed, committed.ids)
+        redrawn = self._redrawing.redraw_if_due(self.groups.of(number))
+        redrawn = redrawn or settled or recovered.closed
         joined = self._joining.by_landmarks(number, observations)
         return UpdateSummary(
             stamp=observations.stamp,
@@ -221,8 +222,9 @@ class FastSlam(Checkpointed):
             effective_particles=effective,
             resampled=resampled,
             redrawn=redrawn,
-            lost=lost,
-            relocated=relocated,
+            lost=recovered.lost,
+            relocated=recovered.relocated,
+            closed=recovered.closed,
             joined=joined,
             matches=matches,
             together=tuple(self.vehicles[v] for v in self.groups.of(number).vehicles),

@@ -188,6 +188,33 @@ class JointPosterior:
         if known.any():
             self.graph.add_observations(keyframe, ids[known], observed.z[known], observed.R[known])
 
+    def observe_far_off(
+        self,
+        keyframe: int,
+        ids: Places,
+        recorded: Places,
+        observed: Observed,
+        pose: Pose2,
+        covariance: Array,
+    ) -> None:
+        """Record observations, as `observe`, that lead a keyframe to another pose.
+
+        recorded (K,): ids of landmarks that they have been recorded of already, or -1; these are
+        the same as the others.
+        pose, covariance (3, 3) in the map: where they lead. The estimate is brought there first:
+        from where it is, a robust kernel takes them for outliers, however many agree.
+        """
+        again = (ids >= 0) & (recorded >= 0)
+        _, first = np.unique(recorded[again], return_index=True)
+        self.graph.merge_landmarks(recorded[again][first], ids[again][first])
+        self.observe(keyframe, np.where(again, -1, ids), observed)
+        factor = self.graph.add_prior(keyframe, np.asarray(pose), covariance)
+        vehicle = int(self.graph.vehicles_of([keyframe])[0])
+        try:
+            self.graph.adopt(self.graph.solve(self.graph.snapshot(vehicle)))
+        finally:
+            self.graph.remove_factor(factor)
+
     def observe_vehicle(self, keyframe: int, of: int, observation: InterRobotObservation) -> None:
         """Record an observation, at a keyframe, of the vehicle that another keyframe is of."""
         self.graph.add_relative_position(

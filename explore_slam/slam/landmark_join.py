@@ -36,6 +36,11 @@ class LandmarkJoin:
         """Propagate the vehicle by an odometry increment."""
         self.matches.predict(increment)
 
+    def reset(self) -> None:
+        """Forget all matches and searches: the vehicle has been given another pose."""
+        self.matches.reset()
+        self.frames = []
+
     def add(self, z: Array, deviations: Array, similar_ids: Places) -> None:
         """Add the observations z (K, 3) of an update; similar_ids (K, A): of the map, or -1."""
         self.matches.add(z, deviations, similar_ids, np.zeros(len(z), np.bool_))

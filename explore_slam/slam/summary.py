@@ -14,8 +14,9 @@ class UpdateSummary:
     associated: updated in the best particle; inserted, removed: landmarks; effective_particles:
     before a resampling; redrawn: all paths were drawn anew from the joint posterior; lost: the
     matches contradict the pose in nearly all particles; relocated: the vehicle was given the pose
-    that its matches agree on; joined: it was in a frame of its own, and its matches have told
-    where that lies in the map.
+    that its matches agree on; closed: its path was led there as well, because motion may have
+    drifted so far; joined: it was in a frame of its own, and its matches have told where that lies
+    in the map.
     matches (observed,): id of the landmark that the best particle associated with each
     observation, or -1; ids as in the Landmarks of the vehicle. together: the vehicles, this one
     included, whose poses are correlated so far because they have observed landmarks in common or
@@ -37,3 +38,4 @@ class UpdateSummary:
     matches: NDArray[np.int64]
     together: tuple[str, ...]
     joined: bool = False
+    closed: bool = False
