@@ -237,6 +237,7 @@ EFFECTS: dict[str, Effect] = {
     'graph_tolerance': Effect(10.0, OUTLIERS),
     'graph_bounded': Effect(False, graph_of),
     'graph_recent_keyframes': Effect(20, graph_of),
+    'graph_recent_observations': Effect(10000, graph_of),
     'graph_visit_gap': Effect(2, graph_of),
     'graph_visits': Effect(1, graph_of),
     'graph_visit_observations': Effect(6, graph_of),
