@@ -162,7 +162,7 @@ class Team:
         return self.call(SetParameters, 'agent/set_parameters', request).results[0]
 
 
-def start_agent(folder, settings=None):
+def start_agent(folder, settings=None, domain=DOMAIN):
     values = {
         'vehicles': list(STARTS),
         'start_poses': [float(v) for pose in STARTS.values() for v in pose],
@@ -175,7 +175,7 @@ def start_agent(folder, settings=None):
     }
     file = folder / 'agent.yaml'
     file.write_text(yaml.safe_dump({'/**': {'ros__parameters': values}}))
-    environment = {**one_machine_environment(), 'ROS_DOMAIN_ID': str(DOMAIN)}
+    environment = {**one_machine_environment(), 'ROS_DOMAIN_ID': str(domain)}
     node = NodeProcess('agent', 'agent_node', ['--ros-args', '--params-file', str(file)])
     return NodeProcesses([node], folder / 'logs', environment)
 

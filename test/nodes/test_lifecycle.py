@@ -7,7 +7,6 @@ import pytest
 import rclpy
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from nodes.test_agent_node import DOMAIN as AGENT_DOMAIN
 from nodes.test_agent_node import Team, log_of, start_agent
 from nodes.test_path_follower import Harness, follower_process
 from nodes.test_pioneer_driver import Rig
@@ -148,14 +147,14 @@ def test_a_follower_that_is_inactive_leaves_the_wheels_alone(context):
 
 def test_an_agent_that_is_inactive_keeps_its_state(tmp_path):
     context = rclpy.Context()
-    rclpy.init(context=context, domain_id=AGENT_DOMAIN)
+    rclpy.init(context=context, domain_id=DOMAIN)
     team = Team(context)
 
     def spin(seconds, until):
         team.wait_for(until, seconds)
         return True
 
-    with start_agent(tmp_path, {'autostart': False}) as processes:
+    with start_agent(tmp_path, {'autostart': False}, DOMAIN) as processes:
         agent = Manager(team.node, 'agent', spin)
         assert agent.state() == UNCONFIGURED
         assert agent.change(CONFIGURE)

@@ -3,7 +3,6 @@
 import math
 
 import rclpy
-from nodes import test_agent_node
 from nodes.test_agent_node import STARTS, Team, log_of, start_agent
 from ros_domain import own_domain
 
@@ -12,15 +11,14 @@ from explore_slam import messages
 DOMAIN = own_domain(98)
 
 
-def test_a_vehicle_of_unknown_start_is_published_when_it_has_joined(tmp_path, monkeypatch):
-    monkeypatch.setattr(test_agent_node, 'DOMAIN', DOMAIN)
+def test_a_vehicle_of_unknown_start_is_published_when_it_has_joined(tmp_path):
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=DOMAIN)
     team = Team(context)
     known = [float(value) for value in STARTS['robot1']]
     settings = {'start_poses': [*known, math.nan, math.nan, math.nan], 'relocalization_matches': 8}
     state = 'agent: vehicle robot2'
-    with start_agent(tmp_path, settings):
+    with start_agent(tmp_path, settings, DOMAIN):
         team.wait_for(lambda: 'explore/status' in team.heard, 90.0)
         team.wait_for(lambda: all(out.get_subscription_count() for out in team.out.values()))
         team.drive(8)
