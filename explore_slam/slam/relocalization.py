@@ -127,6 +127,7 @@ def warm_up() -> None:
     two, ids = np.eye(2), np.arange(2)
     pairs = _Pairs(two, two, np.ones(2), ids, ids)
     _evaluate_hypotheses(ids[None], pairs)
+    _votes(np.zeros(3), pairs)
 
 
 @dataclass(frozen=True)

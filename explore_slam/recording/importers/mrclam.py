@@ -45,10 +45,10 @@ HEIGHT_SIGMA = 0.05  # m
 TRUTH_PERIOD = 0.04  # s; the motion capture runs at 100 Hz, 25 Hz is enough to interpolate
 DESCRIPTOR_SEED = 2011
 # Of odometry and camera of these robots. Correlation lengths because the error of a bar code's
-# size depends on where it is seen from: `benchmarks/noise_mrclam.py` finds 1.85 m, 2.2 rad, 32 s in
-# set 6 and 0.55 m, 0.66 rad, 4 s in set 9. Their mean (1 m) leaves the filter overconfident in set
-# 6 (0.78 of the positions inside the 95 % ellipse, 0.82 with these), the longest cost 25 % of the
-# accuracy in set 9.
+# size depends on where it is seen from: `benchmarks/noise_mrclam.py` finds 1.85 m, 2.2 rad, 32 s
+# in set 6 and 0.55 m, 0.66 rad, 4 s in set 9. Their mean (1 m) leaves the filter overconfident in
+# set 6 (0.78 of the positions inside the 95 % ellipse, 0.82 with these), the longest cost 25 % of
+# the accuracy in set 9.
 SETTINGS: dict[str, float | str] = {
     'forward_variance_per_metre': 0.0025,
     'lateral_variance_per_metre': 0.0005,
