@@ -81,8 +81,7 @@ class ClosureThinning:
     ) -> Mapping[int, tuple[Array, float]]:
         """Return what closures must hold, of each vehicle, and how far that is known.
 
-        These are, as distances driven (n,) m, its anchors that were judged and kept, and keyframes
-        that other vehicles or later visits are tied to though their anchors went.
+        These are, as distances driven (n,) m, its anchors that were judged and kept.
         """
         kept: dict[int, list[float]] = {ends.vehicle_b: [] for ends in self._ends.values()}
         frontier = dict.fromkeys(kept, np.inf)
@@ -93,9 +92,6 @@ class ClosureThinning:
                 kept[anchor.vehicle].append(anchor.distance_driven)
             else:
                 frontier[anchor.vehicle] = min(frontier[anchor.vehicle], anchor.distance_driven)
-        for (keyframe, _), ends in self._ends.items():
-            if keyframe not in anchors and ends.vehicle_a in kept:
-                kept[ends.vehicle_a].append(ends.distance_a)
         return {vehicle: (np.unique(kept[vehicle]), frontier[vehicle]) for vehicle in kept}
 
     def _redundant_of(
