@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.data import LandmarkObservations
-from explore_slam.geometry import Array, Pose2, between
+from explore_slam.geometry import Array, Pose2, between, wrap_angle
 from explore_slam.slam.graph import GraphConfig, JointGraph, fuse_rows, warm_up
 from explore_slam.studies.experiments.scenarios import (
     HEIGHT,
@@ -105,7 +105,7 @@ class Errors:
     def add(self, true: Pose2, estimate: Array, covariance: Array) -> None:
         """Add an estimate (3,) with its covariance (3, 3) in the axes of the map."""
         e = np.subtract(estimate, true)
-        e[2] = np.remainder(e[2] + np.pi, 2.0 * np.pi) - np.pi
+        e[2] = wrap_angle(e[2])
         self.squared.append(float(e[0] ** 2 + e[1] ** 2))
         self.nees.append(float(e @ np.linalg.solve(covariance, e)))
 

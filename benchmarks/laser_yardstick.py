@@ -21,7 +21,7 @@ import numpy as np
 
 from explore_slam import registration
 from explore_slam.data import LaserScan
-from explore_slam.geometry import IDENTITY, Array, Pose2, between, compose, moved_enough
+from explore_slam.geometry import IDENTITY, Array, Pose2, between, compose, moved_enough, rotated
 from explore_slam.recording.carmen_log import read_carmen
 from explore_slam.registration import (
     RefusedScan,
@@ -112,14 +112,6 @@ def odometry_covariance(increment: Pose2) -> Array:
     return np.diag(deviations) ** 2
 
 
-def turned(covariance: Array, angle: float) -> Array:
-    """Return a covariance (3, 3) in axes from which its own are turned by an angle (rad)."""
-    c, s = math.cos(angle), math.sin(angle)
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    result: Array = turn @ covariance @ turn.T
-    return result
-
-
 @dataclass
 class Mapped:
     """Poses (N, 3) of the front end and of the graph, and what they cost (s of CPU)."""
@@ -150,7 +142,7 @@ def run(log: Log, *, calibrated: bool = False) -> Mapped:
             increment = Pose2.from_array(between(log.odometry[k - 1], log.odometry[k]))
         Q = odometry_covariance(increment)
         cloud = scan_cloud(scan, log.laser, config.matching_range)
-        result = matcher.match_cloud(cloud, pose.compose(increment), turned(Q, -increment.theta))
+        result = matcher.match_cloud(cloud, pose.compose(increment), rotated(Q, increment.theta))
         moved = pose.between(result.pose)
         pose = result.pose
         matched = time.process_time()
@@ -158,7 +150,7 @@ def run(log: Log, *, calibrated: bool = False) -> Mapped:
         if k == 0:
             graph.add_start(0, 0, np.zeros(3))
         elif isinstance(result, ScanMatch):
-            drift = turned(result.drift, moved.theta)
+            drift = rotated(result.drift, -moved.theta)
             graph.add_keyframe(0, k, np.asarray(moved), drift, result.white)
         else:
             refused += isinstance(result, RefusedScan)

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from explore_slam.data import LandmarkObservations
-from explore_slam.geometry import Array
+from explore_slam.geometry import Array, planar_rotation
 
 
 class Particle:
@@ -62,8 +62,7 @@ class PaperFastSlam:
         if particle.tree is None:
             return False
         near = particle.tree.query_ball_point(seen.descriptors[k], math.sqrt(self.E0))
-        c, s = math.cos(particle.pose[2]), math.sin(particle.pose[2])
-        H = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        H = planar_rotation(-particle.pose[2])
         origin = np.array([particle.pose[0], particle.pose[1], 0.0])
         best, best_distance = None, math.inf
         for n in near:
@@ -85,8 +84,7 @@ class PaperFastSlam:
     def _insert(self, particle: Particle, seen: LandmarkObservations, new: list[int]) -> None:
         if not new:
             return
-        c, s = math.cos(particle.pose[2]), math.sin(particle.pose[2])
-        T = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        T = planar_rotation(particle.pose[2])
         origin = np.array([particle.pose[0], particle.pose[1], 0.0])
         particle.means = np.vstack([particle.means, origin + seen.positions[new] @ T.T])
         particle.covariances = np.concatenate(

@@ -95,10 +95,18 @@ def between(poses: ArrayLike, others: ArrayLike) -> Array:
     return np.stack([c * dx + s * dy, c * dy - s * dx, wrap_angles(b[..., 2] - a[..., 2])], -1)
 
 
+def planar_rotation(angle: float) -> Array:
+    """Return the rotation (3, 3) by an angle (rad) about z.
+
+    It rotates points in space, and vectors (x, y, theta) of SE(2), whose heading it keeps.
+    """
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
 def rotated(covariance: Array, angle: float) -> Array:
     """Return a pose covariance (3, 3) expressed in axes rotated by an angle (rad)."""
-    c, s = math.cos(angle), math.sin(angle)
-    T = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    T = planar_rotation(-angle)
     turned: Array = T @ covariance @ T.T
     return turned
 

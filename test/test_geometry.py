@@ -52,6 +52,16 @@ def test_points_move_like_poses(pose):
     np.testing.assert_allclose(moved, [expected.x, expected.y, 3.0], atol=1e-9)
 
 
+@given(poses)
+def test_planar_rotation_moves_an_increment_into_the_world(pose):
+    increment = np.array([1.0, -2.0, 0.3])
+    moved = geometry.planar_rotation(pose.theta) @ increment
+    expected = pose.compose(Pose2(1.0, -2.0, 0.0))
+    np.testing.assert_allclose(moved, [expected.x - pose.x, expected.y - pose.y, 0.3], atol=1e-9)
+    turned = geometry.rotated(np.diag([4.0, 1.0, 9.0]), math.pi / 2)
+    np.testing.assert_allclose(turned, np.diag([1.0, 4.0, 9.0]), atol=1e-12)
+
+
 def test_rotation_matrix_of_yaw_turns_left():
     turned = geometry.rotation_matrix(0.0, 0.0, math.pi / 2) @ [1.0, 0.0, 0.0]
     np.testing.assert_allclose(turned, [0.0, 1.0, 0.0], atol=1e-12)

@@ -5,7 +5,6 @@ Data association is given: observations come with the identities of their landma
 optional dependency, imported on first use.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from explore_slam.data import LandmarkObservations
 from explore_slam.errors import EvaluationError
-from explore_slam.geometry import IDENTITY, Array, Pose2, to_world
+from explore_slam.geometry import IDENTITY, Array, Pose2, planar_rotation, rotated, to_world
 from explore_slam.slam import compound
 
 _POSE, _LANDMARK = 'x', 'l'
@@ -99,9 +98,7 @@ class Isam2:
         key = self._newest_key(vehicle)
         pose = _pose_of(self._estimate.atPose2(key)).compose(self._pending[vehicle][0])
         # GTSAM gives the covariance in the vehicle frame; the filter uses the map frame.
-        c, s = math.cos(pose.theta), math.sin(pose.theta)
-        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        return pose, turn @ self._isam.marginalCovariance(key) @ turn.T
+        return pose, rotated(self._isam.marginalCovariance(key), -pose.theta)
 
     def trajectory(self, vehicle: str) -> tuple[Array, Array]:
         """Return stamps (T,) and smoothed poses (T, 3), beginning with the start pose."""
@@ -126,9 +123,7 @@ class Isam2:
         self._stamps[vehicle].append(stamp)
         key = self._newest_key(vehicle)
         # Rotate into the frame at the end of the motion; keep an exact motion regular.
-        c, s = math.cos(increment.theta), math.sin(increment.theta)
-        turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        at_end = turn @ covariance @ turn.T + 1e-12 * np.eye(3)
+        at_end = rotated(covariance, increment.theta) + 1e-12 * np.eye(3)
         noise = self._gtsam.noiseModel.Gaussian.Covariance(at_end)
         step = self._gtsam.Pose2(*increment)
         self._graph.add(self._gtsam.BetweenFactorPose2(before, key, step, noise))
@@ -174,8 +169,7 @@ def _position_error(measured: Array) -> Any:
     def error(factor: Any, values: Any, jacobians: list[Array] | None) -> Array:
         keys = factor.keys()
         pose, landmark = values.atPose2(keys[0]), values.atPoint3(keys[1])
-        c, s = math.cos(pose.theta()), math.sin(pose.theta())
-        back = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        back = planar_rotation(-pose.theta())
         seen = back @ (landmark - np.array([pose.x(), pose.y(), 0.0]))
         if jacobians is not None:
             # Right perturbation of Pose2: (forward, left, heading) in the vehicle frame.

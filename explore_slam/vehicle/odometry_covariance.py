@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from explore_slam.geometry import Array, Pose2
+from explore_slam.geometry import Array, Pose2, rotated
 from explore_slam.vehicle.driver_config import BaseNoiseConfig
 
 _SIDEWAYS = 0.1  # variance across the direction of travel relative to that along it: wheels slip
@@ -48,7 +48,4 @@ class OdometryCovariance:
 
     def value(self, pose: Pose2) -> Array:
         """Return the covariance (3, 3) of x, y (m²) and heading (rad²) in the odometry frame."""
-        cosine, sine = math.cos(pose.theta), math.sin(pose.theta)
-        rotation = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-        turned: Array = rotation @ self._covariance @ rotation.T
-        return turned
+        return rotated(self._covariance, -pose.theta)

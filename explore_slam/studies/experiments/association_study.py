@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from explore_slam.geometry import Array, Pose2
+from explore_slam.geometry import Array, Pose2, planar_rotation
 from explore_slam.results.landmark_agreement import squared_descriptor_distances
 from explore_slam.studies.experiments.tum_frames import TumFrame
 
@@ -112,8 +112,7 @@ class _Placed:
 
 
 def _placed(frame: TumFrame, pose: Pose2) -> _Placed:
-    c, s = np.cos(pose.theta), np.sin(pose.theta)
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    turn = planar_rotation(pose.theta)
     points = frame.observations.positions @ turn.T + (pose.x, pose.y, 0.0)
     return _Placed(points, turn @ frame.observations.covariances @ turn.T)
 

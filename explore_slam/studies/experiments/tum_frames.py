@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from explore_slam.data import Intrinsics, LandmarkObservations, RgbdFrame
 from explore_slam.errors import EvaluationError
-from explore_slam.geometry import Array, Pose2
+from explore_slam.geometry import Array, Pose2, planar_rotation
 from explore_slam.recording.tum_format import Association, read_associations, read_poses
 from explore_slam.results.spatial_trajectory import SpatialTrajectory
 from explore_slam.vision import FeatureExtractor, VisionConfig, decode_compressed
@@ -99,9 +99,8 @@ def _frame(
     seen = extractor.extract(RgbdFrame(stamp, color, meters, FREIBURG1))
     rotation, position = truth.at(association.depth_stamp + TRUTH_OFFSET)
     heading = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
-    c, s = np.cos(heading), np.sin(heading)
     # From the camera body to the planar vehicle frame: undo the heading, keep roll and pitch.
-    level = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ rotation
+    level = planar_rotation(-heading) @ rotation
     observations = LandmarkObservations(
         stamp,
         seen.positions @ level.T + np.array([0.0, 0.0, position[2]]),
