@@ -1,4 +1,4 @@
-"""ament_python package; name and version stand in package.xml alone."""
+"""ament_python package; name and version are defined only in package.xml."""
 
 from glob import glob
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The joint graph alone: how long it takes, and how accurate and honest it is online.
+"""The joint graph alone: how long it takes, and how accurate and consistent it is online.
 
 python benchmarks/graph_speed.py speed             times of one redraw at several sizes
 python benchmarks/graph_speed.py study [--laps 4] [--seeds 5] [--isam2]

@@ -119,7 +119,7 @@ class Mapped:
     front_end: Array
     poses: Array
     closures: int
-    taken_back: int
+    retracted: int
     refused: int
     seconds: dict[str, float]
     longest: float
@@ -183,8 +183,8 @@ def run(log: Log, *, calibrated: bool = False) -> Mapped:
 def close(graph: JointGraph, closures: list[Closure]) -> list[int]:
     """Add closures, optimize, and return their factors.
 
-    They are believed at first and robust afterwards: from a start that is far off, the robust
-    kernel would take new closures for outliers, however many of them agree.
+    They get a robust kernel only afterwards: from a start that is far off, it
+    would take new closures for outliers, however many of them agree.
     """
 
     def add(*, robust: bool) -> list[int]:
@@ -195,9 +195,9 @@ def close(graph: JointGraph, closures: list[Closure]) -> list[int]:
             for c in closures
         ]
 
-    believed = add(robust=False)
+    certain = add(robust=False)
     graph.optimize()
-    for factor in believed:
+    for factor in certain:
         graph.remove_factor(factor)
     factors = add(robust=True)
     graph.optimize()
@@ -332,7 +332,7 @@ def main() -> None:
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(
         f'{arguments.log.name}: {len(log.scans)} scans, {mapped.refused} refused, '
-        f'{mapped.closures} closures ({mapped.taken_back} taken back), {total:.2f} s of CPU '
+        f'{mapped.closures} closures ({mapped.retracted} retracted), {total:.2f} s of CPU '
         f'({parts}), longest step {1e3 * mapped.longest:.0f} ms, peak {peak:.0f} MB'
     )
     rows = [

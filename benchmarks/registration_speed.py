@@ -83,8 +83,8 @@ def main() -> None:
     def drive() -> None:
         matcher = ScanMatcher(ScanMatchingConfig())
         for scan, pose in zip(scans, path, strict=True):
-            told = pose.compose(Pose2(0.03, 0.01, 0.02))
-            matcher.match(scan, IDENTITY, told, np.diag([0.05, 0.05, 0.05]) ** 2)
+            measured = pose.compose(Pose2(0.03, 0.01, 0.02))
+            matcher.match(scan, IDENTITY, measured, np.diag([0.05, 0.05, 0.05]) ** 2)
 
     def grid() -> None:
         LocalMap(placed).grid.levels(3)

@@ -93,13 +93,13 @@ def table(rows: list[tuple[float, ScanMatch]], truth: Trajectory) -> list[str]:
         if lag >= len(known):
             break
         off = between(between(true[:-lag], true[lag:]), between(poses[:-lag], poses[lag:]))
-        said = white[:-lag] + white[lag:] + grown[lag:] - grown[:-lag]
+        predicted = white[:-lag] + white[lag:] + grown[lag:] - grown[:-lag]
         lines.append(
             f'  {lag:4d} apart: '
             f'{1e3 * math.sqrt((off[:, :2] ** 2).sum(axis=1).mean()):6.2f} mm '
-            f'{1e3 * math.sqrt((off[:, 2] ** 2).mean()):6.2f} mrad; said '
-            f'{1e3 * math.sqrt(said[:, :2].sum(axis=1).mean()):6.2f} mm '
-            f'{1e3 * math.sqrt(said[:, 2].mean()):6.2f} mrad'
+            f'{1e3 * math.sqrt((off[:, 2] ** 2).mean()):6.2f} mrad; predicted '
+            f'{1e3 * math.sqrt(predicted[:, :2].sum(axis=1).mean()):6.2f} mm '
+            f'{1e3 * math.sqrt(predicted[:, 2].mean()):6.2f} mrad'
         )
     return lines
 

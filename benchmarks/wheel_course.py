@@ -1,4 +1,4 @@
-"""Deviation of the course that wheel odometry tells from that of a log's corrected poses.
+"""Deviation of the course of wheel odometry from that of a log's corrected poses.
 
     python benchmarks/wheel_course.py LOG [LOG ...]
 
@@ -31,8 +31,8 @@ def course_errors(path: Path) -> Array:
         true = between(reference[last], reference[n])
         if np.hypot(true[0], true[1]) < LEAST_MOTION:
             continue
-        told = between(odometry[last], odometry[n])
-        errors.append(np.arctan2(told[1], told[0]) - np.arctan2(true[1], true[0]))
+        measured = between(odometry[last], odometry[n])
+        errors.append(np.arctan2(measured[1], measured[0]) - np.arctan2(true[1], true[0]))
         last = n
     return wrap_angles(np.array(errors))
 

@@ -54,7 +54,7 @@ class VehicleBody(NamedTuple):
     speed: float = 0.4
 
     @property
-    def wider(self) -> float:
+    def extra_radius(self) -> float:
         """How much larger the radius is than that of a standard body (m); negative: smaller."""
         return self.radius - STANDARD_RADIUS
 
@@ -297,7 +297,7 @@ class FollowerReport:
 class VehicleState(Enum):
     """Activity of a vehicle as known to the agent.
 
-    UNLOCALIZED: its start pose is unknown, and nothing tells yet where it is in the map.
+    UNLOCALIZED: its start pose is unknown, and its pose in the map is not known yet.
     """
 
     WAITING = 'waiting'

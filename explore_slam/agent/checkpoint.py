@@ -15,7 +15,7 @@ from explore_slam.agent.loop_closing import LoopClosing
 from explore_slam.data import LaserScan
 from explore_slam.errors import AgentError, ExploreSlamError
 from explore_slam.geometry import Pose2
-from explore_slam.mapping import Body, GridConfig, LaserMap
+from explore_slam.mapping import GridConfig, LaserMap, VehicleDisc
 from explore_slam.slam import TeamBelief, checkpoint
 
 State = dict[str, NDArray[Any]]
@@ -75,9 +75,11 @@ def _scans_state(laser_map: LaserMap, vehicles: list[str]) -> State:
 def _laser_map(state: State, vehicles: list[str], config: GridConfig) -> LaserMap:
     """Return the laser map of the arrays that _scans_state made."""
     laser_map = LaserMap(config)
-    bodies: dict[int, list[Body]] = {}
+    bodies: dict[int, list[VehicleDisc]] = {}
     for row, keyframe, x, y, theta, radius in state['bodies'].tolist():
-        bodies.setdefault(int(row), []).append(Body(int(keyframe), Pose2(x, y, theta), radius))
+        bodies.setdefault(int(row), []).append(
+            VehicleDisc(int(keyframe), Pose2(x, y, theta), radius)
+        )
     first = 0
     rows = zip(state['numbers'].tolist(), state['scans'].tolist(), strict=True)
     for row, ((keyframe, vehicle, count), (*sweep, x, y, theta)) in enumerate(rows):

@@ -101,7 +101,7 @@ class AgentConfig(Section):
 def explicit_mounts(config: AgentConfig) -> tuple[Pose2 | None, Pose3 | None]:
     """Return the poses of laser and of optical frame that the settings give; None for defaults.
 
-    Transforms are compared with these; defaults are not, since nobody has set them.
+    Transforms are compared with these; defaults are not: they say nothing about this vehicle.
     """
     laser, camera = config.laser_mount, config.vision.mount
     optical = CameraMount.from_config(camera).optical_pose

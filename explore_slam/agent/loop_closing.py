@@ -52,7 +52,7 @@ class _Last(NamedTuple):
 
 
 class ClosureCounts(NamedTuple):
-    """How many closures a scan has led to, and how many were taken back."""
+    """How many closures a scan has led to, and how many were retracted."""
 
     closed: int = 0
     taken_back: int = 0
@@ -235,7 +235,7 @@ class LoopClosing:
         return len(found)
 
     def _thin(self, belief: TeamBelief) -> None:
-        """Remove anchors and closures that tell nothing new, so that the area bounds them."""
+        """Remove anchors and closures that add no information: the area bounds their number."""
         frames = [-1 if belief.is_in_map(v) else n for n, v in enumerate(belief.vehicles)]
         path = belief.best_path()
         for keyframe in self.thinning.redundant(path, belief.relative_covariance, frames):

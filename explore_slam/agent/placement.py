@@ -17,7 +17,7 @@ from explore_slam.slam import UpdateSummary
 
 logger = logging.getLogger(__name__)
 
-# from here on a vehicle stands elsewhere than expected: more than odometry drifts on a drive home
+# beyond these a vehicle is not at the expected pose: more than odometry drifts on a drive home
 _AWAY = 0.5  # m
 _TURNED = 0.35  # rad, 20 degrees
 # (3, 3) m², rad²: a driver restarts in seconds, in which a person pushes or turns a vehicle
@@ -27,7 +27,7 @@ _CONFIRMING, _CONFIRMING_SHARE = 10, 0.5
 
 
 def away(pose: Pose2, expected: Pose2) -> bool:
-    """Return whether a vehicle stands elsewhere than expected."""
+    """Return whether a vehicle is too far from the expected pose to be there."""
     turn = abs(wrap_angle(pose.theta - expected.theta))
     return math.dist(pose[:2], expected[:2]) > _AWAY or turn > _TURNED
 
@@ -44,9 +44,9 @@ def doubt(track: VehicleTrack, reason: str) -> None:
 
 
 def check_first_reading(track: VehicleTrack, odometry: Pose2) -> None:
-    """Compare the first odometry reading with zero, where the base stands after its start.
+    """Compare the first odometry reading with zero, where the base is after its start.
 
-    Where a vehicle of unknown start stands is not in doubt but to be found.
+    A vehicle of unknown start is not checked: its pose is to be found anyway.
     """
     if track.start is None:
         return
@@ -55,7 +55,7 @@ def check_first_reading(track: VehicleTrack, odometry: Pose2) -> None:
         doubt(
             track,
             f'odometry begins at ({x:.2f} m, {y:.2f} m, {theta:.2f} rad): the vehicle has driven '
-            'since its base was started and may stand elsewhere than its start pose says',
+            'since its base was started and may not be at its start pose',
         )
 
 
@@ -65,15 +65,16 @@ def check_loaded_pose(track: VehicleTrack, before: Pose2 | None, loaded: Pose2) 
         doubt(track, 'its motion since the state was saved is unknown')
     elif away(before, loaded):
         distance = math.dist(before[:2], loaded[:2])
-        doubt(track, f'it stands {distance:.2f} m from where the loaded state has it')
+        doubt(track, f'its pose differs from the loaded state by {distance:.2f} m')
     track.placed = True  # odometry need not begin at zero there
 
 
 def displace(track: VehicleTrack) -> None:
-    """Note that a vehicle may stand anywhere: its odometry began anew after a gap."""
+    """Note that a vehicle may be anywhere: its odometry began anew after a gap."""
     track.displaced, track.updated_since_displaced = True, False
     logger.warning(
-        '%s: it stands until it is relocalized by landmarks or placed (initialpose)', track.name
+        '%s: it stays stopped until it is relocalized by landmarks or placed (initialpose)',
+        track.name,
     )
 
 

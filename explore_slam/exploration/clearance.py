@@ -142,7 +142,7 @@ def paths_of(config: PathConfig, body: VehicleBody) -> PathConfig:
     """Return the settings with the planning radii of a body: its clearance stays the same."""
     largest = LARGEST_PLANNING_RADIUS
     radii = (config.planning_radius, config.minimum_planning_radius)
-    radius, smallest = (min(max(one + body.wider, 0.0), largest) for one in radii)
+    radius, smallest = (min(max(one + body.extra_radius, 0.0), largest) for one in radii)
     return replace(config, planning_radius=radius, minimum_planning_radius=smallest)
 
 

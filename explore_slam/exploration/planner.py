@@ -34,7 +34,7 @@ from explore_slam.exploration.records import (
 from explore_slam.exploration.scene import Scene
 from explore_slam.exploration.strategies import STRATEGIES, Situation
 from explore_slam.exploration.tasks import Orders, Task, plan_for
-from explore_slam.exploration.traffic import Right, Traffic, Traveler
+from explore_slam.exploration.traffic import RightOfWay, Traffic, Traveler
 from explore_slam.exploration.vehicle_history import VehicleHistory
 from explore_slam.geometry import Array, Pose2
 from explore_slam.polyline import arc_lengths, points_at, remaining_path
@@ -294,13 +294,13 @@ class Planner:
             float(arc_lengths(ahead)[-1]),
             scene.now,
             arrived=arrived,
-            waiting=task.right is not Right.GO,
+            waiting=task.right is not RightOfWay.GO,
         )
         late = scene.now - task.progress.since > self.config.blacklist.progress_timeout
         if task.progress.exhausted or late:
             self._blacklist.report(target, final=task.progress.exhausted)
             return False
-        return task.right is Right.GO and not arrived and scene.is_passable(name, ahead)
+        return task.right is RightOfWay.GO and not arrived and scene.is_passable(name, ahead)
 
     def _conclude(
         self,
@@ -332,9 +332,9 @@ class Planner:
             plan = plan_for(scene, tasks.get(name), grant, travelers[name], before)
             if plan is not None:
                 plans[name] = plan
-                if grant.right is Right.RETREAT:
+                if grant.right is RightOfWay.RETREAT:
                     retreats[name] = plan
-            elif grant.right is not Right.GO:
+            elif grant.right is not RightOfWay.GO:
                 waiting[name] = f'gives way to {grant.yields_to}'
         self._tasks, self._retreats = tasks, retreats
         names = tuple(scene.starts) if explorers is None else explorers

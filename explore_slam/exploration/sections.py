@@ -121,14 +121,15 @@ class AssignmentConfig(Section):
     )
     hysteresis: float = setting(
         2.0,
-        'Travel by which another target must be better (strategies paper and nearest)',
+        'Minimum saving in travel cost required to switch targets (strategies paper and nearest)',
         unit='m',
         low=0.0,
         high=100.0,
     )
     tour_hysteresis: float = setting(
         10.0,
-        'Cost by which other tours must be better (strategy default)',
+        'Minimum cost reduction required to replace the current tours (hysteresis; strategy '
+        'default)',
         unit='m',
         low=0.0,
         high=1000.0,
@@ -169,7 +170,7 @@ class AssignmentConfig(Section):
     )
     overlap_weight: float = setting(
         20.0,
-        'Travel that is worth avoiding two vehicles at one place (strategy default)',
+        'Penalty, as travel, for two targets with fully overlapping view (strategy default)',
         unit='m',
         low=0.0,
         high=1000.0,

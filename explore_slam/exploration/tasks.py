@@ -9,7 +9,7 @@ from explore_slam.data import Plan
 from explore_slam.exploration.progress import Progress
 from explore_slam.exploration.records import Point
 from explore_slam.exploration.scene import Scene
-from explore_slam.exploration.traffic import Grant, Right, Traveler
+from explore_slam.exploration.traffic import Grant, RightOfWay, Traveler
 from explore_slam.geometry import Array, Pose2
 from explore_slam.polyline import arc_lengths, truncated
 
@@ -33,7 +33,7 @@ class Task:
     look_at: Point | None
     progress: Progress
     sent: Plan | None = None
-    right: Right = Right.GO
+    right: RightOfWay = RightOfWay.GO
     switches: int = 0
 
     def leads_to(self, target: Point) -> bool:
@@ -42,7 +42,7 @@ class Task:
 
     def along(self, path: Array, target: Point, look_at: Point | None) -> 'Task':
         """Return the task of reaching practically the same target along another path."""
-        sent = None if self.right is Right.GO else self.sent
+        sent = None if self.right is RightOfWay.GO else self.sent
         progress = self.progress.restart()
         return Task(target, path, look_at, progress, sent, self.right, self.switches)
 
@@ -68,32 +68,32 @@ def plan_for(
     retreat: the plan by which the vehicle retreated in the last cycle, if it did.
     """
     name = traveler.name
-    if grant.right is Right.RETREAT and grant.retreat is not None:
+    if grant.right is RightOfWay.RETREAT and grant.retreat is not None:
         if task is not None:
-            task.right, task.sent = Right.RETREAT, None
+            task.right, task.sent = RightOfWay.RETREAT, None
         end = grant.retreat[-1]
         if retreat is not None and math.dist(retreat.waypoints[-1], end) <= SAME_TARGET:
             return retreat
         return make_plan(scene, name, grant.retreat, None)
     if task is None:
         return None
-    if grant.right is Right.GO:
-        if task.right is not Right.GO or task.sent is None:
-            task.right = Right.GO
+    if grant.right is RightOfWay.GO:
+        if task.right is not RightOfWay.GO or task.sent is None:
+            task.right = RightOfWay.GO
             task.sent = make_plan(scene, name, traveler.points, task.look_at)
         return task.sent
     part = truncated(traveler.points, grant.limit)
     if arc_lengths(part)[-1] < _MINIMUM_PATH:
-        task.right, task.sent = Right.STOP, None
+        task.right, task.sent = RightOfWay.STOP, None
         return None
     unchanged = (
-        task.right is Right.STOP
+        task.right is RightOfWay.STOP
         and task.sent is not None
         and math.dist(task.sent.waypoints[-1], part[-1]) <= SAME_TARGET
     )
     if not unchanged:
         task.sent = make_plan(scene, name, part, None)
-    task.right = Right.STOP
+    task.right = RightOfWay.STOP
     return task.sent
 
 

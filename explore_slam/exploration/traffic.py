@@ -28,7 +28,7 @@ _CLOSER = 0.95  # of the present distance of two vehicles that are nearer than t
 _ROUNDING = 1e-9  # so that the last step of a range is included
 
 
-class Right(Enum):
+class RightOfWay(Enum):
     """What a vehicle may do now."""
 
     GO = 'go'
@@ -45,7 +45,7 @@ class Grant:
     retreat: path (W, 2) m out of the way of that vehicle.
     """
 
-    right: Right = Right.GO
+    right: RightOfWay = RightOfWay.GO
     limit: float = math.inf
     yields_to: str = ''
     retreat: Array | None = None
@@ -78,7 +78,7 @@ class Terrain(Protocol):
 
 def separation(config: TrafficConfig, one: VehicleBody, other: VehicleBody) -> float:
     """Return the distance (m) kept between the centers of two vehicles."""
-    return max(config.vehicle_separation + one.wider + other.wider, 0.0)
+    return max(config.vehicle_separation + one.extra_radius + other.extra_radius, 0.0)
 
 
 class Traffic:
@@ -125,7 +125,7 @@ class Traffic:
             grant = Grant()
             for before in order[:index]:
                 grant = self._yield_to(now[name], now[before], grants[before], grant)
-            if grant.right is Right.RETREAT:
+            if grant.right is RightOfWay.RETREAT:
                 path, cost = terrain.retreat(now[name], [now[n] for n in order[:index]])
                 other = now[grant.yields_to]
                 if may_exchange and other.path is not None and now[name].path is not None:
@@ -136,7 +136,7 @@ class Traffic:
                     if other_cost + _RETREAT_ADVANTAGE < cost and not (parks or kept):
                         return grants, (other.name, name)
                 if path is None:
-                    grant = Grant(Right.STOP, 0.0, other.name)
+                    grant = Grant(RightOfWay.STOP, 0.0, other.name)
                 else:
                     grant.retreat = path
                     now[name] = replace(now[name], path=path)
@@ -155,7 +155,7 @@ class Traffic:
 
     def _yield_to(self, one: Traveler, other: Traveler, granted: Grant, so_far: Grant) -> Grant:
         """Return the right of one vehicle, restricted by another one of higher priority."""
-        if so_far.right is Right.RETREAT or not self._in_conflict(one, other, granted):
+        if so_far.right is RightOfWay.RETREAT or not self._in_conflict(one, other, granted):
             return so_far
         swept = self._dense(other, self._limit(granted))
         at = self._distances(one)
@@ -164,10 +164,10 @@ class Traffic:
         if blocked.size == 0:
             return so_far
         if blocked[0] == 0:
-            return Grant(Right.RETREAT, 0.0, other.name)
+            return Grant(RightOfWay.RETREAT, 0.0, other.name)
         limit = float(at[blocked[0] - 1])
         if limit < so_far.limit:
-            return Grant(Right.STOP, limit, other.name)
+            return Grant(RightOfWay.STOP, limit, other.name)
         return so_far
 
     def _reach(self, one: Traveler) -> float:
@@ -210,7 +210,7 @@ class Traffic:
     @staticmethod
     def _limit(grant: Grant) -> float:
         """Return the distance (m) along its path that a vehicle may drive."""
-        return grant.limit if grant.right is Right.STOP else math.inf
+        return grant.limit if grant.right is RightOfWay.STOP else math.inf
 
     def _wait_for_others(
         self, order: list[str], now: dict[str, Traveler], grants: dict[str, Grant]
@@ -218,20 +218,20 @@ class Traffic:
         """Stop vehicles short of those of lower priority that stand in their way or retreat."""
         for index, name in enumerate(order):
             one = now[name]
-            if grants[name].right is Right.RETREAT or one.path is None:
+            if grants[name].right is RightOfWay.RETREAT or one.path is None:
                 continue
             at = self._distances(one)
             own = points_at(one.points, one.lengths, at)
             for other_name in order[index + 1 :]:
                 other, right = now[other_name], grants[other_name]
-                if right.right is Right.GO and other.path is not None:
+                if right.right is RightOfWay.GO and other.path is not None:
                     continue
                 swept = self._dense(other, self._limit(right))
                 hits = np.flatnonzero(_gaps(own, swept) < self.threshold(one, other))
                 if hits.size:
                     limit = float(at[max(0, hits[0] - 1)])
                     if limit < grants[name].limit:
-                        grants[name] = Grant(Right.STOP, limit, other_name)
+                        grants[name] = Grant(RightOfWay.STOP, limit, other_name)
 
 
 @kernel

@@ -191,7 +191,7 @@ class RunMonitor(Node):
         return '', {}
 
     def is_recorded(self) -> bool:
-        """Tell whether the recorder has subscribed to all topics of the vehicles."""
+        """Return whether the recorder has subscribed to all topics of the vehicles."""
         names = [name for name, _ in self.get_topic_names_and_types()]
         sensors = [
             name

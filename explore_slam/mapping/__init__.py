@@ -5,18 +5,24 @@ import numpy as np
 from explore_slam.data import LaserScan
 from explore_slam.geometry import IDENTITY
 from explore_slam.mapping.config import GridConfig
-from explore_slam.mapping.laser_map import MAP_FRAME, Body, KeyframeScan, LaserMap, RedrawSummary
+from explore_slam.mapping.laser_map import (
+    MAP_FRAME,
+    KeyframeScan,
+    LaserMap,
+    RedrawSummary,
+    VehicleDisc,
+)
 from explore_slam.mapping.map_files import load_map, read_pgm, save_map
 from explore_slam.mapping.occupancy_grid import OccupancyGrid
 
 __all__ = [
     'MAP_FRAME',
-    'Body',
     'GridConfig',
     'KeyframeScan',
     'LaserMap',
     'OccupancyGrid',
     'RedrawSummary',
+    'VehicleDisc',
     'load_map',
     'read_pgm',
     'save_map',

@@ -28,7 +28,7 @@ REDRAW_DISTANCE, REDRAW_RANGE = 0.02, 3.0
 MAP_FRAME = -1  # in place of a keyframe: the offset is a pose in the map frame
 
 
-class Body(NamedTuple):
+class VehicleDisc(NamedTuple):
     """Disc that covers another vehicle at the time of a scan.
 
     keyframe: its newest keyframe, or MAP_FRAME.
@@ -48,7 +48,7 @@ class KeyframeScan(NamedTuple):
     vehicle: str
     scan: LaserScan
     laser_in_keyframe: Pose2
-    bodies: tuple[Body, ...]
+    bodies: tuple[VehicleDisc, ...]
 
 
 class RedrawSummary(NamedTuple):
@@ -100,7 +100,7 @@ class LaserMap:
         vehicle: str,
         scan: LaserScan,
         laser_in_keyframe: Pose2 = IDENTITY,
-        bodies: Sequence[Body] = (),
+        bodies: Sequence[VehicleDisc] = (),
     ) -> None:
         """Store a scan; it enters the grid at the next redraw whose path holds its keyframes."""
         if keyframe < 0:

@@ -153,5 +153,5 @@ FRAME = MeasurementKind(
     queue_limit=4,
     expected=(TopicKind.COLOR, TopicKind.DEPTH, TopicKind.CAMERA_INFO),
     vision='agent',
-    bulky=True,
+    high_bandwidth=True,
 )

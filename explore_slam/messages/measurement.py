@@ -69,7 +69,7 @@ class MeasurementKind:
     vision: the value of the setting `vision` with which it is expected; '' is any.
     laser: it is expected of vehicles with a laser scanner only.
     clock: the setting of the vehicle that is added to its stamps.
-    bulky: subscribed to only with that setting, to save bandwidth.
+    high_bandwidth: subscribed to only with that setting, to save bandwidth.
     """
 
     name: str
@@ -79,7 +79,7 @@ class MeasurementKind:
     queue_limit: int
     expected: tuple[TopicKind, ...] = ()
     vision: str = ''
-    bulky: bool = False
+    high_bandwidth: bool = False
     laser: bool = False
     clock: str = 'camera_time_offset'
 
@@ -87,11 +87,11 @@ class MeasurementKind:
         """Return whether it is expected of a vehicle with these settings."""
         return self.vision in ('', config.vision) and (config.use_laser or not self.laser)
 
-    def is_welcome(self, config: VehicleConfig) -> bool:
-        """Return whether it is used if it arrives: from sensors that the vehicle has."""
+    def is_accepted(self, config: VehicleConfig) -> bool:
+        """Return whether it is used if it arrives: it is from sensors that the vehicle has."""
         if self.laser and not config.use_laser:
             return False
-        return not self.bulky and (not self.vision or config.vision != 'none')
+        return not self.high_bandwidth and (not self.vision or config.vision != 'none')
 
 
 class VehicleReader:

@@ -25,7 +25,7 @@ SENSOR_DATA = Qos(5, reliable=False)  # rclpy's qos_profile_sensor_data
 SENSOR_BURST = Qos(50, reliable=False)
 BEST_EFFORT = Qos(1, reliable=False)
 TRANSFORMS = Qos(100)  # tf2_ros's depth for /tf
-TRANSFORMS_HEARD = Qos(100, reliable=False)
+TF_SUBSCRIPTION = Qos(100, reliable=False)
 # every broadcaster of static transforms has one latched message of its own; tf2_ros's depth again
 STATIC_TRANSFORMS = Qos(100, latched=True)
 
@@ -122,7 +122,7 @@ class GlobalTopic(Topic):
     DIAGNOSTICS = '/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', RELIABLE, RELIABLE
     SELECTED_GOAL_POSE = '/goal_pose', 'geometry_msgs/msg/PoseStamped', RELIABLE, RELIABLE
     SELECTED_INITIAL_POSE = '/initialpose', _POSE, RELIABLE, RELIABLE
-    TF = '/tf', 'tf2_msgs/msg/TFMessage', TRANSFORMS, TRANSFORMS_HEARD
+    TF = '/tf', 'tf2_msgs/msg/TFMessage', TRANSFORMS, TF_SUBSCRIPTION
     TF_STATIC = '/tf_static', 'tf2_msgs/msg/TFMessage', LATCHED, STATIC_TRANSFORMS
 
 

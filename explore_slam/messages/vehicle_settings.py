@@ -39,14 +39,14 @@ class VehicleConfig(Section):
     body: BodyConfig = section(BodyConfig)
     laser_mount: tuple[float, ...] = setting(
         _UNSET,
-        'Pose x (m), y (m), yaw (rad) of the laser in the vehicle frame, where /tf_static does '
-        'not tell it; a single NaN: laser_x, laser_y, laser_yaw',
+        'Pose x (m), y (m), yaw (rad) of the laser in the vehicle frame, used if /tf_static does '
+        'not provide it; a single NaN: laser_x, laser_y, laser_yaw',
         tier='basic',
     )
     camera_mount: tuple[float, ...] = setting(
         _UNSET,
-        'Pose x, y, z (m), roll, pitch, yaw (rad) of the camera body in the vehicle frame, where '
-        '/tf_static does not tell it; a single NaN: camera_x to camera_yaw',
+        'Pose x, y, z (m), roll, pitch, yaw (rad) of the camera body in the vehicle frame, used '
+        'if /tf_static does not provide it; a single NaN: camera_x to camera_yaw',
         tier='basic',
     )
     odom_frame: str = setting(

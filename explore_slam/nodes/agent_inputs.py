@@ -136,7 +136,7 @@ class VehicleInputs:
         self._expected: list[Topic] = []
         for kind in MEASUREMENT_KINDS:
             expected = kind.is_expected(mounts.config)
-            if expected or kind.is_welcome(mounts.config):
+            if expected or kind.is_accepted(mounts.config):
                 for topic in kind.topics:
                     self._subscribe(topic, self._measurement_callback(topic))
             if expected:

@@ -49,7 +49,7 @@ class AgentNodeConfig(Section):
     map_period: float = setting(2.0, 'Time between published maps', unit='s', low=0.1, high=3600.0)
     map_update_period: float = setting(
         0.5,
-        'Time between messages on map_updates, where map_msgs is installed and somebody listens',
+        'Time between messages on map_updates, where map_msgs is installed and has subscribers',
         unit='s',
         low=0.05,
         high=3600.0,
@@ -99,7 +99,7 @@ class AgentNodeConfig(Section):
 
     @property
     def selected(self) -> str | None:
-        """The vehicle that the operator has selected, or the only one; None: nobody knows."""
+        """The vehicle that the operator has selected, or the only one; None if ambiguous."""
         if not self.selected_vehicle and len(self.vehicles) == 1:
             return self.vehicles[0]
         return self.selected_vehicle or None

@@ -199,7 +199,7 @@ class AgentSession:
             self._due['plan'] = -np.inf  # no vehicle drives on into it
             left_out = areas.area_left_out(self.agent.grid)
             self._node.get_logger().info(
-                f'{topic.value}: {left_out:.1f} m² of the map are left out'
+                f'{topic.value}: {left_out:.1f} m² of the map are excluded'
             )
 
         self.inbox.put('request', topic.value, take, None)

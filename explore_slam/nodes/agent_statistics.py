@@ -20,7 +20,7 @@ WINDOW = 10.0  # s over which rates are averaged
 KEPT = 2000  # newest latencies kept
 Part = tuple[bytes, str, Mapping[str, Any]]
 
-# states of a vehicle that somebody should look after
+# states of a vehicle that need the attention of the operator
 _WARNED = {
     VehicleState.LOST, VehicleState.SILENT, VehicleState.BLOCKED, VehicleState.UNLOCALIZED,
 }  # fmt: skip

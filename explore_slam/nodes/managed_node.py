@@ -33,7 +33,7 @@ _SUCCESS, _FAILURE, _ERROR = (
 class ManagedNode(LifecycleNode):
     """A node with life cycle, whose subclass says what each transition does.
 
-    starting: whether the node starts by itself, so that nobody waits for the answer of a
+    starting: whether the node starts by itself, so that no caller waits for the answer of a
     transition.
     """
 
@@ -71,15 +71,10 @@ class ManagedNode(LifecycleNode):
 
     # -- for main programs -----------------------------------------------------------------------
 
-    @property
-    def is_active(self) -> bool:
-        """Whether the node works."""
-        return self._is_active
-
     def start(self, autostart: bool) -> None:
         """Configure and activate the node if it starts by itself; at the end of construction.
 
-        Raises what the transitions raise: there is nobody who would configure the node again.
+        Raises what the transitions raise: no manager would configure the node again.
         """
         self.add_on_set_parameters_callback(_refuse_autostart)  # it would be asked at declarations
         if autostart:
@@ -174,8 +169,8 @@ class ManagedNode(LifecycleNode):
         # subscriptions may have been added later, for what the node has found out; publishers
         # that were added later belong to what it holds
         later = _entities(self) - self._before_activation
-        heard = {item for item in later if isinstance(item, Subscription)}
-        _destroy(self, (self._activated & later) | heard)
+        subscriptions = {item for item in later if isinstance(item, Subscription)}
+        _destroy(self, (self._activated & later) | subscriptions)
         self._activated = set()
 
     def _clean_up(self) -> None:
@@ -204,10 +199,10 @@ def _refuse_autostart(parameters: list[Parameter]) -> SetParametersResult:
 def _entities(node: Node) -> set[Any]:
     """Return all that a node communicates with, but for its clock, which has its own life."""
     clock = GlobalTopic.CLOCK.value
-    heard = (item for item in node.subscriptions if item.topic_name != clock)
+    subscriptions = (item for item in node.subscriptions if item.topic_name != clock)
     actions = (item for item in node.waitables if isinstance(item, ActionClient))
     others = (node.publishers, node.services, node.clients, node.timers)
-    return {*heard, *actions, *(item for kind in others for item in kind)}
+    return {*subscriptions, *actions, *(item for kind in others for item in kind)}
 
 
 def _destroy(node: Node, entities: Iterable[Any]) -> None:

@@ -1,7 +1,7 @@
 """Publishers of the occupancy grid: `map`, `map_probability` and `map_updates`.
 
 `map` has the values of map_server (0, 100, -1), which nav2 compares with. What has changed since
-then is published on `map_updates`, where map_msgs is installed and somebody listens.
+then is published on `map_updates`, where map_msgs is installed and the topic has subscribers.
 """
 
 import contextlib
@@ -41,7 +41,7 @@ class MapOutputs:
 
     @property
     def wants_updates(self) -> bool:
-        """Whether somebody listens to `map_updates`."""
+        """Whether `map_updates` has subscribers."""
         return self._updates is not None and self._updates.get_subscription_count() > 0
 
     def publish_update(self, stamp: float, frame: str, grid: OccupancyGrid) -> None:

@@ -2,7 +2,7 @@
 
 Publishes `follower_status` (diagnostic_msgs/DiagnosticStatus: its message is waiting, driving,
 arrived or blocked; its values are the reason and since when) at every change and twice a second,
-and /diagnostics. A managed node: inactive, it has stopped the wheels and leaves them to others.
+and /diagnostics. A managed node: inactive, it has stopped the vehicle, which others may command.
 """
 
 import sys
@@ -259,7 +259,7 @@ class PathFollowerNode(ManagedNode):
         self.active = ActiveFollower(self, self._vehicle, self.config, self._outputs)
 
     def deactivate(self) -> None:
-        """Stop the wheels."""
+        """Stop the vehicle."""
         assert self._outputs is not None
         self.active = None
         self._outputs.stop('path follower is inactive')

@@ -251,9 +251,9 @@ class DriverSession:
             inputs = self._inputs
             inputs.connected = self.supervisors['base'].health.connected
             if self.laser is not None:
-                inputs.laser_heard = self.laser.heard
+                inputs.laser_last_received = self.laser.last_received
             elif self.config.watch_scan_topic:
-                inputs.laser_heard = self._watched_scan
+                inputs.laser_last_received = self._watched_scan
             inputs.laser_points = self._points_now()
             self._safe = self._gate.update(inputs, now)
         self.base.set_velocity(self._safe.linear, self._safe.angular)
@@ -272,7 +272,7 @@ class DriverSession:
         if self._active:
             self.outputs.publish_scan(scan)
         assert self.laser is not None
-        self._latency['laser'].add(time.monotonic() - self.laser.heard)
+        self._latency['laser'].add(time.monotonic() - self.laser.last_received)
         self._keep_points(scan)
 
     def _keep_points(self, scan: LaserScan) -> None:
@@ -331,10 +331,9 @@ class PioneerDriverNode(ManagedNode):
         self.start(self.config.lifecycle.autostart)
 
     def configure(self) -> None:
-        """Open the devices. Who asks for it learns which one is missing.
+        """Open the devices; fails if one cannot be opened.
 
-        A node that starts by itself has nobody to tell: it works with the devices that are there,
-        and waits for the others.
+        A node that starts by itself runs with the devices that it finds and retries the others.
         """
         session = DriverSession(self, self.config)
         session.open(patient=self.starting)

@@ -100,7 +100,7 @@ class CarmenLog:
 
     @property
     def corrected(self) -> bool:
-        """Tell whether the log holds reference poses."""
+        """Return whether the log holds reference poses."""
         return self.reference is not None
 
 
@@ -295,7 +295,7 @@ def read_carmen(path: Path) -> CarmenLog:
     if not scans:
         raise RecordingError(
             f'{path} holds no scans: expected lines FLASER, RLASER or ROBOTLASER1; '
-            + ('; '.join(content.problems.notes()) or 'nothing of a CARMEN log is in it')
+            + ('; '.join(content.problems.notes()) or 'it contains no CARMEN messages')
         )
     corrected = _is_corrected(entries, content.has_neff)
     odometry, rows, kept = _wheel_odometry(entries, corrected)
@@ -332,7 +332,7 @@ def _is_same(a: Pose2, b: Pose2) -> bool:
 
 
 def _is_corrected(entries: list[OdometryLine | LaserLine], has_neff: bool) -> bool:
-    """Tell whether odometry restarts at the pose of the scans.
+    """Return whether odometry restarts at the pose of the scans.
 
     A restart repeats the pose of the scan before it. So does a robot at rest, and a logger that
     writes the odometry after the scan; there the pose is the one that odometry led to. GMapping

@@ -69,7 +69,7 @@ def regular_stamps(written: Array, odometry: Array, lines: NDArray[np.int64]) ->
 
 
 def _usable(times: Array, shortest: float) -> bool:
-    """Tell whether most times are numbers, differ, and leave time for the motion."""
+    """Return whether most times are numbers, differ, and leave time for the motion."""
     known = times[np.isfinite(times)]
     if len(known) < max(USABLE_SHARE * len(times), 1.0):
         return False

@@ -2,7 +2,7 @@
 
 Topics that are named as in the package belong to the vehicle in whose namespace they lie. The rest
 is found by type: a recording without namespaces is one vehicle, `robot1`. Where two topics of one
-type would do, nobody guesses: they are listed with their rates, and `--topic` decides.
+type would do, no choice is made: they are listed with their rates, and `--topic` decides.
 """
 
 from collections.abc import Iterable, Mapping
@@ -196,7 +196,7 @@ def _namespaces(selection: _Selection, names: set[str]) -> dict[str, set[str]]:
 
 
 def _take_one(selection: _Selection, vehicle: str, kind: TopicKind, names: list[str]) -> None:
-    """Take the only topic of a type, or the one with the usual name; refuse to guess."""
+    """Take the only topic of a type, or the one with the usual name; else refuse to choose."""
     if kind in selection.kinds(vehicle) or not names:
         return
     usual = [name for name in names if name in (f'/{kind.value}', f'/{vehicle}/{kind.value}')]

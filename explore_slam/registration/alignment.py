@@ -162,12 +162,12 @@ def _without_normal_noise(A: Array, b: Array) -> tuple[Array, Array]:
     xx, yy = A[0, 0] - A[0, 2] ** 2 / turn, A[1, 1] - A[1, 2] ** 2 / turn
     xy = A[0, 1] - A[0, 2] * A[1, 2] / turn
     weakest = 0.5 * (xx + yy) - math.hypot(0.5 * (xx - yy), xy)
-    feigned = min(NORMAL_DEVIATION**2 * (A[0, 0] + A[1, 1]), max(weakest, 0.0))
+    spurious = min(NORMAL_DEVIATION**2 * (A[0, 0] + A[1, 1]), max(weakest, 0.0))
     heading = 0.5 * math.atan2(2.0 * xy, xx - yy) + 0.5 * math.pi
     v = np.array([math.cos(heading), math.sin(heading), 0.0])
     regular = A + 1e-6 * np.eye(3)
-    along = feigned * (v @ np.linalg.solve(regular, b))
-    return A - feigned * np.outer(v, v), b - along * v
+    along = spurious * (v @ np.linalg.solve(regular, b))
+    return A - spurious * np.outer(v, v), b - along * v
 
 
 @kernel

@@ -210,7 +210,7 @@ def _penalty(dx: int, dy: int, size: int, extent: int, weight: float) -> float:
 
 @kernel
 def _is_excluded(dx: int, dy: int, size: int, turn: float, excluded: Array) -> bool:
-    """Tell whether all offsets of a block belong to the mode that is excluded."""
+    """Return whether all offsets of a block belong to the mode that is excluded."""
     if abs((turn - excluded[2] + math.pi) % (2.0 * math.pi) - math.pi) >= excluded[4]:
         return False
     reach = excluded[3] / RESOLUTION

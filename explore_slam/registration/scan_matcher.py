@@ -60,7 +60,7 @@ class ScanMatch:
     the error since the last match, a random walk: what the scan left open of the odometry's
     error, and the slow drift of the window of scans.
     information (3, 3): of the scan's geometry alone; overlap: share of the returns on known
-    surfaces; rms (m) of their distances; innovation: Mahalanobis distance from the odometry.
+    surfaces; rms (m) of their distances.
     """
 
     pose: Pose2
@@ -69,7 +69,6 @@ class ScanMatch:
     information: Array
     overlap: float
     rms: float
-    innovation: float
 
     @property
     def covariance(self) -> Array:
@@ -109,7 +108,7 @@ class ScanMatcher:
 
     @property
     def started(self) -> bool:
-        """Tell whether there are scans to match with."""
+        """Return whether there are scans to match with."""
         return bool(self._kept)
 
     def reset(self) -> None:
@@ -200,25 +199,25 @@ class ScanMatcher:
         covariance = covariance + np.diag(_LEAST_DEVIATIONS**2)
         near = _register(local_map, cloud, prior, covariance, _window(prior, covariance))
         likely = near is not None and _distance(near.pose, prior, covariance) < _SURPRISE
-        believable = near is not None and (likely or near.share >= _WIDE_OVERLAP)
-        if near is not None and believable and near.share >= self.config.matching_overlap:
-            return self._believed(local_map, cloud, near, prior, covariance)
+        acceptable = near is not None and (likely or near.share >= _WIDE_OVERLAP)
+        if near is not None and acceptable and near.share >= self.config.matching_overlap:
+            return self._inflate_prior(local_map, cloud, near, prior, covariance)
         window = SearchWindow(prior, *_MOST_WINDOW)
         slipped = np.diag([*_MOST_WINDOW[:1] * 2, _MOST_WINDOW[1]]) ** 2
         found = _register(local_map, cloud, prior, slipped, window)
         if found is None or found.share < _WIDE_OVERLAP:
             # Through a door, little of the map remains in sight, but wheel odometry is reliable.
             if near is not None and likely and near.share >= _DOOR * self.config.matching_overlap:
-                return self._believed(local_map, cloud, near, prior, covariance)
+                return self._inflate_prior(local_map, cloud, near, prior, covariance)
             return RefusedScan(Refusal.LITTLE_OVERLAP, prior)
         if _is_ambiguous(local_map, cloud, window, found.pose):
             return RefusedScan(Refusal.AMBIGUOUS, prior)
-        return _scan_match(found, prior, slipped, self._window_moved)
+        return _scan_match(found, slipped, self._window_moved)
 
-    def _believed(
+    def _inflate_prior(
         self, local_map: LocalMap, cloud: PointCloud, found: Alignment, prior: Pose2, P: Array
     ) -> ScanMatch:
-        """Return the match, with the odometry as uncertain as its distance from the scan shows.
+        """Inflate the odometry covariance to match the innovation; return the match with it.
 
         P (3, 3) is scaled until the squared Mahalanobis distance has its expected value, so that
         wheels that slip in one direction are trusted less in all of them (covariance matching;
@@ -229,7 +228,7 @@ class ScanMatcher:
             P = scale * P
             weaker = Prior(prior, np.linalg.inv(P))
             found = local_map.align(cloud, found.pose, _LAST_REACH, weaker) or found
-        return _scan_match(found, prior, P, self._window_moved)
+        return _scan_match(found, P, self._window_moved)
 
 
 def _distance(pose: Pose2, prior: Pose2, covariance: Array) -> float:
@@ -286,9 +285,7 @@ def _is_ambiguous(
     return other is not None
 
 
-def _scan_match(
-    found: Alignment, prior: Pose2, covariance: Array, window_moved: bool
-) -> ScanMatch:
+def _scan_match(found: Alignment, covariance: Array, window_moved: bool) -> ScanMatch:
     """Split the error of the pose into that of the scan and that of the odometry (Joseph form).
 
     With the scan's information A and the odometry's covariance P, the error after the match has
@@ -305,12 +302,4 @@ def _scan_match(
     drift = left @ certainty @ left
     if window_moved:
         drift = drift + _WINDOW_DRIFT * white
-    return ScanMatch(
-        found.pose,
-        white,
-        drift,
-        information,
-        found.share,
-        found.rms,
-        _distance(found.pose, prior, covariance),
-    )
+    return ScanMatch(found.pose, white, drift, information, found.share, found.rms)

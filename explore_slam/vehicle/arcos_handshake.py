@@ -29,11 +29,11 @@ def shake_hands(port: SerialPort, decoder: PacketDecoder) -> tuple[RobotIdentity
     """
     port.discard()
     decoder.clear()
-    step, failures, heard = 0, 0, b''
+    step, failures, collected = 0, 0, b''
     while failures < _SYNC_ATTEMPTS:
         port.write(encode_command(step))
         reply, received = _await_echo(port, decoder, step)
-        heard = (heard + received)[-_KEPT:]
+        collected = (collected + received)[-_KEPT:]
         if reply == 'session':  # of a client that crashed
             _log.info('%s: closing a session left open', port.url)
             port.write(encode_command(Command.CLOSE))
@@ -43,13 +43,13 @@ def shake_hands(port: SerialPort, decoder: PacketDecoder) -> tuple[RobotIdentity
             step, failures = 0, failures + 1
         elif isinstance(reply, bytes):
             if step == 2:
-                return parse_identity(reply), heard
+                return parse_identity(reply), collected
             step += 1
         else:
             step, failures = 0, failures + 1
             if not received and failures == 2:
                 break  # twice nothing at all: another baud rate, or no device
-    return None, heard
+    return None, collected
 
 
 def _await_echo(port: SerialPort, decoder: PacketDecoder, step: int) -> tuple[bytes | str, bytes]:
@@ -59,28 +59,28 @@ def _await_echo(port: SerialPort, decoder: PacketDecoder, step: int) -> tuple[by
     or 'silent'.
     """
     end = time.monotonic() + _REPLY_TIMEOUT + port.transmission_time(_LONGEST_ECHO)
-    heard = b''
+    collected = b''
     while (left := end - time.monotonic()) > 0.0:
         data = port.read(left)
-        heard += data
+        collected += data
         for payload in decoder.feed(data):
             if payload[0] == step:
-                return payload, heard
+                return payload, collected
             if parse_status(payload) is not None:
-                return 'session', heard
+                return 'session', collected
             if payload[0] == _LOST_COUNT:
-                return 'lost', heard
-    return 'silent', heard
+                return 'lost', collected
+    return 'silent', collected
 
 
-def who_is_there(heard: bytes, rates: list[int]) -> str:
+def diagnose_port(collected: bytes, rates: list[int]) -> str:
     """Explain why no robot was found at these baud rates, from the bytes received instead."""
     asked = '/'.join(str(rate) for rate in rates)
-    if TelegramDecoder().feed(heard):
+    if TelegramDecoder().feed(collected):
         return 'a SICK laser is at this port, not a robot; swap base_port and laser_port'
-    if heard:
+    if collected:
         return (
-            f'{len(heard)} bytes received at {asked} Bd but no reply to SYNC; '
+            f'{len(collected)} bytes received at {asked} Bd but no reply to SYNC; '
             'is another device at this port, or base_baud wrong?'
         )
     return f'no reply to SYNC at {asked} Bd; is the robot switched on and its cable plugged in?'

@@ -57,27 +57,33 @@ class PathFollowerConfig(Section):
         low=0.0, high=2.0,
     )  # fmt: skip
     blocked_timeout: float = setting(
-        3.0, 'Report blocked when an obstacle has stopped the vehicle for longer', unit='s',
-        low=0.1, high=120.0,
+        3.0, 'Report blocked when an obstacle has stopped the vehicle for longer than this',
+        unit='s', low=0.1, high=120.0,
     )  # fmt: skip
     stuck_timeout: float = setting(
-        6.0, 'Report blocked when commands have made no progress for longer', unit='s',
+        6.0, 'Report blocked when commands have made no progress for longer than this', unit='s',
         low=0.5, high=120.0,
     )  # fmt: skip
     agent_timeout: float = setting(
-        2.0, 'Stop when neither plan nor pose has come for longer', unit='s', low=0.1, high=60.0
+        2.0,
+        'Stop when neither plan nor pose has come for longer than this',
+        unit='s',
+        low=0.1,
+        high=60.0,
     )
     heartbeat_timeout: float = setting(
-        0.25, "Stop when the agent's heartbeat, once heard, is silent for longer (wall time)",
+        0.25,
+        "Stop when the agent's heartbeat, once received, has not come for longer than this "
+        '(wall time)',
         unit='s', low=0.15, high=60.0,
     )  # fmt: skip
     pose_timeout: float = setting(
-        20.0, 'Stop when the newest map pose is older', unit='s', low=0.1, high=600.0
+        20.0, 'Stop when the newest map pose is older than this', unit='s', low=0.1, high=600.0
     )
     odometry_timeout: float = setting(
-        0.5, 'Stop when no odometry has come for longer', unit='s', low=0.05, high=10.0
+        0.5, 'Stop when no odometry has come for longer than this', unit='s', low=0.05, high=10.0
     )
     scan_timeout: float = setting(
-        0.6, 'Stop when no scan has come for longer', unit='s', low=0.05, high=10.0
+        0.6, 'Stop when no scan has come for longer than this', unit='s', low=0.05, high=10.0
     )
     laser_mount: LaserMountConfig = section(LaserMountConfig)

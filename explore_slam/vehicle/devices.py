@@ -70,7 +70,7 @@ class Laser(Device[LaserScan], Protocol):
     """A laser scanner; scans are in the frame of its mount."""
 
     @property
-    def heard(self) -> float:
+    def last_received(self) -> float:
         """Monotonic time (s) of the last byte received, -inf before the first one."""
 
 

@@ -33,7 +33,7 @@ class BaseConfig(Section):
         '/dev/ttyUSB0', "Serial device of the base, or 'tcp://host:port'", tier='basic'
     )
     base_timeout: float = setting(
-        1.0, 'Reconnect when no state has come for longer', unit='s', low=0.2, high=30.0
+        1.0, 'Reconnect when no state has come for longer than this', unit='s', low=0.2, high=30.0
     )
     motors_at_start: bool = setting(
         False, 'Switch the motors on at the first connection, without enable_motors', tier='basic'
@@ -72,7 +72,11 @@ class LaserConfig(Section):
     )
     laser_inverted: bool = setting(False, 'The laser is mounted upside down', tier='basic')
     scanner_timeout: float = setting(
-        2.0, 'Reconnect when no valid scan has come for longer', unit='s', low=0.5, high=30.0
+        2.0,
+        'Reconnect when no valid scan has come for longer than this',
+        unit='s',
+        low=0.5,
+        high=30.0,
     )
 
 
@@ -87,7 +91,7 @@ class CameraConfig(Section):
         10.0, 'Maximum rate of published frames', unit='Hz', low=0.2, high=30, tier='basic'
     )
     camera_timeout: float = setting(
-        3.0, 'Reconnect when no image has come for longer', unit='s', low=0.5, high=60.0
+        3.0, 'Reconnect when no image has come for longer than this', unit='s', low=0.5, high=60.0
     )
 
 
@@ -96,10 +100,18 @@ class SafetyConfig(Section):
     """When the driver stops or slows the vehicle whatever is commanded."""
 
     command_timeout: float = setting(
-        0.3, 'Stop when no velocity has been commanded for longer', unit='s', low=0.1, high=2.0
+        0.3,
+        'Stop when no velocity has been commanded for longer than this',
+        unit='s',
+        low=0.1,
+        high=2.0,
     )
     laser_timeout: float = setting(
-        0.3, 'Stop when the laser has sent no byte for longer', unit='s', low=0.1, high=5.0
+        0.3,
+        'Stop when the laser has sent no byte for longer than this',
+        unit='s',
+        low=0.1,
+        high=5.0,
     )
     laser_stop: bool = setting(
         True, 'Stop for laser returns in the direction of travel', tier='basic'

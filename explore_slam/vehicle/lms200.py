@@ -110,7 +110,7 @@ class Lms200:
         self.scans = 0
         self.unusable = 0  # scans that were partial, of another variant, or marked as invalid
         self.written = 0  # configurations written to the EEPROM
-        self.heard = -math.inf  # monotonic time (s) of the last byte
+        self.last_received = -math.inf  # monotonic time (s) of the last byte
         self._last_baud = self.own.laser_baud
         self._clock = clock
         self._port: SerialPort | None = None
@@ -142,7 +142,7 @@ class Lms200:
         except VehicleError:
             self.close()
             raise
-        self._scanned = self.heard = time.monotonic()
+        self._scanned = self.last_received = time.monotonic()
         return self.device_type
 
     def _find_scanner(self) -> None:
@@ -150,7 +150,7 @@ class Lms200:
         port = self._port
         assert port is not None
         rates = [self._last_baud, self.own.laser_baud, *_RATES]
-        heard = b''
+        collected = b''
         for rate in dict.fromkeys(rates):
             port.set_baud(rate)
             port.discard()
@@ -159,7 +159,7 @@ class Lms200:
             for attempt in range(_ATTEMPTS):
                 port.write(encode_telegram(Request.MODE, bytes([Mode.ON_REQUEST])))
                 received, found = self._listen(Reply.MODE, _REPLY_TIMEOUT)
-                heard = (heard + received)[-_KEPT:]
+                collected = (collected + received)[-_KEPT:]
                 if found is not None:
                     self._last_baud = rate
                     return
@@ -168,7 +168,7 @@ class Lms200:
                     break
             if port.is_network:
                 break
-        raise VehicleError(f'{port.url}: {_who_is_there(heard)}')
+        raise VehicleError(f'{port.url}: {_diagnose_port(collected)}')
 
     def _listen(self, reply: int, timeout: float) -> tuple[bytes, Telegram | None]:
         """Return the bytes received until this reply, and the reply (None without one)."""
@@ -287,7 +287,7 @@ class Lms200:
         data = self._port.read(timeout)
         now = time.monotonic()
         if data:
-            self.heard = now
+            self.last_received = now
         scans = []
         for telegram in self._decoder.feed(data):
             if telegram.command == Reply.POWER_ON:
@@ -349,10 +349,12 @@ class Lms200:
         }
 
 
-def _who_is_there(heard: bytes) -> str:
+def _diagnose_port(collected: bytes) -> str:
     """Explain why no scanner was found, from the bytes received instead of its replies."""
-    if PacketDecoder().feed(heard):
+    if PacketDecoder().feed(collected):
         return 'a Pioneer robot is at this port, not a laser; swap base_port and laser_port'
-    if heard:
-        return f'{len(heard)} bytes received but no telegram of an LMS-200; is it another device?'
+    if collected:
+        return (
+            f'{len(collected)} bytes received but no telegram of an LMS-200; is it another device?'
+        )
     return 'no reply from an LMS-200; is it switched on (it takes a minute) and plugged in?'

@@ -13,7 +13,7 @@ from explore_slam.data import OdometryReading
 from explore_slam.errors import VehicleError
 from explore_slam.geometry import IDENTITY
 from explore_slam.settings import Section, setting
-from explore_slam.vehicle.arcos_handshake import shake_hands, who_is_there
+from explore_slam.vehicle.arcos_handshake import diagnose_port, shake_hands
 from explore_slam.vehicle.arcos_packets import (
     BAUD_CODES,
     RATE_CHANGE_DELAY,
@@ -130,15 +130,15 @@ class PioneerRobot:
             rates.sort(key=lambda rate: rate != self.last_baud)
         if self._port.is_network:
             rates = rates[:1]
-        heard = b''
+        collected = b''
         for rate in rates:
             self._port.set_baud(rate)
             identity, received = shake_hands(self._port, self._decoder)
-            heard += received
+            collected += received
             if identity is not None:
                 self.last_baud = rate
                 return identity
-        raise VehicleError(f'{self.config.base_port}: {who_is_there(heard, rates)}')
+        raise VehicleError(f'{self.config.base_port}: {diagnose_port(collected, rates)}')
 
     def _open_session(self) -> None:
         """Open a session with motors off, and set limits and accelerations."""

@@ -16,7 +16,7 @@ _FIRST_STEP, _LONGEST_STEP = 0.05, 0.2  # s of acceleration allowed at the first
 class SafetyInputs:
     """State of the vehicle that decides what may be driven; points are in the vehicle frame."""
 
-    laser_heard: float | None = None  # monotonic s of the laser's last byte; None: without laser
+    laser_last_received: float | None = None  # monotonic s, of a byte; None: without laser
     bumpers_front: bool = False
     bumpers_rear: bool = False
     stalled: bool = False
@@ -78,7 +78,7 @@ class SafetyGate:
         """Return the first reason to stop in any direction, or ''."""
         c = self.config
         age = now - self._commanded
-        silence = 0.0 if inputs.laser_heard is None else now - inputs.laser_heard
+        silence = 0.0 if inputs.laser_last_received is None else now - inputs.laser_last_received
         reasons = (
             (not inputs.connected, 'base not connected'),
             (inputs.emergency_stop, 'emergency stop pressed'),

@@ -24,7 +24,6 @@ class Health:
     attempts: int = 0
     losses: int = 0
     records: int = 0
-    last_record: float = -float('inf')  # monotonic s
 
 
 class Supervisor:
@@ -89,7 +88,6 @@ class Supervisor:
                     while not self._end.is_set():
                         for record in self._device.poll(self._poll_timeout):
                             self.health.records += 1
-                            self.health.last_record = time.monotonic()
                             self._on_record(record)
                         self._on_poll()
                 except Exception as error:  # a bug in one device must not stop the supervision

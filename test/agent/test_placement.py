@@ -1,4 +1,4 @@
-"""Restarts of agent and driver do no harm: nobody drives on what is only believed."""
+"""Restarts of agent and driver do no harm: no vehicle drives on an unconfirmed pose."""
 
 import numpy as np
 import pytest
@@ -64,7 +64,7 @@ def test_a_reset_away_from_the_start_pauses(caplog):
     planner.reset()
     drive(agent, vehicle, 5)
     assert planner.plan(7.0).status is ExplorationStatus.PAUSED
-    assert 'may stand elsewhere than its start pose says' in caplog.text
+    assert 'may not be at its start pose' in caplog.text
 
 
 def test_a_loaded_state_is_confirmed_where_its_vehicle_still_stands(tmp_path, caplog):
@@ -79,7 +79,7 @@ def test_a_loaded_state_is_confirmed_where_its_vehicle_still_stands(tmp_path, ca
     agent.load_state(path)  # meanwhile it has driven on
     drive(agent, vehicle, 5)
     assert planner.plan(14.0).status is ExplorationStatus.PAUSED
-    assert 'from where the loaded state has it' in caplog.text
+    assert 'its pose differs from the loaded state by' in caplog.text
     fresh = Agent(CONFIG, {'robot1': START}, 1)
     fresh.load_state(path)
     assert 'its motion since the state was saved is unknown' in caplog.text
@@ -144,7 +144,7 @@ def test_a_displaced_vehicle_stands_until_it_is_placed(caplog):
     # its scans do not enter the map at the wrong pose
     assert int(agent.grid.known().sum()) == known
     assert agent.summary()['robot1']['scans_while_displaced'] == 10
-    assert caplog.text.count('it stands until it is relocalized') == 1
+    assert caplog.text.count('it stays stopped until it is relocalized') == 1
     agent.set_pose('robot1', vehicle.pose, TIGHT)
     drive(agent, vehicle, 5)
     assert agent.statuses()[0].state is not VehicleState.LOST

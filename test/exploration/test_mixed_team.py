@@ -8,7 +8,7 @@ from exploration_maps import grid_of, point_of
 
 from explore_slam.data import VehicleBody
 from explore_slam.exploration import ExplorationConfig, Planner, PlanningMode, VehicleSnapshot
-from explore_slam.exploration.traffic import Right, Traffic, Traveler
+from explore_slam.exploration.traffic import RightOfWay, Traffic, Traveler
 from explore_slam.geometry import Pose2
 from explore_slam.polyline import remaining_path, sample, truncated
 from explore_slam.settings import with_values
@@ -160,8 +160,8 @@ def test_a_vehicle_that_drives_to_a_goal_has_right_of_way_at_a_crossing(urgent):
         traveler('b', (4.5, -4.5), (4.5, 4.5), urgent=urgent == 'b'),
     )
     other = {'a': 'b', 'b': 'a'}[urgent]
-    assert found[urgent].right is Right.GO
-    assert found[other].right is Right.STOP
+    assert found[urgent].right is RightOfWay.GO
+    assert found[other].right is RightOfWay.STOP
     assert found[other].yields_to == urgent
 
 
@@ -169,13 +169,13 @@ def test_who_explores_retreats_though_it_has_the_longer_way_unless_it_cannot():
     one = traveler('a', (0, 0), (9, 0))
     other = traveler('b', (2, 0), (-9, 0), urgent=True)
     found = grants(one, other, terrain=Aside(a=8.0, b=1.0))
-    assert found['a'].right is Right.RETREAT
-    assert found['b'].right is not Right.RETREAT
+    assert found['a'].right is RightOfWay.RETREAT
+    assert found['b'].right is not RightOfWay.RETREAT
     usual = grants(one, traveler('b', (2, 0), (-9, 0)), terrain=Aside(a=8.0, b=1.0))
     cornered = grants(one, other, terrain=Aside(b=1.0))
     for found in (usual, cornered):
-        assert found['a'].right is not Right.RETREAT
-        assert found['b'].right is Right.RETREAT
+        assert found['a'].right is not RightOfWay.RETREAT
+        assert found['b'].right is RightOfWay.RETREAT
 
 
 def test_an_exploring_vehicle_gives_way_on_the_map():
@@ -213,5 +213,5 @@ def test_a_slow_vehicle_is_expected_to_come_later():
     first = traveler('a', (0, 0), (9, 0))
     quick = traveler('b', (4.5, -4.5), (4.5, 4.5), body=VehicleBody(0.25, 0.4))
     slow = traveler('b', (4.5, -4.5), (4.5, 4.5), body=VehicleBody(0.25, 0.1))
-    assert grants(first, quick)['b'].right is Right.STOP
-    assert grants(first, slow)['b'].right is Right.GO
+    assert grants(first, quick)['b'].right is RightOfWay.STOP
+    assert grants(first, slow)['b'].right is RightOfWay.GO

@@ -9,7 +9,7 @@ from grids import same_grid
 from explore_slam.data import LaserScan
 from explore_slam.errors import MappingError
 from explore_slam.geometry import IDENTITY, Pose2
-from explore_slam.mapping import MAP_FRAME, Body, GridConfig, LaserMap
+from explore_slam.mapping import MAP_FRAME, GridConfig, LaserMap, VehicleDisc
 from explore_slam.mapping.laser_map import _snapshot_positions
 
 
@@ -26,7 +26,7 @@ def random_scan(generator):
 
 def add_scans(laser_map, generator, count, first=0):
     for keyframe in range(first, first + count):
-        bodies = [Body(keyframe - 1, Pose2(0.4, 0.1, 0.0), 0.4)] if keyframe else []
+        bodies = [VehicleDisc(keyframe - 1, Pose2(0.4, 0.1, 0.0), 0.4)] if keyframe else []
         laser_map.add(
             keyframe, f'robot{keyframe % 3}', random_scan(generator), Pose2(0.1, 0.0, 0.1), bodies
         )
@@ -144,7 +144,7 @@ def test_bodies_move_with_the_path():
     laser_map = LaserMap()
     scan = LaserScan(0.0, 0.0, 0.1, np.array([2.0], np.float32), 0.1, 30.0)
     laser_map.add(0, 'a', LaserScan(0.0, 0.0, 0.1, np.array([np.nan], np.float32), 0.1, 30.0))
-    laser_map.add(1, 'b', scan, IDENTITY, [Body(0, Pose2(0.3, 0.0, 0.0), 0.4)])
+    laser_map.add(1, 'b', scan, IDENTITY, [VehicleDisc(0, Pose2(0.3, 0.0, 0.0), 0.4)])
     away = np.array([[9.0, 9.0, 0.0], [0.0, 0.0, 0.0]])
     laser_map.redraw(away)
     assert (laser_map.grid.probability() > 0.5).any()
@@ -207,7 +207,7 @@ def test_a_body_that_moved_redraws_the_scan_that_saw_it(generator):
     laser_map = LaserMap()
     for keyframe in range(4):
         laser_map.add(keyframe, 'a', random_scan(generator))
-    laser_map.add(3, 'b', random_scan(generator), IDENTITY, [Body(1, IDENTITY, 0.4)])
+    laser_map.add(3, 'b', random_scan(generator), IDENTITY, [VehicleDisc(1, IDENTITY, 0.4)])
     path = np.zeros((5, 3))
     laser_map.redraw(path)
     path[1] += 0.5
@@ -221,8 +221,8 @@ def test_a_body_that_moved_redraws_the_scan_that_saw_it(generator):
 def test_a_body_in_the_map_frame_does_not_wait_for_a_keyframe():
     laser_map = LaserMap()
     scan = LaserScan(0.0, 0.0, 0.1, np.array([2.0], np.float32), 0.1, 30.0)
-    laser_map.add(0, 'a', scan, IDENTITY, [Body(MAP_FRAME, Pose2(2.0, 0.0, 0.0), 0.4)])
-    laser_map.add(0, 'a', scan, IDENTITY, [Body(7, IDENTITY, 0.4)])
+    laser_map.add(0, 'a', scan, IDENTITY, [VehicleDisc(MAP_FRAME, Pose2(2.0, 0.0, 0.0), 0.4)])
+    laser_map.add(0, 'a', scan, IDENTITY, [VehicleDisc(7, IDENTITY, 0.4)])
     assert laser_map.redraw(np.zeros((1, 3))) == (0, 1, 1, 0)
     assert not (laser_map.grid.probability() > 0.5).any()
     assert laser_map.redraw(np.zeros((8, 3))) == (1, 1, 0, 0)

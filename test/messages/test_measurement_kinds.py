@@ -87,8 +87,8 @@ def test_a_vehicle_without_laser_and_camera_needs_odometry_alone():
     bare = VehicleConfig(vision='none', use_laser=False)
     kinds = [kind for kind in MEASUREMENT_KINDS if kind.is_expected(bare) and kind.expected]
     assert [kind.name for kind in kinds] == ['odometry']
-    welcome = {kind.name for kind in MEASUREMENT_KINDS if kind.is_welcome(bare)}
-    assert welcome == {'odometry', 'inter_robot'}
+    accepted = {kind.name for kind in MEASUREMENT_KINDS if kind.is_accepted(bare)}
+    assert accepted == {'odometry', 'inter_robot'}
 
 
 def test_losses_are_counted_per_vehicle():

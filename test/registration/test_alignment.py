@@ -49,7 +49,7 @@ def test_errors_are_about_as_large_as_the_information_says():
     assert 0.05 < np.mean(distances) < 6.0
 
 
-def test_along_a_corridor_the_prior_is_believed_and_the_information_says_so():
+def test_along_a_corridor_the_prior_decides_and_the_information_says_so():
     local_map = map_of(CORRIDOR, IDENTITY, Pose2(0.4, 0.0, 0.0), Pose2(0.8, 0.0, 0.0))
     cloud = scan_cloud(scan_of(CORRIDOR, Pose2(1.2, 0.0, 0.0), 0.01, np.random.default_rng(3)))
     prior = Pose2(1.0, 0.06, 0.04)
@@ -96,13 +96,13 @@ def test_bad_input_is_named():
         LocalMap([])
 
 
-def test_information_that_noise_of_normals_feigns_is_taken_from_the_weakest_direction():
+def test_spurious_information_from_noisy_normals_is_taken_from_the_weakest_direction():
     c, s = math.cos(0.5), math.sin(0.5)
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     A, b = turn @ np.diag([100.0, 10.0, 50.0]) @ turn.T, np.array([3.0, -2.0, 1.0])
     less, of_less = _without_normal_noise(A, b)
-    feigned = NORMAL_DEVIATION**2 * (100.0 + 10.0)
-    np.testing.assert_allclose(less, turn @ np.diag([100.0, 10.0 - feigned, 50.0]) @ turn.T)
+    spurious = NORMAL_DEVIATION**2 * (100.0 + 10.0)
+    np.testing.assert_allclose(less, turn @ np.diag([100.0, 10.0 - spurious, 50.0]) @ turn.T)
     np.testing.assert_allclose(np.linalg.solve(less, of_less), np.linalg.solve(A, b), rtol=1e-5)
 
 

@@ -25,7 +25,7 @@ def drive(config):
 
 
 def scan_of_a_changed_room(config):
-    """Tell whether a scan is matched of which half the returns lie on known walls."""
+    """Return whether a scan is matched of which half the returns lie on known walls."""
     matcher = ScanMatcher(config)
     matcher.match(scan_of(ROOM, IDENTITY), IDENTITY, IDENTITY, WHEELS)
     screen = polyline((-0.5, -1.0), (1.0, -1.5), (2.0, 0.2))

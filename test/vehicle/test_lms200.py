@@ -129,10 +129,10 @@ def test_a_baud_rate_at_which_bytes_come_is_tried_three_times(rig):
 
 def test_before_the_first_byte_nothing_is_heard(rig):
     _, _, laser = rig()
-    assert laser.heard == -np.inf
+    assert laser.last_received == -np.inf
     before = time.monotonic()
     laser.connect()
-    assert before <= laser.heard <= time.monotonic()
+    assert before <= laser.last_received <= time.monotonic()
     assert laser.statistics() == {
         'scans': 0, 'rejected': 0, 'unusable': 0, 'severity': 0, 'polluted': False,
     }  # fmt: skip

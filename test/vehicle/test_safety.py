@@ -16,7 +16,7 @@ def gate(**settings):
 
 def drive(made, linear, angular=0.0, seconds=2.0, **inputs):
     """Command for a while at 20 Hz; return what may be driven at the end."""
-    given = SafetyInputs(**{'laser_heard': made.time + seconds, **inputs})
+    given = SafetyInputs(**{'laser_last_received': made.time + seconds, **inputs})
     for _ in range(round(seconds / 0.05)):
         made.time += 0.05
         made.command(linear, angular, made.time)
@@ -69,8 +69,8 @@ def test_commands_that_are_no_numbers_stop():
     [
         ({'connected': False}, 'base not connected'),
         ({'emergency_stop': True}, 'emergency stop pressed'),
-        ({'laser_heard': 100.0}, 'laser silent'),
-        ({'laser_heard': -math.inf}, 'no laser yet'),
+        ({'laser_last_received': 100.0}, 'laser silent'),
+        ({'laser_last_received': -math.inf}, 'no laser yet'),
         ({'bumpers_front': True}, 'front bumper'),
         ({'stalled': True}, 'stalled'),
     ],
@@ -84,7 +84,7 @@ def test_stops_for(inputs, reason):
 
 
 def test_a_vehicle_without_a_laser_is_not_stopped_for_its_silence():
-    assert drive(gate(), 0.4, laser_heard=None).linear == 0.4
+    assert drive(gate(), 0.4, laser_last_received=None).linear == 0.4
 
 
 def test_bumpers_and_stalls_may_be_backed_out_of():
@@ -236,15 +236,15 @@ def test_timeouts_hold_to_the_second(timeout):
 
 def test_the_first_reason_is_the_one_reported():
     made = gate()
-    inputs = SafetyInputs(laser_heard=-math.inf, stalled=True, emergency_stop=True)
+    inputs = SafetyInputs(laser_last_received=-math.inf, stalled=True, emergency_stop=True)
     assert made.update(inputs, 1.0).reason == 'emergency stop pressed'
     inputs.emergency_stop = False
     assert made.update(inputs, 1.0).reason == 'no command yet'
     made.command(0.1, 0.0, 1.0)
     assert made.update(inputs, 1.0).reason == 'no laser yet'
-    inputs.laser_heard = 0.5
+    inputs.laser_last_received = 0.5
     assert made.update(inputs, 1.0).reason == 'laser silent for 0.5 s'
-    inputs.laser_heard = 0.9
+    inputs.laser_last_received = 0.9
     assert made.update(inputs, 1.0).reason == 'wheel stalled'
     assert made.update(SafetyInputs(0.9), 1.5).reason == 'no command for 0.5 s'
 

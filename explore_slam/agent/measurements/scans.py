@@ -5,7 +5,7 @@ from explore_slam.agent.team import Team
 from explore_slam.agent.vehicle_track import VehicleTrack
 from explore_slam.data import LaserScan
 from explore_slam.geometry import Pose2, moved_enough
-from explore_slam.mapping import MAP_FRAME, Body
+from explore_slam.mapping import MAP_FRAME, VehicleDisc
 from explore_slam.registration import scan_cloud
 
 
@@ -82,7 +82,7 @@ def _add_keyframe_without_vision(team: Team, track: VehicleTrack, stamp: float) 
         team.add_keyframe(track, stamp)
 
 
-def _bodies(team: Team, track: VehicleTrack, stamp: float) -> list[Body]:
+def _bodies(team: Team, track: VehicleTrack, stamp: float) -> list[VehicleDisc]:
     """Return the positions of the other vehicles, so that they do not become walls."""
     bodies = []
     for other in team.tracks.values():
@@ -92,10 +92,10 @@ def _bodies(team: Team, track: VehicleTrack, stamp: float) -> list[Body]:
         if other.keyframe is None:
             if other.start is None:
                 continue
-            bodies.append(Body(MAP_FRAME, other.start, radius))
+            bodies.append(VehicleDisc(MAP_FRAME, other.start, radius))
         else:
             moved = other.moved_since_keyframe(stamp)
-            bodies.append(Body(other.keyframe.number, moved, radius))
+            bodies.append(VehicleDisc(other.keyframe.number, moved, radius))
     return bodies
 
 

@@ -61,7 +61,7 @@ class DefaultStrategy:
         fixed = np.array([targets.index(k) if k in targets else -1 for k in current], np.int64)
 
         problem = self._problem(situation, targets, gains)
-        problem = leave_for_later(problem, gains, fixed, self._config.gain_per_detour)
+        problem = defer_low_gain_stops(problem, gains, fixed, self._config.gain_per_detour)
         prior = self._prior_tours(situation.vehicles, points)
         margin = self._config.tour_hysteresis * 2.0 ** max(situation.switches, default=0)
         tours = improve_or_replace(problem, fixed, prior, margin)
@@ -155,7 +155,7 @@ def urgencies(gains: Array, vehicles: int, waiting_weight: float) -> Array:
     return urgency
 
 
-def leave_for_later(
+def defer_low_gain_stops(
     problem: TourProblem, gains: Array, fixed: NDArray[np.int64], gain_per_detour: float
 ) -> TourProblem:
     """Return the problem without the stops that gain too little for their detour now.

@@ -155,7 +155,7 @@ class Nav2Navigator:
             self._report(FollowerState.BLOCKED, text.strip())
 
     def _give_up(self, state: FollowerState, reason: str) -> None:
-        """Cancel the goal in force; what is heard of it from now on does not count."""
+        """Cancel the goal in force; its later feedback and result are ignored."""
         self._number += 1
         self._sent, self._busy = None, False
         if self._handle is not None:

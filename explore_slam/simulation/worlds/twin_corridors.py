@@ -1,7 +1,7 @@
-"""Two parallel corridors of equal rooms, joined at their ends: a trap for loop closing.
+"""Two parallel corridors of equal rooms, joined at their ends: a test of perceptual aliasing.
 
 Every room looks like the next one, so that scans match a whole number of periods away as well as
-where they belong. Only the two lobbies at the ends tell where a vehicle is. Walls are line
+where they belong. Only the two lobbies at the ends show where a vehicle is. Walls are line
 segments; a laser is cast on them exactly.
 """
 

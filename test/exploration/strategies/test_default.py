@@ -7,8 +7,8 @@ from explore_slam.exploration import Frontier
 from explore_slam.exploration.sections import AssignmentConfig
 from explore_slam.exploration.strategies.default import (
     DefaultStrategy,
+    defer_low_gain_stops,
     improve_or_replace,
-    leave_for_later,
     merge_frontiers,
     urgencies,
 )
@@ -91,24 +91,24 @@ def test_tours_in_force_are_dropped_for_much_better_ones_only():
 def test_a_stop_that_gains_less_than_its_detour_is_worth_waits():
     given, free = line(2.0, -3.0, 4.0), np.array([-1])
     gains = np.array([5.0, 0.5, 5.0])
-    later = leave_for_later(given, gains, free, 0.3)
+    later = defer_low_gain_stops(given, gains, free, 0.3)
     assert np.isinf(later.starts[0]).tolist() == [False, True, False]
     assert (later.between == given.between).all()
-    bound = leave_for_later(given, gains, np.array([1]), 0.3)
+    bound = defer_low_gain_stops(given, gains, np.array([1]), 0.3)
     assert np.isfinite(bound.starts).all()
-    rich = leave_for_later(given, np.array([5.0, 50.0, 5.0]), free, 0.3)
+    rich = defer_low_gain_stops(given, np.array([5.0, 50.0, 5.0]), free, 0.3)
     assert np.isfinite(rich.starts).all()
 
 
 def test_a_stop_on_the_way_costs_no_detour():
     given = line(2.0, 4.0)
-    kept = leave_for_later(given, np.array([0.05, 9.0]), np.array([-1]), 0.3)
+    kept = defer_low_gain_stops(given, np.array([0.05, 9.0]), np.array([-1]), 0.3)
     assert np.isfinite(kept.starts).all()
 
 
 def test_where_nothing_is_worth_its_detour_everything_is_visited():
     given = line(20.0, 30.0)
-    assert leave_for_later(given, np.array([0.1, 0.1]), np.array([-1]), 0.3) is given
+    assert defer_low_gain_stops(given, np.array([0.1, 0.1]), np.array([-1]), 0.3) is given
 
 
 def test_frontiers_that_lie_together_are_one_stop_and_far_ones_more_coarsely():
