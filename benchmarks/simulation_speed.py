@@ -2,7 +2,7 @@
 
 python benchmarks/simulation_speed.py [--world office] [--views 100]
 Times are CPU time of this process and, in parentheses, wall time; software OpenGL uses all cores.
-`mujoco.Renderer` needs one pass for color and another one for depth.
+`mujoco.Renderer` needs one pass for colour and another one for depth.
 """
 
 import argparse

@@ -297,7 +297,7 @@ class FlannIndex:
 
 
 def lookup(index: DescriptorIndex, rows: Vectors, queries: Vectors, batch: int) -> str:
-    """Fill an index in batches; return recall of the nearest neighbor and times as text."""
+    """Fill an index in batches; return recall of the nearest neighbour and times as text."""
 
     def build() -> None:
         for begin in range(0, len(rows), batch):
@@ -312,14 +312,14 @@ def lookup(index: DescriptorIndex, rows: Vectors, queries: Vectors, batch: int) 
 
 
 def recall_of(found: NDArray[np.int64], rows: Vectors, queries: Vectors) -> float:
-    """Return the fraction of queries whose nearest neighbor was found."""
+    """Return the fraction of queries whose nearest neighbour was found."""
     brute = BruteForceIndex(128)
     brute.add(np.arange(len(rows)), rows)
     return float(np.mean(found == brute.query(queries, 0.4, 1)[0]))
 
 
 def compare_index() -> None:
-    """Compare recall of the nearest neighbor, time of 200 queries and time to build."""
+    """Compare recall of the nearest neighbour, time of 200 queries and time to build."""
     for landmarks in (1_000, 10_000, 100_000):
         random = np.random.default_rng(2)
         rows = like_sift(random, landmarks)

@@ -1,1 +1,1 @@
-"""Live exploration of an indoor environment by several vehicles with one common feature map."""
+"""Live exploration of an indoor environment by several vehicles with one common landmark map."""

@@ -40,7 +40,10 @@ def _check_finite(record: object, name: str, array: NDArray[Any]) -> None:
         )
 
 
-STANDARD_RADIUS = 0.25  # m; of the body for which planning_radius and vehicle_separation are meant
+# m; of the body for which planning_radius and vehicle_separation are meant. It is what the agent
+# assumes of a vehicle. The bodies that collide in the simulators are declared there on their own:
+# simulated_radius, 0.26 m, and disc_radius, 0.22 m, both less than planning_radius, 0.3 m.
+STANDARD_RADIUS = 0.25
 
 
 class VehicleBody(NamedTuple):

@@ -106,7 +106,8 @@ def setting(
     low, high: inclusive limits of a number.
     choices: the values that a text may take.
     tier: 'basic' for what depends on the vehicles, the site or the wish of the user, 'advanced'
-    for what tunes an algorithm.
+    for what tunes an algorithm. Advanced is the default on purpose: a new setting tunes an
+    algorithm unless its declaration says that users are expected to change it.
     """
     info = {
         'doc': doc,

@@ -139,5 +139,5 @@ class BoundedGrid:
         return self._grid.to_cell(points)
 
     def to_point(self, cells: ArrayLike) -> Array:
-        """Return the centers (N, 2) m of cells (N, 2)."""
+        """Return the centres (N, 2) m of cells (N, 2)."""
         return self._grid.to_point(cells)

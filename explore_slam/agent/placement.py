@@ -17,7 +17,8 @@ from explore_slam.slam import UpdateSummary
 
 logger = logging.getLogger(__name__)
 
-# beyond these a vehicle is not at the expected pose: more than odometry drifts on a drive home
+# Beyond these a vehicle is not at the expected pose: more than odometry drifts on a drive home.
+# Chosen by hand, as are the values below; test_placement shows what they decide.
 _AWAY = 0.5  # m
 _TURNED = 0.35  # rad, 20 degrees
 # (3, 3) m², rad²: a driver restarts in seconds, in which a person pushes or turns a vehicle

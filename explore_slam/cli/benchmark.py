@@ -1,4 +1,4 @@
-"""`explore_slam benchmark KIND`: studies of exploration, consistency, endurance, mapping."""
+"""`explore_slam benchmark KIND`: studies, one for each entry of KINDS."""
 
 import argparse
 import sys
@@ -8,7 +8,7 @@ from pathlib import Path
 from explore_slam.cli import benchmark_mapping
 from explore_slam.cli.arguments import named_settings, whole_numbers
 
-HELP = 'measure exploration, mapping, consistency of the estimates, or endurance'
+HELP = 'measure exploration, mapping, consistency, endurance, or loop closing under aliasing'
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -12,7 +12,8 @@ from explore_slam.data import VehicleBody
 from explore_slam.exploration.records import Grid
 from explore_slam.exploration.sections import LARGEST_PLANNING_RADIUS, PathConfig
 
-# Design values
+# Chosen by hand; `explore_slam benchmark exploration` measures what another value does. A tight
+# passage is taken where the detour around it would be at least _TIGHT_FACTOR times as long.
 _TIGHT_FACTOR = 20.0  # by which cells within planning_radius of an obstacle cost more
 _SQUEEZE = 2.0  # further increase towards the obstacle, so that the middle of a gap is cheapest
 
@@ -121,7 +122,7 @@ def _charge(
 
 
 def make_cost_map(grid: Grid, config: PathConfig, *, probability_costs: bool = False) -> CostMap:
-    """Return the costs of a grid for the center of a vehicle.
+    """Return the costs of a grid for the centre of a vehicle.
 
     Cells nearer to an obstacle than planning_radius are impassable. With probability_costs the
     others cost their probability of occupation, as in the paper; otherwise

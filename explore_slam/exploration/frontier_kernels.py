@@ -25,7 +25,7 @@ def _is_unexplored(unknown: Mask, row: int, col: int) -> bool:
 
 @kernel
 def _frontier_cells(free: Mask, unknown: Mask) -> tuple[Mask, int]:
-    """Return the free cells (H, W) with an unexplored 4-neighbor, and their number."""
+    """Return the free cells (H, W) with an unexplored 4-neighbour, and their number."""
     height, width = free.shape
     edge = np.zeros((height, width), np.bool_)
     total = 0
@@ -93,7 +93,7 @@ def _nearest_viewpoint(
 def _grow(
     allowed: Mask, marks: NDArray[np.int32], mark: int, queue: Cells, at: int, end: int
 ) -> int:
-    """Append the unmarked allowed 4-neighbors of one queued cell; return the new end."""
+    """Append the unmarked allowed 4-neighbours of one queued cell; return the new end."""
     height, width = allowed.shape
     for k in range(4):
         row = queue[at, 0] + (k == 0) - (k == 1)
@@ -110,7 +110,7 @@ def _grow(
 def find_viewpoint(
     free: Mask, viewpoints: Mask, marks: NDArray[np.int32], mark: int, cells: Cells, reach: int
 ) -> tuple[int, int]:
-    """Return the viewpoint of a cluster (N, 2): in it, nearest to its center, or else near it.
+    """Return the viewpoint of a cluster (N, 2): in it, nearest to its centre, or else near it.
 
     The search spreads from the cluster over free cells, so never through a wall, up to `reach`
     steps; (-1, -1) if there is no viewpoint. marks (H, W) must not contain mark.
@@ -140,9 +140,9 @@ def find_viewpoint(
 def pocket_size(
     unknown: Mask, marks: NDArray[np.int32], mark: int, cells: Cells, limit: int
 ) -> tuple[int, float, float]:
-    """Return the number of connected unknown cells behind a frontier, and their center.
+    """Return the number of connected unknown cells behind a frontier, and their centre.
 
-    Counted up to a limit, nearest first; the center (row, col) is of those that were counted.
+    Counted up to a limit, nearest first; the centre (row, col) is of those that were counted.
     """
     queue = np.empty((limit + 4, 2), np.int64)
     end = 0

@@ -1,10 +1,10 @@
 """Frontiers: clusters of free cells beside unknown ones, with viewpoints.
 
 B. Yamauchi, "A frontier-based approach for autonomous exploration", CIRA 1997. A frontier cell is
-a known free cell with an unknown neighbor (4-neighborhood); isolated unknown cells, as between far
-beams, do not count. Connected frontier cells (8-neighborhood) are one cluster. Long clusters are
-split along their main direction; short ones, and those with little unknown area behind them, are
-dropped. The target of a frontier is a viewpoint: a cell in or near it where a vehicle fits.
+a known free cell with an unknown neighbour (4-neighbourhood); isolated unknown cells, as between
+far beams, do not count. Connected frontier cells (8-neighbourhood) are one cluster. Long clusters
+are split along their main direction; short ones, and those with little unknown area behind them,
+are dropped. The target of a frontier is a viewpoint: a cell in or near it where a vehicle fits.
 """
 
 import math
@@ -25,7 +25,7 @@ from explore_slam.exploration.records import Cell, Frontier, Grid
 from explore_slam.exploration.sections import FrontierConfig
 from explore_slam.geometry import Array
 
-# Design values
+# Chosen by hand; `explore_slam benchmark exploration` measures what another value does
 _RAYS = 40  # by which the unknown area in sight of a viewpoint is estimated
 _NARROW_FACTOR = 0.6  # on the gain of a frontier through which no vehicle fits
 _POCKET_AREA = 6.0  # m²; smaller unknown areas are measured instead of estimated
@@ -36,8 +36,9 @@ def expected_area(unknown: float, reach: float) -> float:
 
     reach: range of the sensor (m).
     Walls and what lies behind them are unknown too: the smaller the unknown part of the view, the
-    smaller the fraction of it that proves free. The coefficients were fitted to 4320 frontiers of
-    an office building (mean of the new reachable area seen from their targets).
+    smaller the fraction of it that proves free. The coefficients come from a fit to 4320 frontiers
+    of an office building (mean of the new reachable area seen from their targets). The fit is not
+    part of the repository; `explore_slam benchmark exploration` measures what others do.
     """
     view = math.pi * reach * reach
     fraction = unknown / view
@@ -64,7 +65,7 @@ def find_frontiers(
 
 
 class _Candidate(NamedTuple):
-    """A piece of a cluster: cells (N, 2), viewpoint, center of what is behind it, gain (m²)."""
+    """A piece of a cluster: cells (N, 2), viewpoint, centre of what is behind it, gain (m²)."""
 
     cells: NDArray[np.int64]
     viewpoint: Cell

@@ -13,7 +13,8 @@ import numpy as np
 
 from explore_slam.exploration.records import Point
 
-# Design values; tests drive vehicles against glass, people and each other with them.
+# Chosen by hand, with vehicles that meet glass, people and each other in tests;
+# `explore_slam benchmark exploration` measures what another value does.
 _DURATION = 60.0  # s until a zone expires
 _SAME_PLACE = 0.5  # m; a blockage this near to an earlier one is at the same place
 _TRAFFIC_DISTANCE = 1.5  # m; with another vehicle this near, that vehicle is the obstacle

@@ -133,7 +133,7 @@ def _trace(
 def _straight_cost(
     cost: NDArray[np.float32], row_a: int, col_a: int, row_b: int, col_b: int
 ) -> float:
-    """Return the cost along the line between two cell centers; inf through a blocked cell."""
+    """Return the cost along the line between two cell centres; inf through a blocked cell."""
     dr, dc = row_b - row_a, col_b - col_a
     length = math.sqrt(dr * dr + dc * dc)
     samples = max(1, math.ceil(length * 2.0))
@@ -153,7 +153,7 @@ def shortcut(cost: NDArray[np.float32], cells: NDArray[np.int64]) -> NDArray[np.
     """Return the corners (W, 2) of a smoother path: straight where that costs hardly more.
 
     cost: (H, W), inf for blocked cells.
-    cells: (L, 2), a path of neighboring cells.
+    cells: (L, 2), a path of neighbouring cells.
     Each straight piece extends as far as it is passable and costs at most 2 % more than the cells
     it replaces; its end is found by doubling and bisection.
     """

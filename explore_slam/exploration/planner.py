@@ -41,7 +41,7 @@ from explore_slam.polyline import arc_lengths, points_at, remaining_path
 
 logger = logging.getLogger(__name__)
 
-# Design values
+# Chosen by hand; `explore_slam benchmark exploration` measures what another value does
 _SAME_FRONTIER = 2.0  # m; a frontier whose target has moved by no more is the same, receding
 _NEAR_TARGET = 2.0  # m; a vehicle that is blocked this near to its target has failed to reach it
 _FACING_DISTANCE = 100.0  # m from a goal to the point that a vehicle faces there: a direction

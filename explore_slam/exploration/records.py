@@ -39,7 +39,7 @@ class Grid(Protocol):
         """Return the cells (N, 2) of points (N, 2) m."""
 
     def to_point(self, cells: ArrayLike) -> Array:
-        """Return the centers (N, 2) m of cells (N, 2)."""
+        """Return the centres (N, 2) m of cells (N, 2)."""
 
 
 class ExplorationStatus(Enum):
@@ -83,7 +83,7 @@ class Frontier:
     target: the viewpoint (m) from which a vehicle sees the frontier; target_cell: its cell.
     size: length (m).
     gain: unknown area (m²) that is expected to be seen from the target.
-    look_at: center (m) of the unknown cells behind the frontier.
+    look_at: centre (m) of the unknown cells behind the frontier.
     """
 
     cells: NDArray[np.int64]

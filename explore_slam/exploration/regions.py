@@ -11,7 +11,7 @@ from explore_slam.exploration.value_iteration import Costs
 
 
 def set_disc(mask: NDArray[np.bool_], row: int, col: int, radius: float) -> None:
-    """Set the cells of a disc in a mask (H, W); its center may lie outside."""
+    """Set the cells of a disc in a mask (H, W); its centre may lie outside."""
     half = math.floor(radius)
     low_row, low_col = max(0, row - half), max(0, col - half)
     window = mask[low_row : max(0, row + half + 1), low_col : max(0, col + half + 1)]
@@ -21,7 +21,7 @@ def set_disc(mask: NDArray[np.bool_], row: int, col: int, radius: float) -> None
 
 @kernel
 def connected_region(cost: Costs, row: int, col: int) -> NDArray[np.bool_]:
-    """Return the cells (H, W) of finite cost that are connected to a cell (8-neighborhood)."""
+    """Return the cells (H, W) of finite cost that are connected to a cell (8-neighbourhood)."""
     height, width = cost.shape
     mask = np.zeros((height, width), np.bool_)
     stack = np.empty(height * width, np.int32)

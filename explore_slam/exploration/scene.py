@@ -30,8 +30,8 @@ from explore_slam.exploration.value_iteration import Costs, padded_costs, spread
 from explore_slam.geometry import Array, Pose2
 from explore_slam.polyline import arc_lengths, points_at, sample
 
-# Design values
-_KEEP_OUT_RADIUS = 0.25  # m around a place where a vehicle was blocked
+# Chosen by hand; `explore_slam benchmark exploration` measures what another value does
+_KEEP_OUT_RADIUS = 0.25  # m, that of a vehicle; around a place where one was blocked
 _TRAIL_MARGIN = 0.15  # m beside a trail that is opened too, so that a path can keep to the middle
 _BYPASS_FACTOR = 8.0  # by which cells beside a standing vehicle cost more
 _STOPPING_ERROR = 0.2  # m by which a follower may stop short of the place it retreats to

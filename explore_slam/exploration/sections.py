@@ -13,7 +13,7 @@ class PathConfig(Section):
 
     planning_radius: float = setting(
         0.3,
-        'Paths keep this distance between obstacles and the center of a vehicle of radius 0.25 m; '
+        'Paths keep this distance between obstacles and the centre of a vehicle of radius 0.25 m; '
         'for others it differs as much as their vehicle_radius',
         unit='m',
         low=0.0,
@@ -218,7 +218,7 @@ class TrafficConfig(Section):
 
     vehicle_separation: float = setting(
         0.9,
-        'Distance kept between the centers of two vehicles of radius 0.25 m; it grows and shrinks '
+        'Distance kept between the centres of two vehicles of radius 0.25 m; it grows and shrinks '
         'with their vehicle_radius',
         unit='m',
         low=0.0,

@@ -19,7 +19,8 @@ from explore_slam.exploration.sections import TrafficConfig
 from explore_slam.geometry import Array
 from explore_slam.polyline import arc_lengths, points_at
 
-# Design values; test_right_of_way drives vehicles through narrow maps with them.
+# Chosen by hand; test_right_of_way drives vehicles through narrow maps with them, and
+# `explore_slam benchmark exploration` measures what another value does.
 _TIME_STEP = 0.5  # s between predicted positions
 _GOAL_TIME = 3.0  # s for which a vehicle is expected to stay at its goal, until it gets another
 _RETREAT_ADVANTAGE = 2.0  # m by which a retreat must be shorter to exchange the priorities
@@ -77,7 +78,7 @@ class Terrain(Protocol):
 
 
 def separation(config: TrafficConfig, one: VehicleBody, other: VehicleBody) -> float:
-    """Return the distance (m) kept between the centers of two vehicles."""
+    """Return the distance (m) kept between the centres of two vehicles."""
     return max(config.vehicle_separation + one.extra_radius + other.extra_radius, 0.0)
 
 

@@ -1,7 +1,7 @@
 """Travel cost by deterministic value iteration (paper, section V-A).
 
 V is 0 at the vehicle and elsewhere the fixed point of
-V(x, y) = min over the 8 neighbors n of V(n) + |n - (x, y)| * P(occ(x, y)), over cells with
+V(x, y) = min over the 8 neighbours n of V(n) + |n - (x, y)| * P(occ(x, y)), over cells with
 P(occ) <= occ_max. Cells are updated in the order of their values, from a circular queue of buckets
 as wide as the cheapest move. A value is then final when its bucket is processed, and one sweep
 reaches the fixed point (R. Dial, "Algorithm 360: shortest-path forest with topological ordering",

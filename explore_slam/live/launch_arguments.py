@@ -6,16 +6,17 @@ from pathlib import Path
 import yaml
 
 from explore_slam.errors import ConfigError
+from explore_slam.messages.topics import TopicKind
 from explore_slam.settings import unknown_name
 
 TRUE, FALSE = ('true', 'yes', 'on', '1'), ('false', 'no', 'off', '0')
 # argument of the launch files -> topic in a vehicle's namespace that it stands for
 TOPICS = {
-    'scan_topic': 'scan',
-    'odom_topic': 'odom',
-    'color_topic': 'camera/rgb/image_raw',
-    'depth_topic': 'camera/depth_registered/image_raw',
-    'camera_info_topic': 'camera/rgb/camera_info',
+    'scan_topic': TopicKind.SCAN.value,
+    'odom_topic': TopicKind.ODOMETRY.value,
+    'color_topic': TopicKind.COLOR.value,
+    'depth_topic': TopicKind.DEPTH.value,
+    'camera_info_topic': TopicKind.CAMERA_INFO.value,
 }
 
 

@@ -49,7 +49,7 @@ COMPLETE = Qos(200)  # the run folder needs every message, also those of a burst
 
 
 @dataclass
-class LandmarkCloud:
+class ReceivedLandmarks:
     """Landmarks of the topic: means (N, 3) m, covariances (N, 3, 3) m², observations (N,)."""
 
     means: Array
@@ -66,7 +66,7 @@ class RunState:
     coverage: float = 0.0
     diagnostics: dict[str, tuple[str, Values]] = field(default_factory=dict)
     grid: Any = None
-    landmarks: LandmarkCloud | None = None
+    landmarks: ReceivedLandmarks | None = None
     trajectories: dict[str, tuple[Array, Array]] = field(default_factory=dict)
     truth: dict[str, deque[tuple[float, Pose2]]] = field(default_factory=dict)
     poses: dict[str, tuple[float, Pose2]] = field(default_factory=dict)
@@ -170,7 +170,7 @@ class RunMonitor(Node):
         variances = columns['sigma'][:, 0].astype(np.float64) ** 2 / 3.0
         covariances = variances[:, None, None] * np.eye(3)
         counts = columns['count'][:, 0].astype(np.int64)
-        self.state.landmarks = LandmarkCloud(means, covariances, counts)
+        self.state.landmarks = ReceivedLandmarks(means, covariances, counts)
 
     def _on_status(self, message: String) -> None:
         self.state.status = message.data

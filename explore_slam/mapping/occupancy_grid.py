@@ -141,7 +141,7 @@ class OccupancyGrid:
         return np.stack([cells[:, 1] - self._first_row, cells[:, 0] - self._first_col], axis=1)
 
     def to_point(self, cells: ArrayLike) -> Array:
-        """Return the centers (N, 2) m of cells (N, 2) (row, col)."""
+        """Return the centres (N, 2) m of cells (N, 2) (row, col)."""
         index = np.asarray(cells, np.int64).reshape(-1, 2)
         first = np.array([self._first_col, self._first_row])
         points: Array = (index[:, ::-1] + first + 0.5) * self.resolution

@@ -71,7 +71,8 @@ class SimulatorNodeConfig(Section):
     )
     seed: int = setting(0, 'Seed of all noise', low=0)
     command_timeout: float = setting(
-        0.6, 'Time without a velocity command after which a vehicle stops', unit='s',
+        0.6, 'Simulated time without a velocity command after which a vehicle stops; like '
+        'command_timeout of the driver of a real vehicle', unit='s',
         low=0.05, high=60.0,
     )  # fmt: skip
     hardware: str = setting(

@@ -27,7 +27,7 @@ class SpatialPoses(NamedTuple):
 
 
 class Association(NamedTuple):
-    """One line of associations.txt: a color image and the depth image that belongs to it."""
+    """One line of associations.txt: a colour image and the depth image that belongs to it."""
 
     color_stamp: float
     color_file: str
@@ -62,7 +62,7 @@ def write_poses(path: Path, poses: SpatialPoses) -> None:
 
 
 def read_associations(path: Path) -> list[Association]:
-    """Read `stamp color_file stamp depth_file` lines, sorted by the stamp of the color image."""
+    """Read `stamp color_file stamp depth_file` lines, sorted by the stamp of the colour image."""
     found = []
     for number, line in _data_lines(path):
         try:

@@ -20,7 +20,7 @@ CHI_SQUARE_95_2D = 5.991
 # Smallest ratio of eigenvalues of a regular correlation matrix: below, rounding errors dominate.
 SINGULAR_RATIO = 1e-12
 # Variance (m², rad²) that counts as zero: the mean over particles of an exact pose has rounding
-# errors of 1e-16 m, any sensor an error above a micrometer.
+# errors of 1e-16 m, any sensor an error above a micrometre.
 ZERO_VARIANCE = 1e-18
 # A vehicle stands at its start until all variances exceed that of a micrometre (wheels that stand
 # still report motions of nanometres), or until the truth has moved by a centimetre or 0.01 rad.

@@ -140,7 +140,7 @@ def squared_descriptor_distances(
 def mutual_matches(
     first: LandmarkObservations, second: LandmarkObservations, gate: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return indices (P,), (P,) of mutual nearest neighbors within a squared distance."""
+    """Return indices (P,), (P,) of mutual nearest neighbours within a squared distance."""
     if not len(first) or not len(second):
         return np.empty(0, np.intp), np.empty(0, np.intp)
     squared = squared_descriptor_distances(first.descriptors, second.descriptors)

@@ -23,7 +23,7 @@ from explore_slam.results.consistency import EstimationErrors, estimation_errors
 from explore_slam.results.run_data import Panel, RunData, Series, VehicleRun, error_series
 from explore_slam.results.trajectory import Trajectory
 
-# Okabe and Ito, Color Universal Design (2008): distinguishable with any color vision.
+# Okabe and Ito, Color Universal Design (2008): distinguishable with any colour vision.
 PALETTE = ('#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9', '#7a5195', '#404040')
 INK, MUTED, GRID = '#1f2933', '#7b8794', '#e4e7eb'
 UNKNOWN, FREE, OCCUPIED = '#dfe4ea', '#ffffff', '#323f4b'
@@ -53,7 +53,7 @@ STYLE: dict[str, Any] = {
 
 
 def color_of(index: int) -> str:
-    """Return the color of the vehicle with this index."""
+    """Return the colour of the vehicle with this index."""
     return PALETTE[index % len(PALETTE)]
 
 

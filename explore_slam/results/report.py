@@ -37,7 +37,7 @@ class ErrorColumn(NamedTuple):
 
 
 class ErrorRow(NamedTuple):
-    """A row of the error table; without color it is the mean over the vehicles."""
+    """A row of the error table; without colour it is the mean over the vehicles."""
 
     name: str
     color: str | None

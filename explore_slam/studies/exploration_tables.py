@@ -147,7 +147,7 @@ def save_study(runs: Sequence[ExplorationRun], folder: Path) -> list[Path]:
 
 
 def _colors(groups: Iterable[Group]) -> dict[str, str]:
-    """Return a color for each strategy, in the order in which they occur."""
+    """Return a colour for each strategy, in the order in which they occur."""
     names = dict.fromkeys(strategy for strategy, _ in groups)
     return {name: color_of(index) for index, name in enumerate(names)}
 

@@ -1,4 +1,4 @@
-"""Size, colors and axes that all plots of studies share."""
+"""Size, colours and axes that all plots of studies share."""
 
 from typing import Any
 

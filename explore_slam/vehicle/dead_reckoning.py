@@ -6,6 +6,9 @@ from collections import deque
 from explore_slam.data import OdometryReading
 from explore_slam.geometry import IDENTITY, Pose2, wrap_angle
 
+# Chosen by hand: the horizon exceeds the path follower's pose_timeout (20 s), the extrapolation
+# the time between readings at 10 Hz, and the top speed the limit of maximum_speed (2 m/s);
+# test_dead_reckoning shows what they decide.
 _HORIZON = 60.0  # s of odometry kept; older map poses are ignored
 _EXTRAPOLATION = 0.3  # s beyond the newest reading
 _LARGEST_FACTOR = 3.0  # of extrapolation, in intervals between the last two readings

@@ -65,7 +65,9 @@ class LaserConfig(Section):
     """Settings of any laser scanner."""
 
     use_laser: bool = setting(
-        True, 'Read the laser; false: another driver publishes scans', tier='basic'
+        True,
+        'Read the laser; false: another driver publishes scans, or there is none',
+        tier='basic',
     )
     laser_port: str = setting(
         '/dev/ttyUSB1', "Serial device of the laser, or 'tcp://host:port'", tier='basic'

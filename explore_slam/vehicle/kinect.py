@@ -51,7 +51,7 @@ class StampPairing:
         self.unpaired = 0
 
     def add(self, kind: str, image: Image) -> tuple[Image, Image] | None:
-        """Add an image ('depth' or 'color'); return (depth, color) if it completes a pair."""
+        """Add an image ('depth' or 'color'); return (depth, colour) if it completes a pair."""
         other = self._waiting['color' if kind == 'depth' else 'depth']
         for partner in other:
             gap = (image.ticks - partner.ticks + _TICKS // 2) % _TICKS - _TICKS // 2

@@ -12,7 +12,7 @@ from explore_slam.vision.sections import DepthConfig
 
 _METRES_PER_MILLIMETRE = np.float32(0.001)
 _MEDIAN_WINDOW = 3  # pixels; removes single wild values
-_EDGE_WINDOW = np.ones((5, 5), np.uint8)  # reaches an edge before the center of a feature does
+_EDGE_WINDOW = np.ones((5, 5), np.uint8)  # reaches an edge before the centre of a feature does
 _FAR = np.float32(1e6)  # m; in place of missing values where the smallest depth is searched
 
 

@@ -54,7 +54,7 @@ def test_a_beam_that_ends_on_a_body_frees_cells_up_to_the_body():
 
 
 def test_a_beam_that_ends_on_the_side_of_a_body_is_cut_where_it_enters():
-    """The body's center lies 0.3 m beside the beam: its chord begins 0.4 m before it."""
+    """The body's centre lies 0.3 m beside the beam: its chord begins 0.4 m before it."""
     cut, kind = dropped(3.1, 0.0, [(4.0, -1.7, 0.5)])
     assert (cut, kind) == (pytest.approx(2.6), FREE_ONLY)
 

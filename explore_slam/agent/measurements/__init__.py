@@ -4,17 +4,17 @@ from typing import Any
 
 from explore_slam.agent.measurements.frames import FRAMES
 from explore_slam.agent.measurements.inter_robot import INTER_ROBOT
-from explore_slam.agent.measurements.kind import MeasurementKind
+from explore_slam.agent.measurements.kind import MeasurementHandler
 from explore_slam.agent.measurements.landmarks import LANDMARKS
 from explore_slam.agent.measurements.scans import SCANS
 from explore_slam.errors import AgentError
 
-KINDS: tuple[MeasurementKind[Any], ...] = (SCANS, FRAMES, LANDMARKS, INTER_ROBOT)
+KINDS: tuple[MeasurementHandler[Any], ...] = (SCANS, FRAMES, LANDMARKS, INTER_ROBOT)
 
 _BY_RECORD = {kind.record: kind for kind in KINDS}
 
 
-def kind_of(measurement: object) -> MeasurementKind[Any]:
+def kind_of(measurement: object) -> MeasurementHandler[Any]:
     """Return the kind of a measurement; AgentError if the type of the record is unknown."""
     kind = _BY_RECORD.get(type(measurement))
     if kind is None:

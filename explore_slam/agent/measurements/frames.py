@@ -1,6 +1,6 @@
 """RGB-D frames: keyframes are chosen by travel and time, their features become observations."""
 
-from explore_slam.agent.measurements.kind import MeasurementKind
+from explore_slam.agent.measurements.kind import MeasurementHandler
 from explore_slam.agent.team import Team
 from explore_slam.agent.vehicle_track import VehicleTrack
 from explore_slam.data import RgbdFrame
@@ -16,4 +16,4 @@ def process(team: Team, track: VehicleTrack, frame: RgbdFrame) -> None:
         team.update(track, team.extractor.extract(frame))
 
 
-FRAMES = MeasurementKind(RgbdFrame, process)
+FRAMES = MeasurementHandler(RgbdFrame, process)

@@ -1,6 +1,6 @@
 """Inter-robot observations: the position of one vehicle measured by another."""
 
-from explore_slam.agent.measurements.kind import MeasurementKind
+from explore_slam.agent.measurements.kind import MeasurementHandler
 from explore_slam.agent.team import Team
 from explore_slam.agent.vehicle_track import VehicleTrack
 from explore_slam.data import InterRobotObservation
@@ -33,4 +33,4 @@ def process(team: Team, track: VehicleTrack, observation: InterRobotObservation)
     team.belief.update_inter_robot(track.name, [observation])
 
 
-INTER_ROBOT = MeasurementKind(InterRobotObservation, process, check)
+INTER_ROBOT = MeasurementHandler(InterRobotObservation, process, check)

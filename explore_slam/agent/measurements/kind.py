@@ -18,7 +18,7 @@ def enqueue(team: Team, track: VehicleTrack, measurement: Stamped) -> None:
 
 
 @dataclass(frozen=True)
-class MeasurementKind[M: Stamped]:
+class MeasurementHandler[M: Stamped]:
     """How the agent treats one type of record.
 
     record: type of the record.

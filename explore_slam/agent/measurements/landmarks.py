@@ -1,6 +1,6 @@
 """Landmark observations that were extracted elsewhere: on the vehicle, or in a data set."""
 
-from explore_slam.agent.measurements.kind import MeasurementKind
+from explore_slam.agent.measurements.kind import MeasurementHandler
 from explore_slam.agent.team import Team
 from explore_slam.agent.vehicle_track import VehicleTrack
 from explore_slam.data import LandmarkObservations
@@ -14,4 +14,4 @@ def process(team: Team, track: VehicleTrack, observations: LandmarkObservations)
     team.update(track, observations)
 
 
-LANDMARKS = MeasurementKind(LandmarkObservations, process)
+LANDMARKS = MeasurementHandler(LandmarkObservations, process)

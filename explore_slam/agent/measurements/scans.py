@@ -1,6 +1,6 @@
 """Laser scans: matched to refine odometry, thinned, drawn into the grid, used to close loops."""
 
-from explore_slam.agent.measurements.kind import MeasurementKind, enqueue
+from explore_slam.agent.measurements.kind import MeasurementHandler, enqueue
 from explore_slam.agent.team import Team
 from explore_slam.agent.vehicle_track import VehicleTrack
 from explore_slam.data import LaserScan
@@ -99,4 +99,4 @@ def _bodies(team: Team, track: VehicleTrack, stamp: float) -> list[VehicleDisc]:
     return bodies
 
 
-SCANS = MeasurementKind(LaserScan, process, enqueue=enqueue_scan)
+SCANS = MeasurementHandler(LaserScan, process, enqueue=enqueue_scan)

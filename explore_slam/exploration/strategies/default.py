@@ -21,7 +21,7 @@ from explore_slam.exploration.strategies.strategy import Situation, StrategyKind
 from explore_slam.exploration.tours import TourProblem, Tours, plan_tours
 from explore_slam.geometry import Array
 
-# Design values; `explore_slam benchmark exploration` measures what another value does.
+# Chosen by hand; `explore_slam benchmark exploration` measures what another value does.
 _SAME_STOP = 2.0  # m; a stop that has moved by no more is the same one
 _MERGE_FRACTION = 0.15  # of the distance to the nearest vehicle; far stops are merged coarsely
 _MAXIMUM_STOPS = 60  # of all tours together; bounds the time for planning

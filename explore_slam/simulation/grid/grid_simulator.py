@@ -228,7 +228,7 @@ class GridSimulator:
         bodies = np.column_stack([others[:, :2], np.full(len(others), config.disc_radius)])
         own, team = kernels.cast_beams(
             self._cells,
-            kernels.Laser(self._poses[index], self._angles, config.beam_range),
+            kernels.Sweep(self._poses[index], self._angles, config.beam_range),
             bodies,
             kernels.Coverage(self.reachable, self._seen, np.uint32(1 << index)),
             self._ranges,

@@ -36,7 +36,7 @@ class ClearanceField(NamedTuple):
     origin: Floats
 
 
-class Laser(NamedTuple):
+class Sweep(NamedTuple):
     """A scan to take: sensor pose (3,), beam angles (B,) in the sensor frame, range (m)."""
 
     pose: Floats
@@ -85,7 +85,7 @@ def distance_to_disc(
 
 @kernel
 def cast_beams(
-    cells: Cells, laser: Laser, bodies: Floats, coverage: Coverage, ranges: Floats
+    cells: Cells, laser: Sweep, bodies: Floats, coverage: Coverage, ranges: Floats
 ) -> tuple[int, int]:
     """Cast the beams of a scan; return the numbers of newly seen reachable cells.
 
@@ -278,7 +278,7 @@ def warm_up() -> None:
     field = ClearanceField(np.ones((6, 6), np.float32), 0.05, origin)
     cast_beams(
         Cells(free, 0.05, origin),
-        Laser(pose, np.zeros(2), 1.0),
+        Sweep(pose, np.zeros(2), 1.0),
         np.zeros((0, 3)),
         Coverage(free == SOLID, np.zeros((6, 6), np.uint32), np.uint32(1)),
         np.zeros(2),

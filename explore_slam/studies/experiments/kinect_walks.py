@@ -35,7 +35,7 @@ POSITION_TOLERANCE, HEADING_TOLERANCE = 0.01, 0.004  # m and rad, a tenth of the
 
 
 @dataclass(frozen=True)
-class Stop:
+class RecordedStop:
     """A stop: true pose, landmark observations, and the time (s) that extraction took."""
 
     pose: Pose2
@@ -48,7 +48,7 @@ class Walk:
     """The stops of one vehicle, beginning with its start."""
 
     vehicle: str
-    stops: list[Stop]
+    stops: list[RecordedStop]
 
 
 def record_walk(
@@ -110,7 +110,7 @@ def _turn(simulator: Simulator, vehicle: str, heading: float) -> None:
     raise EvaluationError(f'{vehicle} did not turn to {heading:.2f} rad')
 
 
-def _record_stop(simulator: Simulator, vehicle: str, extractor: FeatureExtractor) -> Stop:
+def _record_stop(simulator: Simulator, vehicle: str, extractor: FeatureExtractor) -> RecordedStop:
     """Stand still and extract observations from the next frame."""
     simulator.set_velocity(vehicle, 0.0, 0.0)
     end = simulator.time + 2.0
@@ -120,7 +120,9 @@ def _record_stop(simulator: Simulator, vehicle: str, extractor: FeatureExtractor
             if isinstance(event.record, RgbdFrame) and still:
                 began = time.perf_counter()
                 seen = extractor.extract(event.record)
-                return Stop(simulator.true_pose(vehicle), seen, time.perf_counter() - began)
+                return RecordedStop(
+                    simulator.true_pose(vehicle), seen, time.perf_counter() - began
+                )
     raise EvaluationError(f'{vehicle}: no frame within 2 s of simulated time')
 
 

@@ -6,7 +6,7 @@ import pytest
 from synthetic import SyntheticVehicle, SyntheticWorld
 
 from explore_slam.agent import Agent, AgentConfig, measurements
-from explore_slam.agent.measurements.kind import MeasurementKind
+from explore_slam.agent.measurements.kind import MeasurementHandler
 from explore_slam.errors import AgentError
 from explore_slam.geometry import Pose2
 from explore_slam.settings import with_values
@@ -42,7 +42,7 @@ def test_another_kind_is_an_entry_of_the_table(monkeypatch):
         if bump.stamp > 100.0:
             raise AgentError('too far ahead')
 
-    kind = MeasurementKind(Bump, process, check)
+    kind = MeasurementHandler(Bump, process, check)
     monkeypatch.setitem(measurements._BY_RECORD, Bump, kind)
     agent, vehicle = make_agent()
     agent.add('robot1', vehicle.advance())

@@ -8,7 +8,7 @@ from explore_slam.errors import EvaluationError
 from explore_slam.geometry import Pose2
 from explore_slam.simulation import world_path
 from explore_slam.studies.experiments.kinect_walks import (
-    Stop,
+    RecordedStop,
     Walk,
     record_walk,
     scenario_of,
@@ -52,6 +52,6 @@ def test_walks_become_a_scenario_with_drawn_odometry(small_walks):
 
 
 def test_walks_of_unequal_length_end_one_after_the_other():
-    stop = Stop(START, LandmarkObservations.empty(0.0), 0.0)
+    stop = RecordedStop(START, LandmarkObservations.empty(0.0), 0.0)
     walks = [Walk('a', [stop] * 2), Walk('b', [stop] * 4)]
     assert [s.vehicle for s in scenario_of(walks, 0).steps] == ['a', 'b', 'a', 'b', 'b', 'b']
