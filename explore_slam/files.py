@@ -1,4 +1,4 @@
-"""Atomic writing: a reader finds the old content or the new one, never a part of it.
+"""Atomic writing, where a reader finds the old content or the new one, never a part; YAML files.
 
 What is written lies in a scratch folder beside its destination, under its final name, until it is
 complete; a rename then puts it in place. A process that is killed leaves at most a scratch folder
@@ -11,6 +11,11 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+
+import yaml
+
+from explore_slam.errors import ExploreSlamError
 
 
 @contextmanager
@@ -53,6 +58,18 @@ def replace_link(link: Path, target: str | Path) -> None:
     """Redirect a symbolic link to a target, atomically; OSError if a folder is in its place."""
     with atomic(link) as partial:
         partial.symlink_to(target)
+
+
+def read_yaml(path: Path, error: type[ExploreSlamError]) -> Any:
+    """Return the content of a YAML file; `error` if it cannot be read or is not YAML."""
+    try:
+        return yaml.safe_load(path.read_text(encoding='utf-8'))
+    except FileNotFoundError as cause:
+        raise error(f'{path}: no such file') from cause
+    except (OSError, UnicodeDecodeError) as cause:
+        raise error(f'{path} cannot be read: {cause}') from cause
+    except yaml.YAMLError as cause:
+        raise error(f'{path} is not YAML: {" ".join(str(cause).split())}') from cause
 
 
 def _flush_to_disk(path: Path) -> None:

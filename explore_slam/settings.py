@@ -15,7 +15,7 @@ from typing import Any, Literal
 import yaml
 
 from explore_slam.errors import ConfigError
-from explore_slam.files import write_text
+from explore_slam.files import read_yaml, write_text
 
 Tier = Literal['basic', 'advanced']
 Value = bool | int | float | str | tuple[Any, ...]
@@ -186,12 +186,7 @@ def _replace[S: Section](tree: S, values: Mapping[str, Any]) -> S:
 
 def read_parameters(path: Path) -> dict[str, Any]:
     """Return the values of a ROS parameter file (`/**: ros__parameters: ...`) by name."""
-    try:
-        content = yaml.safe_load(path.read_text(encoding='utf-8'))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f'{path} cannot be read: {error}') from error
-    except yaml.YAMLError as error:
-        raise ConfigError(f'{path} is not YAML: {error}') from error
+    content = read_yaml(path, ConfigError)
     values: dict[str, Any] = {}
     if isinstance(content, Mapping):
         for node in content.values():

@@ -1,10 +1,11 @@
-"""Atomic writing: complete or not at all, nothing left beside the destination."""
+"""Atomic writing: complete or not at all, nothing left beside the destination; YAML files."""
 
 import os
 
 import pytest
 
 from explore_slam import files
+from explore_slam.errors import MappingError, SimulationError
 
 
 def names(folder):
@@ -97,3 +98,17 @@ def test_nothing_written_is_an_error(tmp_path):
 def test_a_missing_folder_is_an_error(tmp_path):
     with pytest.raises(OSError, match='absent'):
         files.write_text(tmp_path / 'absent' / 'note.txt', 'text')
+
+
+def test_yaml_is_read_or_refused_by_name(tmp_path):
+    path = tmp_path / 'a.yaml'
+    path.write_text('size: [3, 2]\n')
+    assert files.read_yaml(path, MappingError) == {'size': [3, 2]}
+    path.write_text('size: [')
+    with pytest.raises(MappingError, match=r'a\.yaml is not YAML'):
+        files.read_yaml(path, MappingError)
+    path.write_bytes(b'\xff\xfe\xfa')
+    with pytest.raises(SimulationError, match=r'a\.yaml cannot be read'):
+        files.read_yaml(path, SimulationError)
+    with pytest.raises(SimulationError, match=r'b\.yaml: no such file'):
+        files.read_yaml(tmp_path / 'b.yaml', SimulationError)

@@ -8,7 +8,7 @@ import yaml
 from numpy.typing import NDArray
 
 from explore_slam.errors import ConfigError, MappingError
-from explore_slam.files import write_bytes
+from explore_slam.files import read_yaml, write_bytes
 from explore_slam.mapping.config import GridConfig
 from explore_slam.mapping.occupancy_grid import OccupancyGrid
 
@@ -71,7 +71,7 @@ def load_map(yaml_path: Path | str, config: GridConfig | None = None) -> Occupan
     format.
     """
     path = Path(yaml_path)
-    entries = _read_yaml(path)
+    entries = _entries(path)
     resolution = _number(path, entries, 'resolution')
     origin = entries.get('origin')
     if not (
@@ -97,14 +97,12 @@ def load_map(yaml_path: Path | str, config: GridConfig | None = None) -> Occupan
     return OccupancyGrid.from_probability(probability, known, (corner[0], corner[1]), fitted)
 
 
-def _read_yaml(path: Path) -> dict[str, Any]:
-    try:
-        content = yaml.safe_load(path.read_text(encoding='utf-8'))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise MappingError(f'map file {path} cannot be read: {error}') from error
+def _entries(path: Path) -> dict[str, Any]:
+    content = read_yaml(path, MappingError)
     if not isinstance(content, dict):
         raise MappingError(
-            f'map file {path} contains a {type(content).__name__}, expected a mapping'
+            f'{path} holds {type(content).__name__}, expected a mapping with the keys of a '
+            'map_server map'
         )
     return content
 

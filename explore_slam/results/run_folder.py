@@ -7,7 +7,6 @@ folder.
 
 import json
 import logging
-import math
 import re
 from collections.abc import Mapping
 from datetime import datetime
@@ -22,6 +21,7 @@ from explore_slam.files import replace_link, write_bytes, write_text
 from explore_slam.mapping import OccupancyGrid, save_map
 from explore_slam.results.report import render_report
 from explore_slam.results.run_data import LandmarkCloud, RunData
+from explore_slam.results.tables import json_value
 from explore_slam.results.trajectory import Trajectory, save_tum
 from explore_slam.settings import Section, save_settings
 
@@ -87,7 +87,7 @@ class RunFolder:
     def write_metrics(self, metrics: Mapping[str, Any]) -> Path:
         """Write metrics.json; a value that is not finite becomes null."""
         path = self.path / 'metrics.json'
-        text = json.dumps(_plain(metrics), indent=2, sort_keys=False, allow_nan=False)
+        text = json.dumps(json_value(metrics), indent=2, sort_keys=False, allow_nan=False)
         write_text(path, text + '\n')
         return path
 
@@ -146,17 +146,3 @@ def _link_latest(base: Path, name: str) -> None:
         replace_link(link, name)
     except OSError as error:
         logger.warning('%s cannot be linked to %s: %s', link, name, error)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple | np.ndarray):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        return _plain(value.item())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, bool | int | str) or value is None:
-        return value
-    return str(value)

@@ -17,6 +17,7 @@ import numpy as np
 
 from explore_slam.errors import EvaluationError
 from explore_slam.files import write_text
+from explore_slam.results import tables
 from explore_slam.results.consistency import EstimationErrors, estimation_errors
 from explore_slam.results.plots import color_of
 from explore_slam.results.run_data import RunData, VehicleRun
@@ -160,16 +161,10 @@ def save_results(study: ConsistencyStudy, results: Sequence[SeedResult], output:
         'vision': study.vision,
         'duration': study.duration,
         'settings': dict(study.settings),
-        'runs': [
-            {
-                name: None if isinstance(value, float) and not math.isfinite(value) else value
-                for name, value in run.items()
-            }
-            for run in runs
-        ],
+        'runs': runs,
     }
     path = output / 'consistency.json'
-    write_text(path, json.dumps(content, indent=2, allow_nan=False, default=str) + '\n')
+    write_text(path, json.dumps(tables.json_value(content), indent=2, allow_nan=False) + '\n')
     plot_nees(results, output / 'nees.png')
     return path
 
@@ -182,9 +177,8 @@ HEADER = (
 
 def markdown_table(runs: Sequence[ConsistencyRun]) -> str:
     """Return the table of a study; expected are NEES 3 and 2, and 0.95 inside."""
-    lines = ['| ' + ' | '.join(HEADER) + ' |', '|' + '---|' * len(HEADER)]
-    for run in runs:
-        cells = (
+    rows = [
+        (
             str(run.seed),
             run.vehicle,
             f'{run.pose_nees_mean:.2f}',
@@ -194,8 +188,9 @@ def markdown_table(runs: Sequence[ConsistencyRun]) -> str:
             f'{run.position_rms:.4f}',
             f'{run.best_path_rms:.4f}',
         )
-        lines.append('| ' + ' | '.join(cells) + ' |')
-    return '\n'.join(lines) + '\n'
+        for run in runs
+    ]
+    return tables.markdown_table(HEADER, rows) + '\n'
 
 
 def plot_nees(results: Sequence[SeedResult], path: Path) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from explore_slam.errors import EvaluationError
 from explore_slam.geometry import Array
+from explore_slam.results import tables
 from explore_slam.results.coverage import Spread
 from explore_slam.results.plots import color_of
 from explore_slam.studies.exploration_run import ExplorationRun
@@ -90,9 +91,7 @@ def table_rows(runs: Iterable[ExplorationRun]) -> list[tuple[str, ...]]:
 
 def markdown_table(runs: Iterable[ExplorationRun]) -> str:
     """Return the table of a study; contacts: with vehicles + with walls."""
-    lines = ['| ' + ' | '.join(HEADER) + ' |', '|' + '---|' * len(HEADER)]
-    lines += ['| ' + ' | '.join(row) + ' |' for row in table_rows(runs)]
-    return '\n'.join(lines) + '\n'
+    return tables.markdown_table(HEADER, table_rows(runs)) + '\n'
 
 
 def run_values(run: ExplorationRun) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from explore_slam.errors import EvaluationError
 from explore_slam.files import write_text
 from explore_slam.geometry import Array, Pose2, compose
 from explore_slam.recording import BagReader, Replay
+from explore_slam.results import tables
 from explore_slam.results.plots import save_map_picture
 from explore_slam.results.relations import LoggedOdometry, poses_at, relation_errors
 from explore_slam.results.replay_run import configuration
@@ -264,16 +265,14 @@ def run_study(task: MappingTask, seeds: Sequence[int]) -> Iterator[dict[str, Any
 
 def markdown_table(runs: Sequence[Mapping[str, Any]]) -> str:
     """Return a table of the figures, one row per seed."""
-    lines = [
-        '| seed | ' + ' | '.join(title for _, title, _ in FIGURES) + ' |',
-        '|---' * (len(FIGURES) + 1) + '|',
-    ]
+    header = ['seed', *(title for _, title, _ in FIGURES)]
+    rows = []
     for run in runs:
         cells = (
             '-' if run.get(name) is None else format(run[name], form) for name, _, form in FIGURES
         )
-        lines.append(f'| {run["seed"]} | ' + ' | '.join(cells) + ' |')
-    return '\n'.join(lines)
+        rows.append([str(run['seed']), *cells])
+    return tables.markdown_table(header, rows)
 
 
 def save_study(task: MappingTask, runs: Sequence[Mapping[str, Any]], folder: Path) -> list[Path]:
@@ -289,7 +288,9 @@ def save_study(task: MappingTask, runs: Sequence[Mapping[str, Any]], folder: Pat
     paths = [folder / 'mapping.json', folder / 'table.md']
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        write_text(paths[0], json.dumps(content, indent=2) + '\n')
+        write_text(
+            paths[0], json.dumps(tables.json_value(content), indent=2, allow_nan=False) + '\n'
+        )
         write_text(paths[1], markdown_table(runs) + '\n')
     except OSError as error:
         raise EvaluationError(f'{folder} cannot be written: {error}') from error

@@ -22,6 +22,7 @@ from explore_slam.data import LaserScan, OdometryReading
 from explore_slam.errors import EvaluationError
 from explore_slam.files import write_text
 from explore_slam.geometry import IDENTITY, Pose2
+from explore_slam.results import tables
 from explore_slam.settings import with_values
 from explore_slam.simulation.worlds.twin_corridors import (
     SECOND,
@@ -257,24 +258,41 @@ HEADER = (
 
 def markdown_table(runs: Sequence[TwinRun]) -> str:
     """Return the table of a study, one row per world, and the sums."""
-    lines = ['| ' + ' | '.join(HEADER) + ' |', '|' + '---|' * len(HEADER)]
-    for run in runs:
-        joined = '-' if math.isnan(run.joined_after_m) else f'{run.joined_after_m:.1f}'
-        lines.append(
-            f'| {run.world} | {run.period_m:g} | {run.drift_m:.2f} | {run.closures} | '
-            f'{run.false_closures} | {run.ends_closed} of {run.ends_revisited} | {joined} | '
-            f'{run.false_joins} | {run.error_m:.3f} | {run.seconds:.1f} |'
+    rows = [
+        (
+            str(run.world),
+            f'{run.period_m:g}',
+            f'{run.drift_m:.2f}',
+            str(run.closures),
+            str(run.false_closures),
+            f'{run.ends_closed} of {run.ends_revisited}',
+            '-' if math.isnan(run.joined_after_m) else f'{run.joined_after_m:.1f}',
+            str(run.false_joins),
+            f'{run.error_m:.3f}',
+            f'{run.seconds:.1f}',
         )
+        for run in runs
+    ]
     total = {
         name: sum(getattr(run, name) for run in runs)
         for name in ('closures', 'false_closures', 'ends_closed', 'ends_revisited', 'false_joins')
     }
-    joined = f'{sum(not math.isnan(run.joined_after_m) for run in runs)} of {len(runs)}'
-    lines.append(
-        f'| all | | | {total["closures"]} | {total["false_closures"]} | {total["ends_closed"]} of '
-        f'{total["ends_revisited"]} | {joined} | {total["false_joins"]} | | |'
+    joined = sum(not math.isnan(run.joined_after_m) for run in runs)
+    rows.append(
+        (
+            'all',
+            '',
+            '',
+            str(total['closures']),
+            str(total['false_closures']),
+            f'{total["ends_closed"]} of {total["ends_revisited"]}',
+            f'{joined} of {len(runs)}',
+            str(total['false_joins']),
+            '',
+            '',
+        )
     )
-    return '\n'.join(lines) + '\n'
+    return tables.markdown_table(HEADER, rows) + '\n'
 
 
 def save_study(study: TwinStudy, runs: Sequence[TwinRun], folder: Path) -> Path:
@@ -283,15 +301,9 @@ def save_study(study: TwinStudy, runs: Sequence[TwinRun], folder: Path) -> Path:
         'vehicles': study.vehicles,
         'starts': study.starts,
         'settings': dict(study.settings),
-        'runs': [
-            {
-                name: None if isinstance(value, float) and math.isnan(value) else value
-                for name, value in run._asdict().items()
-            }
-            for run in runs
-        ],
+        'runs': [run._asdict() for run in runs],
     }
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / 'twins.json'
-    write_text(path, json.dumps(content, indent=2, allow_nan=False) + '\n')
+    write_text(path, json.dumps(tables.json_value(content), indent=2, allow_nan=False) + '\n')
     return path

@@ -256,7 +256,7 @@ def test_a_signal_ends_the_node_cleanly(start, listener, number):
 
 MISTAKES = {
     "there is no world 'castle'": ('castle', ()),
-    '/nowhere/world.yaml: no such world file': ('/nowhere/world.yaml', ()),
+    '/nowhere/world.yaml: no such file': ('/nowhere/world.yaml', ()),
     "not for ['x']: set start_poses": ('small', ("vehicles:=['x']",)),
     'start_poses has 2 numbers, expected 6': ('small', ('start_poses:=[1.0, 2.0]',)),
     'start_poses has nan': ('small', ("vehicles:=['a']", 'start_poses:=[.nan, .nan, .nan]')),

@@ -6,7 +6,7 @@ from explore_slam.errors import SimulationError
 from explore_slam.simulation.worlds.grid_world import GridWorld
 from explore_slam.simulation.worlds.map_world import world_of_map
 from explore_slam.simulation.worlds.world import World
-from explore_slam.simulation.worlds.world_file import read_yaml, world_of_file
+from explore_slam.simulation.worlds.world_file import read_entries, world_of_file
 
 _MAP_KEY = 'image'  # a YAML file with this key is a map of map_server, any other is a world file
 _YAML_SUFFIXES = ('.yaml', '.yml')
@@ -44,7 +44,7 @@ def load_world(path: Path | str) -> World:
         raise SimulationError(
             f'{path} is the image of a map; give its YAML file, which holds the resolution'
         )
-    content = read_yaml(path)
+    content = read_entries(path)
     return world_of_map(path) if _MAP_KEY in content else world_of_file(path, content)
 
 
@@ -54,7 +54,7 @@ def load_grid_world(path: Path, resolution: float = 0.05) -> GridWorld:
     resolution: side (m) of a cell for world files and for images without a YAML file.
     """
     if path.suffix.lower() in _YAML_SUFFIXES:
-        content = read_yaml(path)
+        content = read_entries(path)
         if _MAP_KEY not in content:
             return GridWorld.from_world(world_of_file(path, content), resolution)
     return GridWorld.from_map(path, resolution)

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from explore_slam.errors import SimulationError
+from explore_slam.files import read_yaml
 from explore_slam.geometry import Pose2, wrap_angle
 from explore_slam.simulation.worlds.paint import STYLES
 from explore_slam.simulation.worlds.world import (
@@ -46,16 +45,9 @@ _NARROWEST_DOOR = 0.6  # m; a vehicle of radius 0.26 m passes with 0.04 m to spa
 _SHORTEST_WALL = 0.05  # m
 
 
-def read_yaml(path: Path) -> dict[str, Any]:
+def read_entries(path: Path) -> dict[str, Any]:
     """Return the mapping in a YAML file."""
-    try:
-        content = yaml.safe_load(path.read_text(encoding='utf-8'))
-    except FileNotFoundError as error:
-        raise SimulationError(f'{path}: no such world file') from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise SimulationError(f'{path} cannot be read: {error}') from error
-    except yaml.YAMLError as error:
-        raise SimulationError(f'{path} is not YAML: {" ".join(str(error).split())}') from error
+    content = read_yaml(path, SimulationError)
     if not isinstance(content, dict):
         raise SimulationError(
             f'{path} holds {type(content).__name__}, expected a mapping with the keys of a world '

@@ -10,6 +10,7 @@ import numpy as np
 
 from explore_slam.errors import EvaluationError
 from explore_slam.results.run_folder import RunFolder
+from explore_slam.results.tables import markdown_table
 
 # Tables II (crossing paths, 28 steps) and III (separate paths, 16 steps): RMS of x, y (m) and
 # heading (rad), steps with an estimate, steps, landmark updates; case a dedicated, b common.
@@ -74,14 +75,7 @@ class Table:
 
     def markdown(self) -> str:
         """Return the table as Markdown with aligned columns."""
-        lines = [self.header, *self.rows]
-        widths = [max(len(line[k]) for line in lines) for k in range(len(self.header))]
-        rule = tuple('-' * width for width in widths)
-        text = [
-            '| ' + ' | '.join(c.ljust(w) for c, w in zip(line, widths, strict=True)) + ' |'
-            for line in (self.header, rule, *self.rows)
-        ]
-        return '\n'.join([f'### {self.title}', '', *text])
+        return f'### {self.title}\n\n{markdown_table(self.header, self.rows, aligned=True)}'
 
 
 @dataclass

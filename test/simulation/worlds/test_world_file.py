@@ -117,7 +117,7 @@ def test_what_is_no_world_is_said(load, text, word):
 
 
 def test_files_that_are_not_there(tmp_path):
-    with pytest.raises(SimulationError, match=r'nowhere\.yaml: no such world file'):
+    with pytest.raises(SimulationError, match=r'nowhere\.yaml: no such file'):
         load_world(tmp_path / 'nowhere.yaml')
     with pytest.raises(SimulationError, match='cannot be read'):
         load_world(tmp_path)
