@@ -230,7 +230,7 @@ class LoopClosing:
             np.array([distances[self._numbers[_key(closure)]] for closure in closures])
         )
         for closure in found:
-            belief.reopen_loop(self._numbers.pop(_key(closure)))
+            belief.retract_closure(self._numbers.pop(_key(closure)))
         self.closure_thinning.forget(found)
         return len(found)
 
@@ -246,7 +246,7 @@ class LoopClosing:
             self.search.closures, path, self.search.anchors, self.thinning.judged
         )
         for closure in redundant:
-            belief.forget_loop(self._numbers.pop(_key(closure)))
+            belief.drop_closure(self._numbers.pop(_key(closure)))
         self.search.drop(redundant)
         self.closure_thinning.forget(redundant)
 

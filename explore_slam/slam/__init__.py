@@ -2,7 +2,6 @@
 
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.fast_slam import FastSlam
-from explore_slam.slam.joint_posterior import RelativePose
 from explore_slam.slam.landmarks.landmark_map import Landmarks
 from explore_slam.slam.particles.motion import (
     OdometryCalibration,
@@ -10,6 +9,7 @@ from explore_slam.slam.particles.motion import (
     calibrated,
     compound,
 )
+from explore_slam.slam.posterior.joint_posterior import RelativePose
 from explore_slam.slam.summary import UpdateSummary
 from explore_slam.slam.team_belief import TeamBelief
 
@@ -34,10 +34,11 @@ def warm_up() -> None:
 
     from explore_slam.data import InterRobotObservation, LandmarkObservations
     from explore_slam.geometry import Pose2
-    from explore_slam.slam import graph, relocalization
+    from explore_slam.slam import graph
+    from explore_slam.slam.relocalization import relocalizer
 
     graph.warm_up()
-    relocalization.warm_up()
+    relocalizer.warm_up()
     random = np.random.default_rng(0)
     count = 10
     positions = random.uniform(1.0, 3.0, (count, 3))

@@ -17,7 +17,7 @@ import numpy as np
 from explore_slam.errors import SlamError
 from explore_slam.files import write_bytes
 
-FORMAT = 3  # 3: every class saves its own state under its own name
+FORMAT = 4  # 4: names of the states of the joint graph and of relocalization
 State = dict[str, Any]
 
 

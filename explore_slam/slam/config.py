@@ -34,8 +34,8 @@ class AssociationConfig(Section):
     )
     association_gate: float = setting(
         4.5,
-        'Engine fastslam2: largest Mahalanobis distance of a match; features recur on similar '
-        'objects, and a wide gate takes a copy for the original',
+        'Engine fastslam2: largest Mahalanobis distance of a match; similar objects have the same '
+        'features, and a wide gate associates look-alikes',
         unit='sigma',
         low=1.0,
         high=20.0,
@@ -76,11 +76,14 @@ class ExistenceConfig(Section):
         high=10.0,
     )
     existence_limit: float = setting(
-        5.0, 'Largest evidence of a landmark; it is removed below zero', low=1.0, high=100.0
+        5.0,
+        'Upper limit of existence evidence; a landmark is removed when its evidence is negative',
+        low=1.0,
+        high=100.0,
     )
     landmark_cell: float = setting(
         0.5,
-        'Edge of the cubes in which landmarks are kept few',
+        'Edge length of the cubes in which the number of landmarks is limited',
         unit='m',
         low=0.05,
         high=100.0,
@@ -125,20 +128,20 @@ class CorrelationConfig(Section):
     )
     correlation_distance: float = setting(
         0.3,
-        'Distance driven in which the error of an observation changes',
+        'Correlation length of observation errors over distance driven',
         unit='m',
         low=1e-3,
         high=100.0,
     )
     correlation_turn: float = setting(
         0.5,
-        'Angle turned in which the error of an observation changes',
+        'Correlation length of observation errors over angle turned',
         unit='rad',
         low=1e-3,
         high=100.0,
     )
     correlation_time: float = setting(
-        10.0, 'Time in which the error of an observation changes', unit='s', low=1e-3, high=1e6
+        10.0, 'Correlation time of observation errors', unit='s', low=1e-3, high=1e6
     )
 
     def lengths(self) -> Array:
@@ -148,21 +151,21 @@ class CorrelationConfig(Section):
 
 @dataclass(frozen=True)
 class FrameErrorConfig(Section):
-    """Error that all observations of one frame have in common, as if seen from a pose nearby.
+    """Error common to all observations of one frame, as if made from a pose nearby.
 
     Depth scale, rolling shutter and registration of a camera displace a frame as a whole.
     """
 
     frame_position_deviation: float = setting(
         0.0,
-        'Deviation of x and of y that the observations of one frame share',
+        'Standard deviation of the position error (x and y) common to one frame',
         unit='m',
         low=0.0,
         high=1.0,
     )
     frame_heading_deviation: float = setting(
         0.0,
-        'Deviation of the heading that the observations of one frame share',
+        'Standard deviation of the heading error common to one frame',
         unit='rad',
         low=0.0,
         high=1.0,
@@ -254,7 +257,7 @@ class FastSlamConfig(Section):
     )
     resampling_threshold: float = setting(
         0.5,
-        'Engine fastslam2: resample below this effective sample size, as part of all particles',
+        'Engine fastslam2: resample below this effective sample size (fraction of the particles)',
         low=0.0,
         high=1.0,
     )
@@ -299,7 +302,7 @@ class FastSlamConfig(Section):
     )
     redraw_part: float = setting(
         0.1,
-        'Redraw when the particles descend from less than this part of the samples drawn last',
+        'Redraw when the particles descend from less than this fraction of the latest samples',
         low=0.0,
         high=1.0,
     )
@@ -308,15 +311,15 @@ class FastSlamConfig(Section):
     )
     redraw_effective: float = setting(
         0.1,
-        'Redraw when an update leaves less than this part of the particles effective',
+        'Redraw when an update leaves less than this fraction of the particles effective',
         low=0.0,
         high=1.0,
     )
-    redraw_beside: int = setting(
+    async_redraw_threshold: int = setting(
         10_000,
-        'Redraws of graphs of more measurements than this run in another thread, beside what '
-        'follows the update, until the next update. The default takes about 50 ms on one core '
-        '(benchmarks/graph_speed.py); those of the simulated office have 5,000',
+        'Redraw in a background thread if the graph has more measurements than this; the samples '
+        'are taken over at the next update. The default takes about 50 ms on one core '
+        '(benchmarks/graph_speed.py); the simulated office has 5,000',
         low=0,
         high=10_000_000,
     )

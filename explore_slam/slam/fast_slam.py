@@ -19,14 +19,14 @@ from explore_slam.slam.association.state import MAJORITY, AssociationState, Cand
 from explore_slam.slam.checkpoint import Checkpointed, State, part, text_array, text_value, under
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.inter_robot_updates import InterRobotUpdates
-from explore_slam.slam.joining import Joining
-from explore_slam.slam.joint_posterior import RelativePose
 from explore_slam.slam.landmarks.landmark_map import Landmarks
-from explore_slam.slam.loop_constraints import LoopConstraints
 from explore_slam.slam.particles.group import Group
 from explore_slam.slam.particles.resampling import stratified_normals
-from explore_slam.slam.recovery import Recovery
-from explore_slam.slam.redrawing import Redrawing
+from explore_slam.slam.posterior.joint_posterior import RelativePose
+from explore_slam.slam.posterior.loop_constraints import LoopConstraints
+from explore_slam.slam.posterior.redrawing import PathRedrawer
+from explore_slam.slam.relocalization.joining import Joining
+from explore_slam.slam.relocalization.relocalization import Relocalization
 from explore_slam.slam.storage.ancestry import Index
 from explore_slam.slam.storage.row_format import Places
 from explore_slam.slam.summary import UpdateSummary
@@ -46,7 +46,9 @@ class FastSlam(Checkpointed):
     landmark of the other. A vehicle whose start pose is unknown (None) is filtered in a frame of
     its own, where it starts at the origin, until it joins the map; if all are unknown, the first
     one starts at the origin of the map. Results depend only on the inputs and the seed.
-    A call that raises SlamError leaves the filter unchanged.
+
+    A call that raises SlamError leaves everything that was recorded unchanged. A redraw that was
+    due may have preceded the error: the particles are then other samples of the same posterior.
     """
 
     def __init__(
@@ -71,11 +73,11 @@ class FastSlam(Checkpointed):
         self.path = self._team.path
         self.joint = self._team.joint
         self._manager = MapManager(self.map, self._engine, self.config)
-        self._redrawing = Redrawing(self._team)
-        self._constraints = LoopConstraints(self._team, self._redrawing)
-        self._joining = Joining(self._team, self._redrawing, self._constraints)
-        self._recovery = Recovery(self._team, self._redrawing)
-        self._inter_robot = InterRobotUpdates(self._team, self._redrawing)
+        self._redrawer = PathRedrawer(self._team)
+        self._constraints = LoopConstraints(self._team, self._redrawer)
+        self._joining = Joining(self._team, self._redrawer, self._constraints)
+        self._relocalization = Relocalization(self._team, self._redrawer)
+        self._inter_robot = InterRobotUpdates(self._team, self._redrawer)
 
     # -- motion ---------------------------------------------------------------------------------
 
@@ -93,9 +95,9 @@ class FastSlam(Checkpointed):
         increment: motion since the last call, in the vehicle frame (m, m, rad).
         covariance: (3, 3) of the increment (m², rad²). Default: the configured odometry noise.
         Zero: exact.
-        white: (3, 3) of an error of the measured pose at the end of the increment, in the vehicle
-        frame there, that the next increment takes back: matching a scan with a map measures each
-        pose by itself, so that increments lead from measured pose to measured pose. Default: none.
+        white: (3, 3) of an independent error of the measured pose at the end of the increment, in
+        the vehicle frame there, that cancels in the next increment: scan matching measures each
+        pose independently, and increments lead from measured pose to measured pose. Default: none.
         """
         number = self._number(vehicle)
         motion = checks.check_pose('increment', increment)
@@ -104,7 +106,7 @@ class FastSlam(Checkpointed):
         if white is not None:
             error = checks.check_motion_covariance('white', white)
         self._team.particles.append(number, step, error)
-        self._recovery.predict(number, step.mean)
+        self._relocalization.predict(number, step.mean)
         self._joining.predict(number, step.mean)
         self._team.correlation.predict(number, step.mean)
         if self.joint is not None:
@@ -119,26 +121,26 @@ class FastSlam(Checkpointed):
         number = self._number(vehicle)
         known = checks.check_pose('pose', pose)
         spread = checks.check_motion_covariance('covariance', covariance)
-        self._redrawing.settle()
-        if number in self._team.apart:
+        self._redrawer.complete_pending()
+        if number in self._team.unlocalized:
             self._joining.at_pose(number, known, spread)
         else:
             self._restart_at(number, known, spread)
 
     def displace(self, vehicle: str, covariance: Array) -> None:
-        """Note that a vehicle was moved unobserved; covariance (3, 3) of where it is in its frame.
+        """Record that a vehicle was moved unobserved; covariance (3, 3) of its pose, in its frame.
 
         A vehicle in a frame of its own remains there.
         """
         number = self._number(vehicle)
         spread = checks.check_motion_covariance('covariance', covariance)
-        self._redrawing.settle()
+        self._redrawer.complete_pending()
         self._restart_at(number, self.estimate(vehicle)[0], spread)
 
     def _restart_at(self, number: int, pose: Pose2, covariance: Array) -> None:
-        """Continue at a pose, covariance (3, 3), that the motion does not lead to."""
+        """Continue at a pose unrelated to the previous motion (kidnapped or repositioned)."""
         self._team.particles.restart(number, np.asarray(pose), rotated(covariance, pose.theta))
-        self._recovery.reset(number)
+        self._relocalization.reset(number)
         if self.joint is not None:
             self.joint.restart(number, pose, covariance)
         self._team.has_motion[number] = True
@@ -152,14 +154,14 @@ class FastSlam(Checkpointed):
     def update(self, vehicle: str, observations: LandmarkObservations) -> UpdateSummary:
         """Update with landmark observations of a vehicle at its current pose.
 
-        Particles that are being redrawn are replaced first, see `Redrawing.redraw_if_due`.
+        A redraw that is running in another thread is completed first, see `PathRedrawer`.
 
         The numbers of the steps are those of the paper's algorithm. Engine paper samples poses
         (2.1) before the association and resamples (5) at the end, once all vehicles have updated;
         engine fastslam2 resamples and samples after it, from the proposal given the observations.
 
-        Observations that contradict the particles let these be drawn anew from the joint graph
-        first; if their numbers overflow then, they are refused, and the particles stay redrawn.
+        If the observations contradict the particles, these are redrawn from the joint graph before
+        the observations are used.
 
         Raises SlamError for no or too many observations, covariances that are not positive
         definite, descriptors of another kind, an unknown vehicle, a stamp before the last one, and
@@ -167,18 +169,18 @@ class FastSlam(Checkpointed):
         """
         number = self._number(vehicle)
         self._check(number, observations)
-        settled = self._redrawing.settle()
+        redrawn_before = self._redrawer.complete_pending()
         if self._engine.starts_new_round(number):
             self._end_round()
 
         what = f'update({vehicle!r}) at stamp {observations.stamp}'
         with self._rejecting(what):
             normals, state, proposal, P = self._associate(number, observations)
-        if self._redrawing.is_contradicted(number, state, proposal):
-            redraw = self._redrawing.draw([number])
-            if redraw is not None:
+        if self._redrawer.is_contradicted(number, state, proposal):
+            replacement = self._redrawer.draw([number])
+            if replacement is not None:
                 state.discard()
-                self._redrawing.take(redraw)
+                self._redrawer.replace_particles(replacement)
                 with self._rejecting(what):
                     normals, state, proposal, P = self._associate(number, observations)
         found, group = state.found, self.groups.of(number)
@@ -207,24 +209,26 @@ class FastSlam(Checkpointed):
             self._end_round()
             resampled = True
         agreed = support.sum(axis=1) > MAJORITY
-        recovered = self._recovery.update(number, observations, found, agreed, committed.ids)
-        redrawn = self._redrawing.redraw_if_due(self.groups.of(number))
-        redrawn = redrawn or settled or recovered.closed
+        relocalization = self._relocalization.update(
+            number, observations, found, agreed, committed.ids
+        )
+        redrawn = self._redrawer.redraw_if_due(self.groups.of(number))
+        redrawn = redrawn or redrawn_before or relocalization.closed
         joined = self._joining.by_landmarks(number, observations)
         return UpdateSummary(
             stamp=observations.stamp,
             vehicle=vehicle,
             observed=len(observations),
-            matched=int(np.count_nonzero(found.has_similar())),
+            with_candidates=int(np.count_nonzero(found.has_similar())),
             associated=int(np.count_nonzero(matches >= 0)),
             inserted=committed.inserted,
             removed=len(committed.removed),
             effective_particles=effective,
             resampled=resampled,
             redrawn=redrawn,
-            lost=recovered.lost,
-            relocated=recovered.relocated,
-            closed=recovered.closed,
+            lost=relocalization.lost,
+            relocated=relocalization.relocated,
+            closed=relocalization.closed,
             joined=joined,
             matches=matches,
             together=tuple(self.vehicles[v] for v in self.groups.of(number).vehicles),
@@ -240,7 +244,7 @@ class FastSlam(Checkpointed):
         if self.joint is not None:
             self.joint.check_motion(number)
         # 2.2 candidate landmarks: similar descriptor, near where the observation is expected
-        estimate, reach = self._team.estimate(number), self._recovery.reach(number)
+        estimate, reach = self._team.estimate(number), self._relocalization.reach(number)
         hidden = self._team.hidden_landmarks(number)
         association = self.config.association
         found = find_candidates(self.map, observations, association, *estimate, reach, hidden)
@@ -266,7 +270,7 @@ class FastSlam(Checkpointed):
     def _with_correlated_noise(
         self, number: int, stamp: float, found: CandidateSet
     ) -> CandidateSet:
-        """Return candidates with the covariances that the observations have as repetitions."""
+        """Return candidates with covariances inflated for repeated observations."""
         if not self._engine.redraws or not len(found.entries):
             return found
         nearest = found.candidates[:, 0]
@@ -348,12 +352,12 @@ class FastSlam(Checkpointed):
         observation is stored are removed.
         """
         self._team.required_joint()
-        self._redrawing.settle()
-        redraw = self._redrawing.draw(vehicles)
-        if redraw is None:
+        self._redrawer.complete_pending()
+        replacement = self._redrawer.draw(vehicles)
+        if replacement is None:
             names = [self.vehicles[number] for number in vehicles]
             raise SlamError(f'the joint graph of {names} has no definite optimum')
-        self._redrawing.take(redraw)
+        self._redrawer.replace_particles(replacement)
 
     # -- inter-robot observations ---------------------------------------------------------------
 
@@ -377,7 +381,7 @@ class FastSlam(Checkpointed):
             measured = self._inter_robot.without_repetition(number, target, observation)
             if measured is None:
                 continue
-            self._redrawing.settle()
+            self._redrawer.complete_pending()
             what = f'observation of {observation.vehicle!r} at stamp {observation.stamp}'
             with self._rejecting(what):
                 self._inter_robot.update(number, target, measured)
@@ -386,7 +390,7 @@ class FastSlam(Checkpointed):
 
     def is_in_map(self, vehicle: str) -> bool:
         """Return whether the poses of a vehicle are in the map, not in a frame of its own."""
-        return self._number(vehicle) not in self._team.apart
+        return self._number(vehicle) not in self._team.unlocalized
 
     def are_in_one_frame(self, one: str, other: str) -> bool:
         """Return whether the poses of two vehicles can be compared."""
@@ -408,25 +412,26 @@ class FastSlam(Checkpointed):
         self._constraints.pin(keyframe)
 
     def unpin(self, keyframe: int) -> None:
-        """Take back a `pin`."""
+        """Undo a `pin`."""
         self._constraints.unpin(keyframe)
 
     def close_loops(self, closures: Sequence[RelativePose]) -> list[int]:
-        """Record relative poses of keyframes; return a number for each, for `reopen_loop`.
+        """Record relative poses of keyframes; return the number of each.
 
-        The paths are redrawn at once if the closures move the estimate by more than its deviation
-        or the last redraw is some keyframes ago, otherwise with closures to come. Groups of
-        vehicles that a closure ties together are merged.
+        The numbers are for `retract_closure` and `drop_closure`. The paths are redrawn at once if
+        a closure differs from the estimate by more than is expected or the last redraw was some
+        keyframes ago, otherwise with later closures. Groups of vehicles that a closure ties
+        together are merged.
         """
         return self._constraints.close(closures)
 
-    def reopen_loop(self, number: int) -> None:
-        """Take back a closure."""
-        self._constraints.reopen(number)
+    def retract_closure(self, number: int) -> None:
+        """Remove a closure that has turned out to be wrong."""
+        self._constraints.retract(number)
 
-    def forget_loop(self, number: int) -> None:
-        """Drop a closure of a place that others hold as well; the path stays where it is."""
-        self._constraints.forget(number)
+    def drop_closure(self, number: int) -> None:
+        """Drop a closure that repeats others; the path stays where it is."""
+        self._constraints.drop(number)
 
     def closure_distances(self) -> dict[int, float]:
         """Return the squared Mahalanobis distance of every closure from the path, by number."""
@@ -467,14 +472,14 @@ class FastSlam(Checkpointed):
 
     def resample_now(self, weights: Array | None = None) -> None:
         """Resample all groups by their weights, or by given normalized weights (M,)."""
-        self._redrawing.settle()
+        self._redrawer.complete_pending()
         for group in self.groups.all:
             self._team.resample(group, weights)
 
     # -- estimates ------------------------------------------------------------------------------
 
     def best_particle(self, vehicle: str | None = None) -> int:
-        """Return the particle that is taken as the estimate, of a vehicle (else of the first).
+        """Return the particle that serves as the estimate of a vehicle (default: the first).
 
         Engine paper: the one of largest weight (step 4). Engine fastslam2: the one with the most
         likely lineage, so that the best path seldom jumps.
@@ -491,7 +496,7 @@ class FastSlam(Checkpointed):
         """Return mean and covariance (3, 3) of a motion that is not predicted yet.
 
         They are in the frame of the vehicle before it. steps: increments and their covariances as
-        for `predict`, so that those of wheel odometry are corrected by the calibration.
+        for `predict`, so that wheel odometry is corrected by the calibration.
         """
         return self._team.motion(self._number(vehicle), steps)
 
@@ -528,8 +533,8 @@ class FastSlam(Checkpointed):
         """Return the landmarks of the best particle that lie in the map."""
         found = self.map.of_particle(self._team.best_particles(), self.groups)
         return (
-            found.only(~np.isin(found.owners, list(self._team.apart)))
-            if self._team.apart
+            found.only(~np.isin(found.owners, list(self._team.unlocalized)))
+            if self._team.unlocalized
             else found
         )
 
@@ -545,7 +550,7 @@ class FastSlam(Checkpointed):
             raise SlamError(f'add_keyframe({vehicle!r}): stamp is {stamp}, expected seconds')
         if self.joint is not None:
             if self.joint.has_moved(number):
-                self._redrawing.settle()
+                self._redrawer.complete_pending()
             node = self.joint.keyframe(number, self.estimate(vehicle)[0])
             return self.path.append_node(number, stamp, node)
         tree = self.groups.of(number).tree
@@ -569,7 +574,7 @@ class FastSlam(Checkpointed):
 
     def keyframes_in_map(self) -> NDArray[np.bool_]:
         """Return (K,) which keyframes are of vehicles whose poses are in the map."""
-        return ~np.isin(np.array(self.path.vehicles, np.int64), list(self._team.apart))
+        return ~np.isin(np.array(self.path.vehicles, np.int64), list(self._team.unlocalized))
 
     def trajectory(self, vehicle: str) -> tuple[Array, Array]:
         """Return stamps (T,) and poses (T, 3) of a vehicle's keyframes on the most likely path."""
@@ -579,19 +584,19 @@ class FastSlam(Checkpointed):
     # -- state ----------------------------------------------------------------------------------
 
     def state_dict(self) -> State:
-        """See Checkpointed. Particles that are being redrawn are replaced before."""
-        self._redrawing.settle()
+        """See Checkpointed. A redraw that is running is completed first."""
+        self._redrawer.complete_pending()
         about = {
             'settings': values_of(self.config),
             'vehicles': list(self.vehicles),
-            'apart': sorted(self._team.apart),
+            'unlocalized': sorted(self._team.unlocalized),
             'random': self._team.random.bit_generator.state,
         }
         state: State = {
             'about': text_array(about),
             **self._team.state_dict(),
             **under('manager', self._manager.state_dict()),
-            **self._recovery.state_dict(),
+            **self._relocalization.state_dict(),
             **self._joining.state_dict(),
         }
         return {name: np.array(value) for name, value in state.items()}
@@ -603,11 +608,11 @@ class FastSlam(Checkpointed):
             about = text_value(state['about'])
             starts = dict.fromkeys(about['vehicles'], IDENTITY)
             slam = cls(starts, with_values(FastSlamConfig(), about['settings']))
-            slam._team.apart = set(about['apart'])
+            slam._team.unlocalized = set(about['unlocalized'])
             slam._team.random.bit_generator.state = about['random']
             slam._team.restore(state)
             slam._manager.restore(part('manager', state))
-            slam._recovery.restore(state)
+            slam._relocalization.restore(state)
             slam._joining.restore(state)
         except (KeyError, ValueError, IndexError, TypeError) as error:
             raise SlamError(f'the saved state of the filter is incomplete: {error!r}') from error

@@ -8,7 +8,7 @@ import numpy as np
 from explore_slam.data import InterRobotObservation
 from explore_slam.geometry import Array
 from explore_slam.slam.particles.resampling import stratified_normals
-from explore_slam.slam.redrawing import Redrawing
+from explore_slam.slam.posterior.redrawing import PathRedrawer
 from explore_slam.slam.storage.ancestry import Index
 from explore_slam.slam.team_state import TeamState
 from explore_slam.slam.update.inter_robot import condition_on_observation
@@ -21,9 +21,9 @@ _REPETITION = 5.0
 class InterRobotUpdates:
     """Conditions the poses of two vehicles on what one of them measured of the other."""
 
-    def __init__(self, team: TeamState, redrawing: Redrawing) -> None:
+    def __init__(self, team: TeamState, redrawer: PathRedrawer) -> None:
         self._team = team
-        self._redrawing = redrawing
+        self._redrawer = redrawer
 
     def without_repetition(
         self, number: int, target: int, observation: InterRobotObservation
@@ -77,5 +77,5 @@ class InterRobotUpdates:
             team.joint.observe_vehicle(seer, seen, observation)
         if team.engine.resamples_before_sampling(group):
             team.resample(group)
-        self._redrawing.redraw_if_due(group)
+        self._redrawer.redraw_if_due(group)
         team.correlation.add_between(number, target, observation.stamp)

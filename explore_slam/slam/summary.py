@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 class UpdateSummary:
     """What one update did.
 
-    observed: landmarks observed; matched: of these, with a similar descriptor in the map;
+    observed: landmarks observed; with_candidates: of these, with a candidate in the map;
     associated: updated in the best particle; inserted, removed: landmarks; effective_particles:
-    before a resampling; redrawn: all paths were drawn anew from the joint posterior; lost: the
-    matches contradict the pose in nearly all particles; relocated: the vehicle was given the pose
-    that its matches agree on; closed: its path was led there as well, because motion may have
-    drifted so far; joined: it was in a frame of its own, and its matches have told where that lies
+    before resampling; redrawn: all paths were redrawn from the joint posterior; lost: the matches
+    contradict the pose in nearly all particles; relocated: the vehicle was given the pose that
+    its matches agree on; closed: that pose was plausible after the drift since, so that its path
+    was corrected as well; joined: it was in a frame of its own, and its matches located that frame
     in the map.
     matches (observed,): id of the landmark that the best particle associated with each
     observation, or -1; ids as in the Landmarks of the vehicle. together: the vehicles, this one
@@ -26,7 +26,7 @@ class UpdateSummary:
     stamp: float
     vehicle: str
     observed: int
-    matched: int
+    with_candidates: int
     associated: int
     inserted: int
     removed: int

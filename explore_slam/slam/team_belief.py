@@ -12,8 +12,8 @@ from explore_slam.geometry import Array, Pose2
 from explore_slam.slam.checkpoint import Checkpointed, State, part, under
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.fast_slam import FastSlam
-from explore_slam.slam.joint_posterior import RelativePose
 from explore_slam.slam.landmarks.landmark_map import Landmarks
+from explore_slam.slam.posterior.joint_posterior import RelativePose
 from explore_slam.slam.storage.row_format import Places
 from explore_slam.slam.summary import UpdateSummary
 
@@ -233,15 +233,15 @@ class TeamBelief(Checkpointed):
         count = len(self.filters)
         return [n * count + number for n in self.filters[number].close_loops(own)]
 
-    def reopen_loop(self, number: int) -> None:
-        """See FastSlam.reopen_loop."""
+    def retract_closure(self, number: int) -> None:
+        """See FastSlam.retract_closure."""
         factor, owner = divmod(number, len(self.filters))
-        self.filters[owner].reopen_loop(factor)
+        self.filters[owner].retract_closure(factor)
 
-    def forget_loop(self, number: int) -> None:
-        """See FastSlam.forget_loop."""
+    def drop_closure(self, number: int) -> None:
+        """See FastSlam.drop_closure."""
         factor, owner = divmod(number, len(self.filters))
-        self.filters[owner].forget_loop(factor)
+        self.filters[owner].drop_closure(factor)
 
     def closure_distances(self) -> dict[int, float]:
         """See FastSlam.closure_distances."""

@@ -12,13 +12,13 @@ from explore_slam.slam import checks
 from explore_slam.slam.checkpoint import State, part, under
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.descriptors.kinds import kind_named
-from explore_slam.slam.joint_posterior import JointPosterior
 from explore_slam.slam.landmarks.landmark_map import LandmarkMap, make_index
 from explore_slam.slam.particles.group import Group, Groups
 from explore_slam.slam.particles.motion import Segment, calibrated
 from explore_slam.slam.particles.path_store import PathStore
 from explore_slam.slam.particles.resampling import stratified_normals
 from explore_slam.slam.particles.vehicle_states import VehicleStates
+from explore_slam.slam.posterior.joint_posterior import JointPosterior
 from explore_slam.slam.storage.ancestry import AncestryTree, Index
 from explore_slam.slam.update.engines import make_engine
 from explore_slam.slam.update.observation_correlation import ObservationCorrelation
@@ -27,7 +27,7 @@ from explore_slam.slam.update.observation_correlation import ObservationCorrelat
 class TeamState:
     """The stores of one filter, which its parts share. Vehicles are numbers here.
 
-    apart: vehicles in a frame of their own, because nothing tells yet where they are in the map.
+    unlocalized: vehicles in a frame of their own, because their pose in the map is not known yet.
     stamps: of the last updates. has_motion: whether anything was predicted yet.
     """
 
@@ -36,9 +36,9 @@ class TeamState:
     ) -> None:
         self.config = config
         self.vehicles = tuple(start_poses)
-        self.apart = {n for n, pose in enumerate(start_poses.values()) if pose is None}
-        if len(self.apart) == len(start_poses):
-            self.apart.remove(0)
+        self.unlocalized = {n for n, pose in enumerate(start_poses.values()) if pose is None}
+        if len(self.unlocalized) == len(start_poses):
+            self.unlocalized.remove(0)
         self.random = np.random.default_rng(seed)
         self.engine = make_engine(config)
         self._check_unknown_starts()
@@ -65,7 +65,7 @@ class TeamState:
                     calibrations[:] = normals * config.calibration.deviations()
 
     def _check_unknown_starts(self) -> None:
-        if not self.apart:
+        if not self.unlocalized:
             return
         needed = ''
         if not self.engine.redraws:
@@ -73,7 +73,7 @@ class TeamState:
         elif self.config.insertion_policy == 'unmapped_region':
             needed = 'an insertion_policy that does not divide the map between vehicles'
         if needed:
-            names = [self.vehicles[number] for number in sorted(self.apart)]
+            names = [self.vehicles[number] for number in sorted(self.unlocalized)]
             raise SlamError(f'the start poses of {names} are unknown, which needs {needed}')
 
     def required_joint(self) -> JointPosterior:
@@ -143,11 +143,13 @@ class TeamState:
 
     def hidden_landmarks(self, number: int) -> NDArray[np.bool_] | None:
         """Return which entries of the map lie in other frames than a vehicle; None: no entry."""
-        if not self.apart:
+        if not self.unlocalized:
             return None
         owners = self.map.owners[: self.map.size]
         hidden: NDArray[np.bool_] = (
-            owners != number if number in self.apart else np.isin(owners, list(self.apart))
+            owners != number
+            if number in self.unlocalized
+            else np.isin(owners, list(self.unlocalized))
         )
         return hidden
 

@@ -7,7 +7,7 @@ from explore_slam.data import LandmarkObservations
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Pose2, to_world
 from explore_slam.slam import FastSlamConfig
-from explore_slam.slam.relocalization import Relocalizer
+from explore_slam.slam.relocalization.relocalizer import Relocalizer
 
 STARTS = {'a': Pose2(1.0, 1.0, 0.0), 'b': Pose2(5.0, 4.0, 1.0)}
 

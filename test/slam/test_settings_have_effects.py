@@ -211,7 +211,7 @@ EFFECTS: dict[str, Effect] = {
     'redraw_part': Effect(0.9, drive, {'redraw_ancestors': 0}),
     'redraw_ancestors': Effect(0, drive, {'redraw_part': 0.0}),
     'redraw_effective': Effect(1.0, drive),
-    'redraw_beside': Effect(0, drive),
+    'async_redraw_threshold': Effect(0, drive),
     'forward_variance_per_metre': Effect(0.02, drive),
     'lateral_variance_per_metre': Effect(0.005, drive),
     'position_variance_per_radian': Effect(0.002, drive),

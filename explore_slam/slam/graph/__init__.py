@@ -4,13 +4,13 @@ from explore_slam.slam.graph.config import GraphConfig
 from explore_slam.slam.graph.joint_graph import JointGraph
 from explore_slam.slam.graph.problem import Problem
 from explore_slam.slam.graph.rows import StoredObservations, fuse_rows
-from explore_slam.slam.graph.solver import Draws, OptimizeSummary, Solution
+from explore_slam.slam.graph.solver import OptimizeSummary, PoseSamples, Solution
 
 __all__ = [
-    'Draws',
     'GraphConfig',
     'JointGraph',
     'OptimizeSummary',
+    'PoseSamples',
     'Problem',
     'Solution',
     'StoredObservations',

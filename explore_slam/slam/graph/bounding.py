@@ -1,9 +1,10 @@
-"""Forgetting that keeps the graph in proportion to the area and counts nothing twice.
+"""Removal of keyframes, so that the size of the graph grows with the area and not with time.
 
-Of each visit of a landmark a few observations are kept, of each vehicle a few visits. Whatever a
-keyframe holds beyond that is dropped with the keyframe: its observations are lost, never
-summarized, and the motions to and from it become one. On the path it stays where its landmarks had
-it, relative to a kept keyframe that observed the same ones.
+Of each visit of a landmark a few observations are kept, of each vehicle a few visits. Keyframes
+whose observations are not among them are dropped. Their observations are discarded rather than
+marginalized, so that nothing counts twice and the graph stays sparse; the motions to and from a
+dropped keyframe become one. Its pose on the path stays fixed relative to a kept keyframe that
+observed the same landmarks.
 """
 
 import numpy as np
@@ -17,7 +18,10 @@ from explore_slam.slam.graph.storage import Storage
 # Landmarks that newer keyframes must have observed before an older one may go: two of them and
 # their bearings fix a pose, a third one where these are nearly in line.
 _LEAST_LANDMARKS = 3
-_MOST_RECENT = 100  # keyframes of a vehicle that wait for newer observations
+# Keyframes of a vehicle, at most, that are kept until newer ones have enough observations: where
+# a vehicle sees nothing, the graph must not grow without bound. Chosen by hand, far above the
+# `graph_recent_observations` of any place with landmarks.
+_MOST_RECENT = 100
 
 
 def count_visits(storage: Storage, row: int, landmarks: Integers, gap: int) -> Integers:
@@ -37,10 +41,10 @@ def count_visits(storage: Storage, row: int, landmarks: Integers, gap: int) -> I
 
 
 def retire_older(storage: Storage, vehicle: int, config: GraphConfig) -> None:
-    """Decide on the keyframes of a vehicle that are no longer among its newest ones.
+    """Decide which keyframes of a vehicle that are no longer among its newest ones may go.
 
-    What is known of the present pose must not go with them: a keyframe with observations is
-    decided on only when newer ones have enough of their own.
+    The current pose must not lose its support: a keyframe with observations is retired only when
+    newer ones have enough of their own.
     """
     keyframes, table = storage.keyframes, storage.observations
     own = np.flatnonzero(~keyframes['retired'] & (keyframes['vehicle'] == vehicle))
@@ -78,7 +82,7 @@ def _retire(storage: Storage, row: int, config: GraphConfig) -> None:
 
 
 def _is_needed(storage: Storage, row: int, config: GraphConfig) -> bool:
-    """Tell whether too little is kept of the landmarks that a keyframe observes.
+    """Return whether too little is kept of the landmarks that a keyframe observes.
 
     Too little of a landmark is kept if few observations of the present visit are, and few visits
     before it have any that are. Only the landmarks count that this keyframe makes variables.
@@ -130,7 +134,7 @@ def drop_if_free(storage: Storage, row: int) -> None:
     """
     keyframes, factors = storage.keyframes, storage.factors
     if (
-        keyframes['previous'][row] < 0
+        keyframes['previous_live'][row] < 0
         or not keyframes['retired'][row]
         or not keyframes['live'][row]
         or keyframes['holds_landmarks'][row]
@@ -138,7 +142,7 @@ def drop_if_free(storage: Storage, row: int) -> None:
         or ((factors['a'] == row) | (factors['b'] == row)).any()
     ):
         return
-    following = np.flatnonzero(keyframes['live'] & (keyframes['previous'] == row))
+    following = np.flatnonzero(keyframes['live'] & (keyframes['previous_live'] == row))
     if not len(following):
         return
     after = int(following[0])
@@ -160,7 +164,7 @@ def drop_if_free(storage: Storage, row: int) -> None:
     keyframes['motion_sensitivity'][after] = sensitivity
     keyframes['motion_covariance'][after] = covariance
     keyframes['motion_information'][after] = checks.information('motion', covariance)
-    keyframes['previous'][after] = keyframes['previous'][row]
+    keyframes['previous_live'][after] = keyframes['previous_live'][row]
     keyframes['live'][row] = False
     keyframes['pose'][row] = keyframes['chain'][row]
     storage.touch([row])
@@ -170,8 +174,8 @@ def carry_dropped(storage: Storage, old: Array) -> None:
     """Move the keyframes that were dropped along with those that are live.
 
     old (K, 3): where the motions of all keyframes ended before the live ones were moved. What was
-    observed stays relative to its reference; the rest hangs between by the measured motion, which
-    the calibration may have changed.
+    observed stays relative to its reference; the rest is interpolated between these by the
+    measured motion, which the calibration may have changed.
     """
     keyframes = storage.keyframes
     if keyframes['live'].all():
@@ -179,7 +183,7 @@ def carry_dropped(storage: Storage, old: Array) -> None:
     poses = keyframes['chain'].copy()
     rows = np.arange(len(poses))
     chain = motion.Chain(
-        keyframes['before'],
+        keyframes['previous'],
         keyframes['live'],
         keyframes['reference'],
         storage.calibrated_increments(rows),

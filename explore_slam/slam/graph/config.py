@@ -9,14 +9,15 @@ from explore_slam.settings import Section, setting
 class GraphConfig(Section):
     """Settings of the joint graph: robust kernels, selection of landmarks, solver and bounds.
 
-    Unless stated otherwise, values come from the study of crossing loops with the noise of
-    table I of the paper and from closed-loop runs in the simulated office.
+    Unless stated otherwise, values were chosen on crossing loops with the noise of table I of the
+    paper (`benchmarks/graph_speed.py study`) and in closed-loop runs in the simulated office
+    (`explore_slam benchmark consistency`).
     """
 
     graph_independent_observations: float = setting(
         60.0,
-        'Landmark observations of one keyframe weigh like at most this many independent ones, '
-        'because features of one frame err together',
+        'Landmark observations of one keyframe count as at most this many independent '
+        'observations, because errors within a frame are correlated',
         low=1.0,
         high=1e6,
     )
@@ -36,7 +37,7 @@ class GraphConfig(Section):
     )
     graph_minimum_observations: int = setting(
         2,
-        'Landmarks with fewer stored observations than this are no variables of the graph',
+        'Landmarks with fewer stored observations are not included in the graph as variables',
         low=2,
         high=100,
     )
@@ -48,8 +49,8 @@ class GraphConfig(Section):
     )
     graph_landmark_heights: bool = setting(
         True,
-        'Let the height of a landmark tell its distance, as far as their errors are correlated. '
-        'More accurate where the noise is known exactly, overconfident where ranges are biased',
+        'Use the correlation of height and range errors of landmarks. More accurate where the '
+        'noise is known exactly, overconfident where ranges are biased',
     )
     graph_iterations: int = setting(
         20, 'Most Gauss-Newton iterations of one optimization', low=1, high=1000
@@ -70,7 +71,7 @@ class GraphConfig(Section):
     graph_recent_observations: int = setting(
         40,
         'A keyframe with observations is not dropped before newer ones of the vehicle have this '
-        'many: where few landmarks are seen, it is what is known of the present pose',
+        'many: where few landmarks are seen, the current pose depends on it',
         low=0,
         high=10000,
     )

@@ -1,4 +1,4 @@
-"""The joint graph of keyframes and landmarks: the exact Gaussian memory of the team.
+"""The joint graph of the keyframes and landmarks of a team.
 
 Variables are the poses of the keyframes of all vehicles and landmarks; factors are raw
 measurements, each exactly once: motion between keyframes, observations of landmarks, relative
@@ -40,8 +40,8 @@ from explore_slam.slam.graph.problem import (
 )
 from explore_slam.slam.graph.rows import StoredObservations
 from explore_slam.slam.graph.solver import (
-    Draws,
     OptimizeSummary,
+    PoseSamples,
     Solution,
     optimize,
     posterior_at,
@@ -78,7 +78,7 @@ class JointGraph:
 
     @classmethod
     def from_state(cls, state: State, config: GraphConfig | None = None) -> Self:
-        """Make a graph that goes on, bit by bit, where `state_dict` was called."""
+        """Make a graph that continues exactly from a state of `state_dict`."""
         graph = cls(config)
         graph._storage.restore(part('storage', state))
         for name in state:
@@ -132,10 +132,10 @@ class JointGraph:
     def restart(
         self, vehicle: int, keyframe: int, pose: ArrayLike, covariance: ArrayLike | None = None
     ) -> int:
-        """Continue a vehicle's path at a pose that no motion leads to; returns its prior.
+        """Continue a vehicle's path at a pose unrelated to its previous motion; returns its prior.
 
-        For a vehicle that was relocalized or placed by a person. covariance: (3, 3) in the axes
-        of the map. Default: exactly known.
+        For a vehicle that was relocalized, kidnapped or repositioned.
+        covariance: (3, 3) in the axes of the map. Default: exactly known.
         """
         store = self._storage
         if vehicle not in store.newest:
@@ -167,13 +167,13 @@ class JointGraph:
     ) -> None:
         """Add a keyframe at the end of a vehicle's path.
 
-        increment (3,): measured motion since the vehicle's keyframe before, in its frame.
+        increment (3,): measured motion since the vehicle's previous keyframe, in its frame.
         covariance (3, 3): of the random walk of that motion; zero where it is exact.
-        white (3, 3): covariance, in the axes of this keyframe, of an error of the measured pose
-        that the next motion takes back, as matching a scan against a map has it: increments then
-        lead from measured pose to measured pose, and neighbours share a white error with opposite
-        signs.
-        estimate (3,): where the caller believes the pose to be until the next optimization.
+        white (3, 3): covariance, in the axes of this keyframe, of an independent error of the
+        measured pose that cancels in the next motion, as in scan matching: increments lead from
+        measured pose to measured pose, so that successive ones contain the same error with
+        opposite signs.
+        estimate (3,): initial pose, used until the next optimization.
         Default: where the increment leads.
         sensitivity (3, 3): Jacobian of the increment in the vehicle's calibration; the increment
         is then the one for a calibration of zero. See `add_calibration`.
@@ -296,7 +296,7 @@ class JointGraph:
         return self._storage.add_factor(RELATIVE_POSITION, i, j, measured, W, HUBER, threshold)
 
     def remove_factor(self, factor: int) -> None:
-        """Take back a factor that one of the methods above returned."""
+        """Remove a factor that one of the methods above returned."""
         store = self._storage
         row = self._factor_row(factor)
         a, b = int(store.factors['a'][row]), int(store.factors['b'][row])
@@ -308,11 +308,10 @@ class JointGraph:
         for end in ends:
             bounding.drop_if_free(store, end)
 
-    def forget_factor(self, factor: int) -> None:
-        """Drop a relative pose that tells little beside others; nothing summarizes it.
+    def drop_factor(self, factor: int) -> None:
+        """Drop a relative pose that adds little information; it is not marginalized.
 
-        If its second keyframe is dropped too, it stays on the path where it is, relative to the
-        first.
+        If its second keyframe is dropped too, that keeps its pose relative to the first.
         """
         factors, keyframes = self._storage.factors, self._storage.keyframes
         row = self._factor_row(factor)
@@ -362,8 +361,8 @@ class JointGraph:
         """Move the paths of vehicles, and the landmarks that they observed, as a rigid body.
 
         For vehicles whose pose in the map becomes known. frame (3,): pose, in the new frame, of
-        the frame that they have been in. deviations (3,) m, m, rad: their priors, which tied them
-        to the old frame, are left with these. Vehicles that are tied to them must move along.
+        their old frame. deviations (3,) m, m, rad: new standard deviations of their priors, which
+        tied them to the old frame. Vehicles that are tied to them must be among them.
         """
         store, members = self._storage, sorted(set(vehicles))
         tied = {other for vehicle in members for other in self._component(vehicle)}
@@ -391,7 +390,7 @@ class JointGraph:
         self._storage.keyframes['pins'][self._storage.live_row_of(keyframe)] += 1
 
     def unpin(self, keyframe: int) -> None:
-        """Take back a `pin`; a keyframe that nothing else holds is dropped in due course."""
+        """Undo a `pin`; a keyframe that is not needed otherwise is then dropped."""
         row = self._storage.row_of(keyframe)
         if self._storage.keyframes['pins'][row] < 1:
             raise SlamError(f'keyframe {keyframe} is not pinned')
@@ -420,24 +419,24 @@ class JointGraph:
         """
         return collect(self._storage, self._component(vehicle), self.config)
 
-    def solve(self, problem: Problem, believed: Sequence[int] = ()) -> Solution:
+    def solve(self, problem: Problem, new_closures: Sequence[int] = ()) -> Solution:
         """Return the optimum of a problem and the posterior there; the graph stays unchanged.
 
-        believed: relative poses that were recorded without a robust kernel, and are given one
-        once the optimum with them is known.
+        new_closures: factors of relative poses without a robust kernel; they get one after a
+        first optimization, from whose optimum a second one starts.
         """
         most, tolerance = self.config.graph_iterations, self.config.graph_tolerance
         found = optimize(problem, most, tolerance)
-        if not believed:
+        if not new_closures:
             return found
-        robust = problem.with_robust(believed, self.config.closure_scale)
+        robust = problem.with_robust(new_closures, self.config.closure_scale)
         start = robust._replace(start=found.nodes)
         return optimize(start, most, tolerance, found.factorization.structure)
 
     def adopt(self, solution: Solution) -> None:
-        """Take over an optimum; keyframes added since then move with the one before them.
+        """Take over an optimum; keyframes added since then move with their previous one.
 
-        Relative poses that were believed in it have a robust kernel from now on.
+        The new closures in it have a robust kernel from now on.
         """
         problem = solution.problem
         is_current = problem.versions == self._storage.versions_of(problem.vehicles)
@@ -459,7 +458,9 @@ class JointGraph:
             self._posteriors[vehicles] = found
         return found
 
-    def draw(self, samples: int, random: np.random.Generator, vehicle: int | None = None) -> Draws:
+    def draw(
+        self, samples: int, random: np.random.Generator, vehicle: int | None = None
+    ) -> PoseSamples:
         """Draw joint samples of the live keyframes of all vehicles, or of those tied to one.
 
         They are drawn around the present estimate: call `optimize` first. See `Solution.draw`.
@@ -471,7 +472,7 @@ class JointGraph:
         order = np.argsort(numbers)
         calibrations = {v: c for part in drawn for v, c in part.calibrations.items()}
         numbers = numbers[order]
-        return Draws(numbers, poses[order], numbers, chains[order], calibrations)
+        return PoseSamples(numbers, poses[order], numbers, chains[order], calibrations)
 
     def estimate(self, keyframe: int) -> Array:
         """Return the estimated pose (3,) of a keyframe."""
@@ -482,7 +483,7 @@ class JointGraph:
         """Return the estimated poses (K, 3) of all keyframes ever added, ascending by number.
 
         chains: those with the white errors, where the motion ends. Keyframes that were dropped
-        stay where their landmarks had them, or else hang between others by the motion.
+        stay relative to those with the same landmarks, or are interpolated between others.
         """
         poses: Array = self._storage.keyframes['chain' if chains else 'pose'].copy()
         return poses
@@ -538,7 +539,7 @@ class JointGraph:
         row, rows = self._storage.row_of(end), list[int]()
         while row > first:
             rows.append(row)
-            row = int(table['before'][row])
+            row = int(table['previous'][row])
         rows.reverse()
         mean, covariance = np.zeros(3), np.zeros((3, 3))
         if rows:
@@ -632,7 +633,7 @@ class JointGraph:
         return self._storage.live_row_of(a), self._storage.live_row_of(b)
 
     def _has_other_prior(self, row: int) -> bool:
-        """Tell whether the vehicle of a prior has another one."""
+        """Return whether the vehicle of a prior has another one."""
         factors, vehicle = self._storage.factors, self._storage.keyframes['vehicle']
         own = (factors['a'] < 0) & (vehicle[factors['b']] == vehicle[factors['b'][row]])
         return int(own.sum()) > 1

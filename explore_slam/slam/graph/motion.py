@@ -1,4 +1,4 @@
-"""Motion between keyframes: compounding it, and the path of keyframes that were dropped."""
+"""Motion between keyframes: compounding, and the path of keyframes that were dropped."""
 
 import math
 from typing import NamedTuple
@@ -70,14 +70,14 @@ def _carry(u: Array, v: Array, P: Array, out: Array) -> None:
 
 
 @kernel
-def hang_between(
+def interpolate_chain(
     begin: Array, end: Array, increments: Array, covariances: Array, least: float, out: Array
 ) -> None:
-    """Write the poses (n, 3) between two poses (3,) that n + 1 increments (n + 1, 3) connect.
+    """Write the poses (n, 3) along a chain of n + 1 increments (n + 1, 3) between two poses (3,).
 
-    The increments do not lead exactly from `begin` to `end`; the error is spread as their
-    covariances (n + 1, 3, 3) have it, which is the conditional mean of a chain whose ends are
-    known. least: variance (m², rad²) that the whole motion has at least.
+    The increments do not lead exactly from `begin` to `end`; the error is distributed according to
+    their covariances (n + 1, 3, 3), which gives the conditional mean of a chain with known ends.
+    least: minimum variance (m², rad²) of the whole motion.
     """
     n = len(out)
     means, spreads = np.zeros((n + 1, 3)), np.zeros((n + 1, 3, 3))
@@ -105,12 +105,12 @@ def hang_between(
 class Chain(NamedTuple):
     """Keyframes (K,) of all vehicles in the order of their rows.
 
-    before: row of the vehicle's keyframe before, −1 where there is none; live: whether its pose is
-    given; reference: row of a keyframe that it is held relative to, −1: its motion alone tells
-    where it is; increments (K, 3) from the one before, with their covariances (K, 3, 3).
+    previous: row of the vehicle's previous keyframe, −1 where there is none; live: whether the
+    pose is given; reference: row of the keyframe that it stays relative to, −1: its motion alone
+    determines its pose; increments (K, 3) since the previous one, with covariances (K, 3, 3).
     """
 
-    before: NDArray[np.int64]
+    previous: NDArray[np.int64]
     live: NDArray[np.bool_]
     reference: NDArray[np.int64]
     increments: Array
@@ -122,7 +122,7 @@ def carry_dropped(chain: Chain, old: Array, least: float, poses: Array) -> None:
     """Write the poses (K, 3) of keyframes that are not live, given those that are.
 
     old (K, 3): all poses before the live ones moved to where `poses` has them. Keyframes with a
-    reference move with it as a rigid body; the others hang between those by their motion.
+    reference move with it as a rigid body; the others are interpolated between those.
     """
     fixed = chain.live.copy()
     u = np.empty(3)
@@ -138,21 +138,21 @@ def carry_dropped(chain: Chain, old: Array, least: float, poses: Array) -> None:
     for end in range(len(old)):
         if not fixed[end]:
             continue
-        count, row = 1, chain.before[end]
+        count, row = 1, chain.previous[end]
         rows[0] = end
         while row >= 0 and not fixed[row]:
             rows[count] = row
             count += 1
-            row = chain.before[row]
+            row = chain.previous[row]
         if row >= 0 and count > 1:
             steps = rows[:count][::-1].copy()
-            hung = np.empty((count - 1, 3))
-            hang_between(
+            interpolated = np.empty((count - 1, 3))
+            interpolate_chain(
                 poses[row],
                 poses[end],
                 chain.increments[steps],
                 chain.covariances[steps],
                 least,
-                hung,
+                interpolated,
             )
-            poses[steps[:-1]] = hung
+            poses[steps[:-1]] = interpolated

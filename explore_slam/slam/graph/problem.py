@@ -148,13 +148,13 @@ def _motions(
     storage: Storage, rows: Integers, chain_node: Integers, calibration_node: dict[int, int]
 ) -> Factors:
     keyframes = storage.keyframes
-    moved = rows[keyframes['previous'][rows] >= 0]
+    moved = rows[keyframes['previous_live'][rows] >= 0]
     sensitivity = keyframes['motion_sensitivity'][moved]
     nodes = [calibration_node.get(v, -1) for v in keyframes['vehicle'][moved].tolist()]
     depends = sensitivity.any(axis=(1, 2))
     return Factors.of(
         RELATIVE_POSE,
-        chain_node[keyframes['previous'][moved]],
+        chain_node[keyframes['previous_live'][moved]],
         chain_node[moved],
         keyframes['motion'][moved],
         keyframes['motion_information'][moved],

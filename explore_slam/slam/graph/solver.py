@@ -63,7 +63,7 @@ class OptimizeSummary(NamedTuple):
         )
 
 
-class Draws(NamedTuple):
+class PoseSamples(NamedTuple):
     """Joint samples of keyframe poses, and of where the motions to keyframes end."""
 
     keyframes: Integers  # (N,) numbers, ascending
@@ -172,7 +172,7 @@ class Solution:
         random: np.random.Generator,
         keyframes: Integers | None = None,
         ends: Integers | None = None,
-    ) -> Draws:
+    ) -> PoseSamples:
         """Draw joint samples of keyframe poses, and of where motions end, from the posterior.
 
         keyframes (n,), ends (m,): numbers, ascending, of the keyframes that either is wanted of.
@@ -196,7 +196,7 @@ class Solution:
         drawn, others = self.factorization.sample(
             nodes, self.nodes[nodes], calibrated, samples, random
         )
-        return Draws(
+        return PoseSamples(
             keyframes,
             drawn[rows[: len(keyframes)]],
             ends,

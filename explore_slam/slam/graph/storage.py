@@ -32,15 +32,18 @@ class Storage:
             vehicle=(np.int64, ()),
             ordinal=(np.int64, ()),  # number among those of the vehicle
             live=(np.bool_, ()),  # not dropped: a variable of the graph
-            retired=(np.bool_, ()),  # not among the newest: it has been decided on
-            holds_landmarks=(np.bool_, ()),  # it stays for the sake of its landmarks
+            retired=(
+                np.bool_,
+                (),
+            ),  # no longer among the newest: whether it stays has been decided
+            holds_landmarks=(np.bool_, ()),  # it stays because its observations are needed
             reference=(np.int64, ()),  # row that it stays relative to when dropped; −1: none
             pins=(np.int64, ()),  # how often the caller has pinned it
-            before=(np.int64, ()),  # row of the vehicle's keyframe before; −1: none
-            increment=(np.float64, (3,)),  # raw motion since the vehicle's keyframe before
+            previous=(np.int64, ()),  # row of the vehicle's previous keyframe; −1: none
+            increment=(np.float64, (3,)),  # raw motion since the previous keyframe
             covariance=(np.float64, (3, 3)),
             sensitivity=(np.float64, (3, 3)),  # Jacobian of the increment in the calibration
-            previous=(np.int64, ()),  # row of the vehicle's live keyframe before; −1: none
+            previous_live=(np.int64, ()),  # row of its previous live keyframe; −1: none
             motion=(np.float64, (3,)),  # raw motion since that one
             motion_covariance=(np.float64, (3, 3)),
             motion_information=(np.float64, (3, 3)),
@@ -79,7 +82,7 @@ class Storage:
         self.landmark_rows: dict[int, int] = {}
         self.newest: dict[int, int] = {}  # vehicle -> row of its newest keyframe
         self.calibrations: dict[int, Calibration] = {}  # vehicle -> calibration
-        self.versions: dict[int, int] = {}  # vehicle -> changes that concern it
+        self.versions: dict[int, int] = {}  # vehicle -> changes that affect it
         self.changes = 0  # of anything
         # (landmark id, vehicle) -> ordinal of the keyframe that observed it last, visits
         self.visits: dict[tuple[int, int], tuple[int, int]] = {}
@@ -89,17 +92,17 @@ class Storage:
     def append_keyframe(self, vehicle: int, *, connected: bool = True, **values: object) -> int:
         """Append a keyframe at the end of a vehicle's path; returns its row.
 
-        connected: whether a motion leads to it from the vehicle's keyframe before.
+        connected: whether a motion leads to it from the vehicle's previous keyframe.
         """
         last = self.newest.get(vehicle, -1)
-        before = last if connected else -1
+        previous = last if connected else -1
         row = self.keyframes.append(
             1,
             vehicle=vehicle,
             live=True,
             ordinal=0 if last < 0 else self.keyframes['ordinal'][last] + 1,
-            before=before,
-            previous=before,
+            previous=previous,
+            previous_live=previous,
             reference=-1,
             **values,
         )
@@ -108,7 +111,7 @@ class Storage:
         return row
 
     def check_new(self, keyframe: int) -> None:
-        """Refuse a keyframe number that does not follow the last one."""
+        """Raise SlamError unless a keyframe number follows the last one."""
         last = int(self.keyframes['number'][-1]) if len(self.keyframes) else -1
         if keyframe <= last:
             raise SlamError(f'keyframe {keyframe} does not come after the last one, {last}')
@@ -167,7 +170,7 @@ class Storage:
         return np.zeros(3) if found is None else found.mean
 
     def calibrated_increments(self, rows: Sequence[int] | Integers) -> Array:
-        """Return the motions (n, 3) to keyframes from those before, calibrated."""
+        """Return the calibrated motions (n, 3) from the previous keyframes to some."""
         table = self.keyframes
         calibrations = np.zeros((max(self.newest, default=-1) + 1, 3))
         for vehicle, calibration in self.calibrations.items():
@@ -183,7 +186,7 @@ class Storage:
         return int(self.keyframes['vehicle'][row])
 
     def touch(self, rows: Iterable[int] | None = None) -> None:
-        """Count a change that concerns the vehicles of some keyframes, or of all."""
+        """Count a change that affects the vehicles of some keyframes, or all vehicles."""
         self.changes += 1
         changed = self.newest if rows is None else {self.vehicle_of(row) for row in rows}
         for vehicle in changed:
@@ -194,14 +197,14 @@ class Storage:
         return tuple(self.versions[vehicle] for vehicle in vehicles)
 
     def drop_observations(self, where: NDArray[np.bool_]) -> None:
-        """Drop the observations that are marked, compacting the table now and then."""
+        """Drop the marked observations; compact the table when most of it is dropped."""
         self.observations['landmark'][where] = -1
         alive = self.observations['landmark'] >= 0
         if SPARSE * int(alive.sum()) < len(alive):
             self.observations.keep(alive)
 
     def forget_landmarks(self, rows: Integers) -> None:
-        """Remove landmarks that have no observations any more."""
+        """Remove landmarks that no longer have observations."""
         for number in self.landmarks['number'][rows].tolist():
             self.landmark_rows.pop(number, None)
             for vehicle in self.newest:

@@ -201,8 +201,8 @@ class PendingMotion:
     Nothing is sampled before an observation needs it: samples drawn earlier would be depleted by
     the resamplings that other vehicles cause meanwhile.
 
-    white (3, 3): covariance of an error of the pose measured last that the next motion takes back,
-    in the vehicle frame there (see `FastSlam.predict`).
+    white (3, 3): covariance of the independent error of the pose measured last, which cancels in
+    the next increment; in the vehicle frame there (see `FastSlam.predict`).
     """
 
     segments: list[Segment] = field(default_factory=list)

@@ -18,8 +18,9 @@ class VehicleStates:
     arrays (V, M, 9), of every vehicle and particle: pose (x, y, theta), calibration of the
     odometry, and the measured pose at which the next motion begins (mean given the pose).
     pending: the motions (V).
-    heading_limit (rad): see `PendingMotion`. white_errors: whether the next motion takes back the
-    white errors of measured poses; otherwise they stay in the pose.
+    heading_limit (rad): see `PendingMotion`. white_errors: whether the
+    independent errors of measured poses cancel in the next increment; otherwise they stay in the
+    pose.
     """
 
     def __init__(
@@ -113,7 +114,7 @@ class VehicleStates:
         self.pending[number] = PendingMotion() if remaining is None else PendingMotion.of(left)
 
     def restart(self, number: int, poses: Array, covariance: Array) -> None:
-        """Continue at poses (3,) or (M, 3) that the motion does not lead to.
+        """Continue at poses (3,) or (M, 3) unrelated to the previous motion.
 
         covariance (3, 3): that the poses still have, in the vehicle frame.
         """

@@ -4,7 +4,7 @@ A landmark has one row per particle. They lie together as a block (9, M), one co
 so that loops over particles run over contiguous memory and become vector instructions:
 
                      particle  0    1    2   ...  M-1
-    MEAN        0   x (m)      .    .    .         .     position in the map frame
+    mean        0   x (m)      .    .    .         .     position in the map frame
                 1   y (m)      .    .    .         .
                 2   z (m)      .    .    .         .
     COVARIANCE  3   xx (m²)    .    .    .         .     upper triangle, row by row;
@@ -25,7 +25,6 @@ from explore_slam.compiled import kernel
 from explore_slam.geometry import Array
 
 ROW_LENGTH = 9
-MEAN = 0
 COVARIANCE = 3
 UPPER_TRIANGLE = (np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2]))
 _PLACE_IN_SIX = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])

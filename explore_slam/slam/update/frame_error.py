@@ -1,4 +1,4 @@
-"""The pose of a vehicle whose observations share an error of their frame."""
+"""The pose of a vehicle whose observations have an error in common."""
 
 import numpy as np
 
@@ -9,12 +9,14 @@ from explore_slam.slam.particles.resampling import stratified_normals
 def without_frame_error(
     predicted: Array, seen_from: Array, P: Array, error: Array | None, random: np.random.Generator
 ) -> Array:
-    """Return samples (M, 3) of the poses of a vehicle whose frame seems seen from others.
+    """Sample the vehicle poses (M, 3) given poses that include the frame error.
 
-    predicted (M, 3) with the covariance P (3, 3); seen_from (M, 3): the same with the common
-    error (3, 3) of the frame, sampled given the observations; None: there is no such error. What
-    the observations say of the pose, they say by way of seen_from: the pose given seen_from is
-    that of two Gaussians added.
+    The observations constrain only the latter. Given these, the vehicle pose has the conditional
+    distribution of one term of a sum of two independent Gaussians.
+
+    predicted (M, 3): vehicle poses with the covariance P (3, 3). seen_from (M, 3): poses including
+    the frame error, sampled given the observations. error (3, 3): covariance of the frame error;
+    None: there is none, and the poses are the same.
     """
     if error is None:
         return seen_from

@@ -117,10 +117,10 @@ def drive(world_at, vehicles, seed=0, config=None, calibrated=False, sight=math.
             run.search.add_anchor(keyframe, v, cloud, run.distance_driven[v], float(k))
             covariance = run.graph.relative_covariance if calibrated else None
             new = run.search.search(keyframe, run.graph.path(), covariance)
-            believed = [add(run.graph, c, robust=False) for c in new]
+            new_factors = [add(run.graph, c, robust=False) for c in new]
             if new:
                 run.graph.optimize()
-                for factor in believed:
+                for factor in new_factors:
                     run.graph.remove_factor(factor)
                 run.factors += [add(run.graph, c, robust=True) for c in new]
                 run.graph.optimize()

@@ -456,10 +456,10 @@ def test_a_keyframe_whose_closure_is_dropped_stays_beside_what_it_closed_on(boun
     assert np.abs(before[:, 1]).max() < 0.1
     for k in range(31, 59):
         graph.unpin(k)
-        graph.forget_factor(factors[k])
+        graph.drop_factor(factors[k])
     assert not np.isin(np.arange(31, 59), graph.live_keyframes()).any()
     np.testing.assert_array_equal(graph.path(), before)
     graph.optimize()
     np.testing.assert_allclose(graph.path(), before, atol=0.1)
     with pytest.raises(SlamError, match='not in the graph'):
-        graph.forget_factor(factors[31])
+        graph.drop_factor(factors[31])

@@ -216,7 +216,7 @@ def test_a_closure_made_robust_is_the_same_as_one_added_so():
     np.testing.assert_array_equal(again.path(), graphs[0].path())
 
 
-def test_a_believed_closure_is_robust_from_its_optimum_on():
+def test_a_new_closure_is_robust_from_its_optimum_on():
     """In one call, and without a change of the graph until the solution is adopted."""
     graphs = graph_of(6), graph_of(6)
     measured, information = [3.5, 0.2, 0.1], 1e4 * np.eye(3)

@@ -1,7 +1,8 @@
 """Covariances of relative poses for search windows, from a posterior that is a few keyframes old.
 
-The exact ones need a factorization of the whole graph after every keyframe. Here the motion since
-the posterior was last computed is added instead, which is a little too wide.
+Exact covariances would require a factorization of the whole graph at every keyframe. Instead, the
+covariance of the motion since the posterior was last computed is added, which is conservative: it
+ignores the observations made since.
 """
 
 from typing import NamedTuple
@@ -13,38 +14,42 @@ from explore_slam.slam.graph import JointGraph
 from explore_slam.slam.graph.solver import Solution
 from explore_slam.slam.storage.row_format import Places
 
-_OLDEST = 16  # keyframes that a posterior may lack
+# Keyframes that a posterior may lack before it is computed anew. Chosen by hand: search windows
+# include the drift over as many keyframes, about 3 m driven with the default keyframe distance.
+# `benchmarks/graph_speed.py` measures what a new posterior takes.
+_MOST_MISSING = 16
 
 
-class _Known(NamedTuple):
-    """A posterior, and the vehicles (K,) of its keyframes."""
+class _Posterior(NamedTuple):
+    """A posterior with the vehicles (K,) of its keyframes."""
 
     solution: Solution
     vehicles: Places
 
 
 class RelativeCovariances:
-    """Answers for one graph; the posteriors are computed anew when they are too old."""
+    """Covariances of relative poses in one graph; computes posteriors anew when too old."""
 
     def __init__(self, graph: JointGraph) -> None:
         self._graph = graph
-        self._known: dict[int, _Known] = {}
+        self._known: dict[int, _Posterior] = {}
 
     def renew(self, vehicle: int) -> None:
-        """Take over the posterior of a vehicle and those tied to it, as after an optimization."""
+        """Compute the posterior of a vehicle and those tied to it at the present estimate."""
         solution = self._graph.posterior(vehicle)
-        known = _Known(solution, self._graph.vehicles_of(solution.problem.keyframes))
+        known = _Posterior(solution, self._graph.vehicles_of(solution.problem.keyframes))
         self._known |= dict.fromkeys(solution.problem.vehicles, known)
 
-    def forget(self) -> None:
-        """Compute all posteriors anew when they are next needed."""
+    def invalidate(self) -> None:
+        """Discard all posteriors; each is computed anew when it is next needed."""
         self._known = {}
 
     def __call__(self, reference: int, others: Places) -> Array:
         """Return covariances (n, 3, 3) of keyframes' poses in the frame of a reference.
 
         They are those of the components of the relative poses, in the axes of the reference.
-        Vehicles that nothing ties together are independent; both are in the map.
+        Vehicles that no measurement ties together are independent, each with its covariance in the
+        map.
         """
         path = self._graph.path()
         owners = self._graph.vehicles_of(np.append(others, reference))
@@ -61,7 +66,7 @@ class RelativeCovariances:
             ]
             P = known.solution.relative_covariance(near, np.array(nodes, np.int64))
             z = between(path[near], path[others[tied]])
-            out[tied] = _seen_from(between(path[near], path[reference]), tail, z, P)
+            out[tied] = _in_frame_of(between(path[near], path[reference]), tail, z, P)
         if tied.all():
             return out
         own = known.solution.covariance(near) + rotated(tail, -path[near, 2])
@@ -69,28 +74,28 @@ class RelativeCovariances:
             vehicle, keyframe = int(owners[row]), int(others[row])
             theirs = self._posterior(vehicle)
             P = theirs.solution.covariance(_newest(theirs, vehicle, keyframe))
-            out[row] = _seen_from(path[reference], own, path[keyframe][None], P[None])[0]
+            out[row] = _in_frame_of(path[reference], own, path[keyframe][None], P[None])[0]
         return out
 
-    def _posterior(self, vehicle: int) -> _Known:
-        """Return a posterior of a vehicle that lacks few of the keyframes."""
+    def _posterior(self, vehicle: int) -> _Posterior:
+        """Return a posterior of a vehicle that lacks at most _MOST_MISSING keyframes."""
         known = self._known.get(vehicle)
         newest = self._graph.newest_keyframe(vehicle)
-        if known is None or newest - known.solution.problem.keyframes[-1] > _OLDEST:
+        if known is None or newest - known.solution.problem.keyframes[-1] > _MOST_MISSING:
             self.renew(vehicle)
             known = self._known[vehicle]
         return known
 
 
-def _newest(known: _Known, vehicle: int, keyframe: int) -> int:
-    """Return the newest keyframe of a vehicle in a posterior that is not after a keyframe."""
+def _newest(known: _Posterior, vehicle: int, keyframe: int) -> int:
+    """Return the newest keyframe of a vehicle, up to a given one, that a posterior contains."""
     numbers = known.solution.problem.keyframes
     mine = numbers[(known.vehicles == vehicle) & (numbers <= keyframe)]
     return int(mine[-1])
 
 
-def _seen_from(u: Array, Q: Array, z: Array, P: Array) -> Array:
-    """Return covariances (n, 3, 3) of poses z (n, 3) in the frame of the pose u (3,).
+def _in_frame_of(u: Array, Q: Array, z: Array, P: Array) -> Array:
+    """Return covariances (n, 3, 3) of poses z (n, 3) in the frame of a pose u (3,).
 
     Q (3, 3) and P (n, 3, 3): covariances of the components of u and of each z, in the axes in
     which these are given.

@@ -29,7 +29,8 @@ from explore_slam.slam.config import RelocalizationConfig
 from explore_slam.slam.storage.row_format import Places
 
 # Hypotheses: with half of the matches right, each is right with probability 1/4, and all 300 fail
-# with a probability below 1e-37; with a tenth right, 5 % of searches fail.
+# with a probability below 1e-37; with a tenth right, 5 % of searches fail. The other values were
+# chosen by hand; `benchmarks/relocalization.py` shows what a change does.
 _TRIALS = 300
 _MOST_MATCHES = 400  # newest matches considered, which bounds the time of a search
 # standard deviation of odometry (m/m; rad/rad), generous for wheeled robots
@@ -40,7 +41,7 @@ _DRIFT_PER_RADIAN = 0.05
 _BASE_REACH = 1.0
 _REACH_PER_METRE = 0.3
 _GATE = 3.0  # deviations (sigma) within which a match is an inlier
-_LEAST_DEVIATION = 0.03  # m: of a match, for what observation and landmark do not tell
+_LEAST_DEVIATION = 0.03  # m: of a match, for errors not modelled by either covariance
 _LEAST_BASELINE = 0.3  # m between the landmarks of a hypothesis, so that its heading is determined
 _LEAST_LANDMARKS = 3  # different inlier landmarks: two can agree by chance
 # A vehicle is lost below this part of agreeing matches.
@@ -160,21 +161,20 @@ class Matches:
 
 
 @dataclass(frozen=True)
-class Relocalized:
-    """Pose of a vehicle by its matches, in the map, with deviations (m, rad).
+class RelocalizedPose:
+    """Pose of a vehicle in the map according to its matches, with deviations (m, rad).
 
-    inliers: observations that agree; ids (n,) of the landmarks that they are of.
+    ids (n,): landmarks of the observations that agree with it.
     """
 
     pose: Pose2
     position_deviation: float
     heading_deviation: float
-    inliers: int
     ids: Places
 
 
 class Relocalizer:
-    """The recent matches of one vehicle, and the search for its pose."""
+    """Keeps the recent matches of one vehicle and searches for its pose."""
 
     def __init__(self, config: RelocalizationConfig) -> None:
         self.config = config
@@ -202,7 +202,7 @@ class Relocalizer:
         return _BASE_REACH + _REACH_PER_METRE * self.distance_since_confirmed
 
     def reset(self) -> None:
-        """Drop all matches, because the vehicle has been given a new pose, yet to be confirmed."""
+        """Discard all matches: the vehicle was given a new pose, which is not confirmed yet."""
         self.updates.clear()
         self.distance_since_confirmed = 0.0
         self.is_trusted = False
@@ -262,8 +262,8 @@ class Relocalizer:
 
     def search(
         self, positions: dict[int, Array], current: Pose2, random: np.random.Generator
-    ) -> Relocalized | None:
-        """Return the pose that most matches agree on, None if there is no such pose.
+    ) -> RelocalizedPose | None:
+        """Return the pose that most matches agree on; None if there is no such pose.
 
         positions: landmark id -> (3,) x, y and deviation (m) in the best particle; current: pose
         of the vehicle there.
@@ -281,10 +281,13 @@ class Relocalizer:
         rivals = max(current_votes, self._most_votes_elsewhere(votes, frames, frames[best]))
         if votes[best] < max(least, _ACCEPTED_PART * observations, _ACCEPTED_GAIN * rivals):
             return None
-        return self._refine(Pose2.from_array(frames[best]), pairs, int(votes[best]))
+        return self._refine(Pose2.from_array(frames[best]), pairs)
 
     def _most_votes_elsewhere(self, votes: Places, frames: Array, best: Array) -> int:
-        """Return the most of votes (T,) for a frame (T, 3) that places the vehicle elsewhere."""
+        """Return the most votes of a frame that places the vehicle elsewhere than the best one.
+
+        votes (T,) for frames (T, 3); best (3,).
+        """
         poses = compose(frames, np.asarray(self.odometry, np.float64))
         chosen = compose(best, np.asarray(self.odometry, np.float64))
         off = np.hypot(poses[:, 0] - chosen[0], poses[:, 1] - chosen[1])
@@ -323,8 +326,8 @@ class Relocalizer:
             np.array(ids, np.int64),
         )
 
-    def _refine(self, frame: Pose2, pairs: _Pairs, votes: int) -> Relocalized | None:
-        """Fit the pose of the odometry frame to its inliers; None if they do not determine it."""
+    def _refine(self, frame: Pose2, pairs: _Pairs) -> RelocalizedPose | None:
+        """Fit the pose of the odometry frame to the inliers; None if they do not determine it."""
         points, landmarks, deviations = pairs.points, pairs.landmarks, pairs.deviations
         c, s = math.cos(frame.theta), math.sin(frame.theta)
         x = frame.x + c * points[:, 0] - s * points[:, 1] - landmarks[:, 0]
@@ -346,7 +349,7 @@ class Relocalizer:
         if heading > _LARGEST_HEADING_DEVIATION:
             return None
         away = math.hypot(fitted.x - goal[0], fitted.y - goal[1])
-        return Relocalized(fitted, math.hypot(deviation, heading * away), heading, votes, ids)
+        return RelocalizedPose(fitted, math.hypot(deviation, heading * away), heading, ids)
 
     def _pose_of_vehicle(self, turn: float, center: Array, goal: Array) -> Pose2:
         """Return the pose if the odometry frame is rotated, and its point center moved to goal."""

@@ -691,7 +691,7 @@ def test_a_motion_is_appended_to_the_graph_as_the_filter_has_it(make_slam):
     for _ in range(30):
         slam.predict('a', Pose2(0.3, 0.0, 0.2))
     total = slam._team.particles.pending[0].total()
-    recorded = slam.joint._tails[0].motion.total()
+    recorded = slam.joint._motions[0].motion.total()
     for mine, theirs in zip(total, recorded, strict=True):
         np.testing.assert_array_equal(mine, theirs)
     assert isinstance(total, Segment)

@@ -1,11 +1,12 @@
-"""The filter's side of the joint graph: what is recorded, when it is due, what a redraw gives.
+"""The joint posterior of all paths, which the filter records to and redraws its particles from.
 
 Resampling makes all particles descend from one ancestor some hundred keyframes back, and whatever
-error that ancestor has is in nobody's covariance. Therefore raw motion and raw observations are
-also recorded in one sparse graph, each exactly once, and when few ancestors are left all paths are
-drawn anew from its posterior, with equal weights: the graph already contains what the weights
-said. The particles are then samples of the joint posterior again (FastSLAM's factorization
-p(paths) ∏ p(landmark | paths) stays; only how the paths are sampled changes).
+error that ancestor has is missing from every covariance. Therefore raw motion and raw observations
+are also recorded in one sparse graph, each exactly once. When few ancestors are left, all paths
+are sampled anew from its posterior, with equal weights, since the graph already contains the
+observations that the weights came from. The particles are then samples of the joint posterior
+again: FastSLAM's factorization p(paths) ∏ p(landmark | paths) remains, only the sampling of the
+paths changes.
 """
 
 from collections.abc import Sequence
@@ -20,51 +21,53 @@ from explore_slam.geometry import Array, Pose2, between, wrap_angle
 from explore_slam.slam.association.state import Observed
 from explore_slam.slam.checkpoint import State, part, under
 from explore_slam.slam.config import FastSlamConfig
-from explore_slam.slam.graph import Draws, JointGraph, Problem, Solution
+from explore_slam.slam.graph import JointGraph, PoseSamples, Problem, Solution
 from explore_slam.slam.particles.group import Group
 from explore_slam.slam.particles.joint_samples import JointSamples
 from explore_slam.slam.particles.motion import PendingMotion, Segment
-from explore_slam.slam.relative_covariance import RelativeCovariances
+from explore_slam.slam.posterior.relative_covariance import RelativeCovariances
 from explore_slam.slam.storage.row_format import Places
 
-# Deviation (m, m, rad) that a motion has at least: a graph without it would be singular where
-# odometry claims to be exact.
+# Minimum standard deviation (m, m, rad) of a motion: without it the graph would be singular where
+# odometry claims to be exact. Far below the errors of any odometry.
 _LEAST_DEVIATIONS = np.array([1e-4, 1e-4, 1e-4])
 
-# Deviations (m, m, rad) of a frame that is held by measurements alone: they weigh nothing beside
-# closures, and keep the graph definite.
+# Standard deviations (m, m, rad) of the prior of a frame that measurements tie to the map: wide
+# enough to be negligible beside a closure, narrow enough to keep the graph definite.
 _LOOSE_DEVIATIONS = np.array([30.0, 30.0, 3.0])
 
-# Closures wait for others until the last redraw is this many keyframes ago (more redraws change
-# nothing: design study on the simulated office)
+# Keyframes since the last redraw after which closures no longer wait for others. Chosen by hand:
+# each redraw optimizes the whole graph, and more of them hardly change the path. A change can be
+# judged by `explore_slam benchmark consistency`.
 _BATCH = 8
-_LEAST_INFORMATION = 1e-4  # of a closure in directions that it leaves free
-_SURPRISE = 3.0  # squared Mahalanobis distance of one standard deviation in three dimensions
+_LEAST_INFORMATION = 1e-4  # 1/m², 1/rad²: of a closure in directions that it leaves free
+_EXPECTED_D2 = 3.0  # expected squared Mahalanobis distance of a pose (chi-square, 3 dof)
 
 # Largest part of the particles for which own ancestors can be demanded, whatever the settings:
-# right after a resampling 60 % have them, and more would call for redraws without end.
+# one resampling of equally likely particles leaves about 60 % of the ancestors, and a threshold
+# near that would call for a redraw after every update.
 _MOST_ANCESTORS = 0.3
-# Part of the samples whose descendants are left right after a draw: one resampling leaves about
-# 60 % of them.
+# Part of the samples that still have descendants as long as at most one resampling (about 60 %)
+# has taken place since the draw.
 _FRESH = 0.5
 
 
 @dataclass
-class _Tail:
-    """A vehicle since its newest keyframe in the graph: the motion, and whether it has moved."""
+class _MotionSinceKeyframe:
+    """Motion of a vehicle since its newest keyframe in the graph."""
 
     keyframe: int = -1
     motion: PendingMotion = field(default_factory=PendingMotion)
     moved: bool = False
 
 
-class Redraw(NamedTuple):
-    """Samples for some vehicles: what the particles are replaced by.
+class ParticleReplacement(NamedTuple):
+    """Samples of the joint posterior that replace the particles of some vehicles.
 
-    poses[v] (M, 3) of each vehicle at its newest keyframe, chains[v] (M, 3) where the motion since
-    then begins, that motion, whether it is one, and the calibrations[v] (M, 3) of the odometry;
-    landmarks:
-    ids (L,) that the graph knows, and their positions (L, 3) given the most likely path.
+    Per vehicle v: poses[v] (M, 3) at its newest keyframe; chains[v] (M, 3), where the motion since
+    then begins; pending[v], that motion; moved[v], whether there is any; calibrations[v] (M, 3) of
+    its odometry. ids (L,): landmarks of which the graph stores observations; positions (L, 3):
+    theirs given the most likely path.
     """
 
     vehicles: list[int]
@@ -79,31 +82,31 @@ class Redraw(NamedTuple):
 
 
 class _Part(NamedTuple):
-    """Vehicles that are tied together: their problem, and what is wanted of its solution."""
+    """Vehicles that measurements tie together: their problem, and what to sample from it."""
 
     problem: Problem
-    believed: list[int]  # closures that are new
-    keyframes: Places  # whose poses are drawn, ascending
+    new_closures: list[int]  # factors that have no robust kernel yet
+    keyframes: Places  # whose poses are sampled, ascending
     newest: Places  # of each vehicle, ascending
 
 
 class Snapshot(NamedTuple):
-    """The joint graph of some vehicles at a moment."""
+    """A copy of the joint graph of some vehicles, to sample from."""
 
     vehicles: list[int]
     parts: list[_Part]
 
     @property
     def factors(self) -> int:
-        """Number of measurements, which what a redraw takes grows with."""
+        """Number of measurements; the time of a redraw is proportional to it."""
         return sum(len(tied.problem.factors.kind) for tied in self.parts)
 
 
-class Drawn(NamedTuple):
-    """The optimum of vehicles that are tied together, and samples around it."""
+class PosteriorSamples(NamedTuple):
+    """The optimum of vehicles that are tied together, and samples from the posterior there."""
 
     solution: Solution
-    draws: Draws
+    samples: PoseSamples
 
 
 class RelativePose(NamedTuple):
@@ -125,25 +128,25 @@ class JointPosterior:
         self.config = config
         self.graph = JointGraph(config.graph)
         self.draws = 0
-        self._tails = [_Tail() for _ in starts]
+        self._motions = [_MotionSinceKeyframe() for _ in starts]
         self._next = 0
         self._redrawn_at = 0  # number of the next keyframe at the last redraw
-        # closures that have not been part of an optimum yet, and a vehicle of each
-        self._believed: dict[int, int] = {}
+        # closures that have not been part of an optimum yet -> vehicle of each
+        self._new_closures: dict[int, int] = {}
         self.relative_covariance = RelativeCovariances(self.graph)
         self.calibrations = np.zeros((len(starts), 3))
         for vehicle, pose in enumerate(starts):
             self.graph.add_start(vehicle, self._next, np.asarray(pose))
             if config.calibration.odometry_calibration:
                 self.graph.add_calibration(vehicle, config.calibration.deviations())
-            self._tails[vehicle].keyframe = self._next
+            self._motions[vehicle].keyframe = self._next
             self._next += 1
 
     # -- recording ------------------------------------------------------------------------------
 
     def predict(self, vehicle: int, step: Segment, white: Array) -> None:
         """Append an odometry increment; white (3, 3): see FastSlam.predict."""
-        tail = self._tails[vehicle]
+        tail = self._motions[vehicle]
         tail.motion.append(step, self.config.linearizable_heading)
         if step.is_motion():
             tail.motion.white = white
@@ -151,15 +154,15 @@ class JointPosterior:
 
     def check_motion(self, vehicle: int) -> None:
         """Raise FloatingPointError if the motion since the newest keyframe has overflown."""
-        if not all(np.isfinite(part).all() for part in self._tails[vehicle].motion.total()):
+        if not all(np.isfinite(part).all() for part in self._motions[vehicle].motion.total()):
             raise FloatingPointError('a motion is not finite')
 
     def keyframe(self, vehicle: int, estimate: Pose2) -> int:
         """Return the graph's keyframe at the current pose; a new one if the vehicle has moved.
 
-        estimate: mean pose of the filter, used until the graph is next optimized.
+        estimate: mean pose of the filter, which is used until the next optimization.
         """
-        tail = self._tails[vehicle]
+        tail = self._motions[vehicle]
         if tail.moved:
             motion = tail.motion.total()
             self.graph.add_keyframe(
@@ -171,9 +174,9 @@ class JointPosterior:
                 estimate=np.asarray(estimate),
                 sensitivity=motion.sensitivity,
             )
-            self._tails[vehicle] = _Tail(self._next)
+            self._motions[vehicle] = _MotionSinceKeyframe(self._next)
             self._next += 1
-        return self._tails[vehicle].keyframe
+        return self._motions[vehicle].keyframe
 
     def _white(self, motion: Array) -> Array | None:
         """Return the white error (3, 3) of a keyframe: those of its motion and its frame."""
@@ -188,7 +191,7 @@ class JointPosterior:
         if known.any():
             self.graph.add_observations(keyframe, ids[known], observed.z[known], observed.R[known])
 
-    def observe_far_off(
+    def observe_with_initial_pose(
         self,
         keyframe: int,
         ids: Places,
@@ -197,12 +200,14 @@ class JointPosterior:
         pose: Pose2,
         covariance: Array,
     ) -> None:
-        """Record observations, as `observe`, that lead a keyframe to another pose.
+        """Record observations that contradict the estimate of a keyframe; see `observe`.
 
-        recorded (K,): ids of landmarks that they have been recorded of already, or -1; these are
-        the same as the others.
-        pose, covariance (3, 3) in the map: where they lead. The estimate is brought there first:
-        from where it is, a robust kernel takes them for outliers, however many agree.
+        The graph is first optimized with a prior at the pose that they imply: from the current
+        estimate, the robust kernel would treat them as outliers, however many agree.
+
+        recorded (K,): ids of the landmarks under which they have already been recorded, or -1;
+        those landmarks are merged into `ids`.
+        pose, covariance (3, 3): of the vehicle in the map, as implied by the observations.
         """
         again = (ids >= 0) & (recorded >= 0)
         _, first = np.unique(recorded[again], return_index=True)
@@ -216,24 +221,24 @@ class JointPosterior:
             self.graph.remove_factor(factor)
 
     def observe_vehicle(self, keyframe: int, of: int, observation: InterRobotObservation) -> None:
-        """Record an observation, at a keyframe, of the vehicle that another keyframe is of."""
+        """Record an inter-robot observation; of: keyframe of the observed vehicle."""
         self.graph.add_relative_position(
             keyframe, of, observation.position, observation.covariance
         )
 
     def pin(self, keyframe: int) -> None:
-        """Keep a keyframe as a variable, for closures that are still to be found."""
+        """Keep a keyframe as a variable of the graph, for closures yet to be found."""
         self.graph.pin(keyframe)
 
     def unpin(self, keyframe: int) -> None:
-        """Take back a `pin`."""
+        """Undo a `pin`."""
         self.graph.unpin(keyframe)
 
     def close(self, closure: RelativePose) -> int:
         """Record a closure between keyframes of the graph; return its factor.
 
-        It is believed until the graph is next optimized, and robust from then on: from a start
-        that is far off, a robust kernel takes new closures for outliers, however many agree.
+        It has no robust kernel until the next optimization: from an estimate that is far off, the
+        kernel would treat new closures as outliers, however many agree.
         """
         factor = self.graph.add_relative_pose(
             closure.reference,
@@ -242,18 +247,18 @@ class JointPosterior:
             closure.information,
             robust=False,
         )
-        self._believed[factor] = int(self.graph.vehicles_of([closure.keyframe])[0])
+        self._new_closures[factor] = int(self.graph.vehicles_of([closure.keyframe])[0])
         return factor
 
-    def reopen(self, factor: int) -> None:
-        """Take back a closure."""
+    def retract_closure(self, factor: int) -> None:
+        """Remove a closure that has turned out to be wrong."""
         self.graph.remove_factor(factor)
-        self._believed.pop(factor, None)
+        self._new_closures.pop(factor, None)
 
-    def forget(self, factor: int) -> None:
-        """Drop a closure of a place that others hold as well."""
-        self.graph.forget_factor(factor)
-        self._believed.pop(factor, None)
+    def drop_closure(self, factor: int) -> None:
+        """Drop a closure that repeats others; the path stays where it is."""
+        self.graph.drop_factor(factor)
+        self._new_closures.pop(factor, None)
 
     def closure_distances(self) -> dict[int, float]:
         """Return the squared Mahalanobis distance of every closure at the estimate, by factor."""
@@ -261,10 +266,10 @@ class JointPosterior:
         return dict(zip(factors.tolist(), distances.tolist(), strict=True))
 
     def is_closure_due(self, closures: Sequence[RelativePose]) -> bool:
-        """Return whether closures call for a redraw at once, instead of with later ones.
+        """Return whether closures require a redraw now instead of together with later ones.
 
-        That is so when the last redraw is some keyframes ago, or when they move the estimate by
-        more than its deviation.
+        They do if the last redraw was some keyframes ago, or if a closure differs from the
+        estimate by more than the expected squared Mahalanobis distance.
         """
         if self._next - self._redrawn_at >= _BATCH:
             return True
@@ -275,36 +280,37 @@ class JointPosterior:
             expected = between(path[closure.reference], path[closure.keyframe])
             off = np.asarray(closure.pose) - expected
             off[2] = wrap_angle(off[2])
-            if off @ np.linalg.solve(P, off) > _SURPRISE:
+            if off @ np.linalg.solve(P, off) > _EXPECTED_D2:
                 return True
         return False
 
     def has_moved(self, vehicle: int) -> bool:
-        """Return whether a keyframe at the present pose would be a new one."""
-        return self._tails[vehicle].moved
+        """Return whether a vehicle has moved since its newest keyframe."""
+        return self._motions[vehicle].moved
 
     def restart(self, vehicle: int, pose: Pose2, covariance: Array) -> None:
-        """Continue the path of a vehicle at a pose that its motion does not lead to."""
+        """Continue the path of a vehicle at a pose unrelated to its previous motion."""
         self.graph.restart(vehicle, self._next, np.asarray(pose), covariance)
-        self._tails[vehicle] = _Tail(self._next)
+        self._motions[vehicle] = _MotionSinceKeyframe(self._next)
         self._next += 1
 
     def move(self, vehicles: Sequence[int], frame: Pose2) -> None:
-        """Move vehicles to the map, in which the frame that they have been in has this pose.
+        """Transform the paths of vehicles from a frame of their own into the map.
 
-        What ties them to the map is for the caller to record; their priors hold them loosely.
+        frame: pose of that frame in the map. The priors become wide; the caller must record the
+        measurements that tie the vehicles to the map.
         """
         self.graph.move(vehicles, np.asarray(frame), _LOOSE_DEVIATIONS)
-        self.relative_covariance.forget()
+        self.relative_covariance.invalidate()
 
     def measure_pose(self, keyframe: int, pose: Pose2, covariance: Array) -> None:
-        """Record a pose in the map, with its covariance (3, 3) there, known from elsewhere."""
+        """Record the pose of a keyframe in the map, known with a covariance (3, 3) there."""
         self.graph.add_prior(keyframe, np.asarray(pose), covariance)
 
     # -- drawing --------------------------------------------------------------------------------
 
     def first_samples(self) -> JointSamples:
-        """Return the samples that the particles of a group are at the beginning."""
+        """Return the samples that the particles of a group start as."""
         self.draws += 1
         return JointSamples.of_start(self.draws - 1, self.config.particles)
 
@@ -316,8 +322,8 @@ class JointPosterior:
     def is_due(self, group: Group) -> bool:
         """Return whether the particles of a group no longer represent the posterior.
 
-        That is the case if they descend from few of the samples drawn last, or if few of them are
-        effective, because a loop was closed.
+        That is the case if they descend from few of the samples drawn last, or if the effective
+        sample size is small because a loop was closed.
         """
         least = min(
             max(self.config.redraw_ancestors, self.config.redraw_part * self.config.particles),
@@ -328,9 +334,10 @@ class JointPosterior:
         return min(samples.distinct() for samples in group.samples) < least
 
     def snapshot(self, vehicles: Sequence[int]) -> Snapshot:
-        """Return what paths are drawn from; of vehicles that are tied together, all are given.
+        """Return a copy of the graph of vehicles that `draw` samples paths from.
 
-        It shares nothing with what is recorded later, so that another thread may draw from it.
+        vehicles: must include all that are tied to one of them. The copy shares nothing with the
+        graph, so that another thread may sample from it.
         """
         parts, done = list[_Part](), set[int]()
         for vehicle in vehicles:
@@ -338,38 +345,39 @@ class JointPosterior:
                 continue
             tied = self.graph.tied(vehicle)
             done |= tied
-            newest = np.sort([self._tails[v].keyframe for v in tied])
+            newest = np.sort([self._motions[v].keyframe for v in tied])
             observing = self.graph.observing_keyframes(tied)
             parts.append(
                 _Part(
                     self.graph.snapshot(vehicle),
-                    [factor for factor, owner in self._believed.items() if owner in tied],
+                    [factor for factor, owner in self._new_closures.items() if owner in tied],
                     np.union1d(observing, newest),
                     newest,
                 )
             )
         return Snapshot(list(vehicles), parts)
 
-    def draw(self, snapshot: Snapshot, random: np.random.Generator) -> list[Drawn]:
-        """Draw the paths in a snapshot anew; nothing that is recorded changes.
+    def draw(self, snapshot: Snapshot, random: np.random.Generator) -> list[PosteriorSamples]:
+        """Sample the paths in a snapshot; what is recorded does not change.
 
-        SlamError if the graph has no definite optimum. Closures that are new become robust once
-        they have been believed. Drawn is what the particles need: poses where landmarks were
-        observed, and the newest ones.
+        Only what the particles need is sampled: the poses at which landmarks were observed, and
+        the newest ones. New closures get their robust kernel after a first optimization.
+
+        Raises SlamError if the graph has no definite optimum.
         """
         drawn = []
         for tied in snapshot.parts:
-            solution = self.graph.solve(tied.problem, tied.believed)
+            solution = self.graph.solve(tied.problem, tied.new_closures)
             draws = solution.draw(self.config.particles, random, tied.keyframes, tied.newest)
             if not (np.isfinite(draws.poses).all() and np.isfinite(draws.chains).all()):
                 raise SlamError(f'samples of vehicles {tied.problem.vehicles} are not finite')
-            drawn.append(Drawn(solution, draws))
+            drawn.append(PosteriorSamples(solution, draws))
         return drawn
 
-    def adopt(self, snapshot: Snapshot, drawn: Sequence[Drawn]) -> Redraw:
-        """Make the optimum of a snapshot the estimate, and return what the particles take over.
+    def adopt(self, snapshot: Snapshot, drawn: Sequence[PosteriorSamples]) -> ParticleReplacement:
+        """Make the optimum of a snapshot the estimate; return what replaces the particles.
 
-        No keyframe may have been added since, and no vehicle may have been restarted or moved.
+        No keyframe may have been added since the snapshot, and no vehicle restarted or moved.
         """
         members = snapshot.vehicles
         chains: dict[int, Array] = {}
@@ -377,10 +385,10 @@ class JointPosterior:
         for solution, draws in drawn:
             self.graph.adopt(solution)
             for factor in solution.problem.made_robust:
-                self._believed.pop(factor, None)
+                self._new_closures.pop(factor, None)
             self.relative_covariance.renew(solution.problem.vehicles[0])
             for v in solution.problem.vehicles:
-                row = np.searchsorted(draws.ends, self._tails[v].keyframe)
+                row = np.searchsorted(draws.ends, self._motions[v].keyframe)
                 chains[v] = draws.chains[row].T.copy()
             calibrations |= {v: some.T for v, some in draws.calibrations.items()}
         for vehicle in members:
@@ -390,19 +398,19 @@ class JointPosterior:
         self._redrawn_at = self._next
         # the nodes of a keyframe that observations belong to contain the error of its frame
         framed = self.config.frame_error.covariance() is not None
-        return Redraw(
+        return ParticleReplacement(
             members,
             samples,
-            chains if framed else {v: samples.pose_of(self._tails[v].keyframe) for v in members},
+            chains if framed else {v: samples.pose_of(self._motions[v].keyframe) for v in members},
             chains,
-            {v: self._tails[v].motion.copy() for v in members},
-            {v: self._tails[v].moved for v in members},
+            {v: self._motions[v].motion.copy() for v in members},
+            {v: self._motions[v].moved for v in members},
             calibrations,
             samples.ids,
             samples.fused_at_mean(samples.ids)[:, :3] if len(samples.ids) else np.empty((0, 3)),
         )
 
-    def _samples(self, members: Sequence[int], drawn: Sequence[Drawn]) -> JointSamples:
+    def _samples(self, members: Sequence[int], drawn: Sequence[PosteriorSamples]) -> JointSamples:
         numbers = np.concatenate([draws.keyframes for _, draws in drawn])
         means = np.concatenate([found.poses_of(draws.keyframes) for found, draws in drawn])
         poses = np.concatenate([draws.poses for _, draws in drawn])
@@ -426,13 +434,13 @@ class JointPosterior:
 
     def state_dict(self) -> State:
         """Return the graph and the motion since the newest keyframes."""
-        self.relative_covariance.forget()  # as in what is restored from the state
+        self.relative_covariance.invalidate()  # as in what is restored from the state
         state = under('graph', self.graph.state_dict())
         state['calibrations'] = self.calibrations
         state['counters'] = np.array([self.draws, self._next, self._redrawn_at], np.int64)
-        state['believed'] = np.array(list(self._believed.items()), np.int64).reshape(-1, 2)
-        state['tails'] = np.array([[t.keyframe, t.moved] for t in self._tails], np.int64)
-        for vehicle, tail in enumerate(self._tails):
+        state['new_closures'] = np.array(list(self._new_closures.items()), np.int64).reshape(-1, 2)
+        state['tails'] = np.array([[t.keyframe, t.moved] for t in self._motions], np.int64)
+        for vehicle, tail in enumerate(self._motions):
             state |= under(f'motion{vehicle}', tail.motion.state_dict())
         return state
 
@@ -440,10 +448,10 @@ class JointPosterior:
         """Restore what `state_dict` returned, for the same vehicles and settings."""
         self.graph = JointGraph.from_state(part('graph', state), self.config.graph)
         self.relative_covariance = RelativeCovariances(self.graph)
-        self._believed = dict(state['believed'].tolist())
+        self._new_closures = dict(state['new_closures'].tolist())
         self.calibrations = state['calibrations'].copy()
         self.draws, self._next, self._redrawn_at = state['counters'].tolist()
         for vehicle, (keyframe, moved) in enumerate(state['tails'].tolist()):
             motion = PendingMotion()
             motion.restore(part(f'motion{vehicle}', state))
-            self._tails[vehicle] = _Tail(keyframe, motion, bool(moved))
+            self._motions[vehicle] = _MotionSinceKeyframe(keyframe, motion, bool(moved))

@@ -6,8 +6,8 @@ import numpy as np
 
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Array
-from explore_slam.slam.joint_posterior import RelativePose
-from explore_slam.slam.redrawing import Redrawing
+from explore_slam.slam.posterior.joint_posterior import RelativePose
+from explore_slam.slam.posterior.redrawing import PathRedrawer
 from explore_slam.slam.storage.row_format import Places
 from explore_slam.slam.team_state import TeamState
 
@@ -15,9 +15,9 @@ from explore_slam.slam.team_state import TeamState
 class LoopConstraints:
     """Closures between keyframes of the path, by their numbers there."""
 
-    def __init__(self, team: TeamState, redrawing: Redrawing) -> None:
+    def __init__(self, team: TeamState, redrawer: PathRedrawer) -> None:
         self._team = team
-        self._redrawing = redrawing
+        self._redrawer = redrawer
 
     def node_of(self, keyframe: int) -> int:
         """Return the number of a keyframe in the joint graph."""
@@ -31,12 +31,12 @@ class LoopConstraints:
         self._team.required_joint().pin(self.node_of(keyframe))
 
     def unpin(self, keyframe: int) -> None:
-        """Take back a `pin`."""
-        self._redrawing.settle()
+        """Undo a `pin`."""
+        self._redrawer.complete_pending()
         self._team.required_joint().unpin(self.node_of(keyframe))
 
     def close(self, closures: Sequence[RelativePose]) -> list[int]:
-        """Record closures, see FastSlam.close_loops; return a number for each."""
+        """Record closures; return a number for each. See FastSlam.close_loops."""
         joint, groups = self._team.required_joint(), self._team.groups
         measured = [
             closure._replace(
@@ -45,33 +45,33 @@ class LoopConstraints:
             for closure in closures
         ]
         ends = [joint.graph.vehicles_of([c.reference, c.keyframe]).tolist() for c in measured]
-        self._redrawing.settle()
+        self._redrawer.complete_pending()
         merges = any(groups.of(a) is not groups.of(b) for a, b in ends)
         factors: list[int] = []
         try:
             factors.extend(joint.close(closure) for closure in measured)
         except SlamError:
             for factor in factors:
-                joint.reopen(factor)
+                joint.retract_closure(factor)
             raise
         if merges or joint.is_closure_due(measured):
-            redraw = self._redrawing.draw(vehicle for pair in ends for vehicle in pair)
-            if redraw is None:
+            replacement = self._redrawer.draw(vehicle for pair in ends for vehicle in pair)
+            if replacement is None:
                 for factor in factors:
-                    joint.reopen(factor)
+                    joint.retract_closure(factor)
                 raise SlamError('with these closures the joint graph has no definite optimum')
-            self._redrawing.take(redraw)
+            self._redrawer.replace_particles(replacement)
         return factors
 
-    def reopen(self, number: int) -> None:
-        """Take back a closure."""
-        self._redrawing.settle()
-        self._team.required_joint().reopen(number)
+    def retract(self, number: int) -> None:
+        """Remove a closure that has turned out to be wrong."""
+        self._redrawer.complete_pending()
+        self._team.required_joint().retract_closure(number)
 
-    def forget(self, number: int) -> None:
-        """Drop a closure of a place that others hold as well."""
-        self._redrawing.settle()
-        self._team.required_joint().forget(number)
+    def drop(self, number: int) -> None:
+        """Drop a closure that repeats others; the path stays where it is."""
+        self._redrawer.complete_pending()
+        self._team.required_joint().drop_closure(number)
 
     def distances(self) -> dict[int, float]:
         """Return the squared Mahalanobis distance of every closure from the path, by number."""

@@ -1,9 +1,9 @@
-"""Search for loops of a vehicle that does not notice, by what it sees, that it is lost.
+"""Search for loops that data association misses.
 
-A vehicle that comes back to a place with more drift than it is aware of may map the place a second
-time: what it observes then agrees with what it has just inserted. Therefore its observations are
-also compared with all landmarks but those that it has inserted lately. As for a vehicle of unknown
-start, several searches must agree on where it is, from updates at different places.
+A vehicle that returns to a place with more drift than its covariance covers may map the place a
+second time: its observations then agree with the landmarks that it has just inserted. Therefore
+they are also compared with all landmarks other than its recent ones. As for a vehicle of unknown
+start, several searches must agree on the pose, from updates at different places.
 """
 
 import numpy as np
@@ -13,21 +13,22 @@ from explore_slam.geometry import Array, Pose2
 from explore_slam.slam.association.state import CandidateSet
 from explore_slam.slam.checkpoint import State, part, under
 from explore_slam.slam.config import RelocalizationConfig
-from explore_slam.slam.landmark_join import LandmarkJoin
 from explore_slam.slam.landmarks.landmark_map import LandmarkMap
-from explore_slam.slam.relocalization import Relocalized
+from explore_slam.slam.relocalization.landmark_join import LandmarkJoin
+from explore_slam.slam.relocalization.relocalizer import RelocalizedPose
 from explore_slam.slam.storage.row_format import Places
 
-# m driven: landmarks that a vehicle has inserted since then are in sight or just behind it. As of
+# Chosen by hand; `test_landmark_loops` shows what a change does.
+# m driven: landmarks inserted since then are in sight or just behind the vehicle. The same as for
 # anchors (`closure_minimum_distance`).
 _RECENT = 10.0
-_SPACING = 1.0  # m driven between two searches, which compare with the whole map
-# Part of the landmarks observed that must be recent: elsewhere no loop is open.
+_SPACING = 1.0  # m driven between two searches, since each compares with the whole map
+# Part of the observed landmarks that must be recent: where most are old, the loop is closed.
 _MOSTLY = 0.5
 
 
 class LandmarkLoops:
-    """What one vehicle observes of landmarks that are not its latest, and where that places it."""
+    """Matches of one vehicle with landmarks other than its recent ones, and the search by them."""
 
     def __init__(self, config: RelocalizationConfig) -> None:
         self._join = LandmarkJoin(config)
@@ -40,13 +41,14 @@ class LandmarkLoops:
         self._join.predict(increment)
 
     def reset(self) -> None:
-        """Forget what was matched: the vehicle has been given another pose."""
+        """Discard all matches: the vehicle was given another pose."""
         self._join.reset()
 
     def is_due(self, observed: Places, next_id: int) -> bool:
-        """Return whether to search after an update; next_id: of the next landmark.
+        """Return whether to search after an update.
 
-        observed (K,): ids of the landmarks that the update made of its observations, or -1.
+        observed (K,): ids of the landmarks that the update associated or inserted, or -1; next_id:
+        of the landmark that is inserted next.
         """
         driven = self._join.matches.distance
         self._marks.append((driven, next_id))
@@ -63,16 +65,16 @@ class LandmarkLoops:
     def _first_recent(self) -> int:
         return self._marks[0][1]
 
-    def latest(self, landmarks: LandmarkMap, number: int) -> NDArray[np.bool_]:
-        """Return which entries of the map the vehicle, of this number, has inserted lately."""
+    def is_recent(self, landmarks: LandmarkMap, number: int) -> NDArray[np.bool_]:
+        """Return (n,) which entries of the map this vehicle, by number, has inserted recently."""
         ids, owners = landmarks.ids[: landmarks.size], landmarks.owners[: landmarks.size]
         found: NDArray[np.bool_] = (ids >= self._first_recent) & (owners == number)
         return found
 
     def add(self, found: CandidateSet) -> Places:
-        """Add the observations of an update; return the ids of landmarks similar to recent ones.
+        """Add the observations of an update; return the ids of similar landmarks to all matches.
 
-        found: with candidates that are not the latest landmarks.
+        found: with candidates that are not recent landmarks.
         """
         R = found.measured.R
         deviations = np.sqrt(0.5 * (R[:, 0] + R[:, 3]))
@@ -82,12 +84,12 @@ class LandmarkLoops:
 
     def search(
         self, positions: dict[int, Array], current: Pose2, random: np.random.Generator
-    ) -> Relocalized | None:
-        """Return where the vehicle is once enough searches agree; see LandmarkJoin.search."""
+    ) -> RelocalizedPose | None:
+        """Return the pose of the vehicle once enough searches agree; see LandmarkJoin.search."""
         return self._join.search(positions, current, random)
 
     def state_dict(self) -> State:
-        """Return matches, searches and when landmarks were inserted."""
+        """Return matches, searches and the distances at which landmarks were inserted."""
         return {
             'marks': np.array(self._marks),
             'searched': np.array(self._searched),

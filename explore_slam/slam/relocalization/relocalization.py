@@ -1,8 +1,8 @@
-"""Recovery of lost vehicles: noticed by what they observe, led to where the map fits.
+"""Detect lost vehicles and relocalize them in the map.
 
-If motion may have drifted so far, the vehicle has closed a loop: what it observes becomes part of
-the joint graph, which leads the whole path there. If not, it was moved, or its wheels slipped: it
-is restarted at the new pose, and nothing ties that to the path before.
+If drift may explain the new pose, the vehicle has closed a loop: the observations become part of
+the joint graph, which corrects the whole path. Otherwise the vehicle was moved or its wheels
+slipped: it is restarted at the new pose, unrelated to the path before.
 """
 
 import math
@@ -17,37 +17,40 @@ from explore_slam.geometry import Array, Pose2, compose, rotated, to_world, wrap
 from explore_slam.slam.association.candidates import find_candidates
 from explore_slam.slam.association.state import CandidateSet
 from explore_slam.slam.checkpoint import State, part, under
-from explore_slam.slam.landmark_loops import LandmarkLoops
 from explore_slam.slam.particles.resampling import mean_and_covariance
-from explore_slam.slam.redrawing import Redrawing
-from explore_slam.slam.relocalization import Relocalized, Relocalizer
+from explore_slam.slam.posterior.redrawing import PathRedrawer
+from explore_slam.slam.relocalization.landmark_loops import LandmarkLoops
+from explore_slam.slam.relocalization.relocalizer import RelocalizedPose, Relocalizer
 from explore_slam.slam.storage.row_format import COVARIANCE, Places
 from explore_slam.slam.team_state import TeamState
 
-# A pose is one that motion may have led to if it lies within 8 standard deviations, as squared
-# Mahalanobis distance. Where a loop has not been closed before, they can be too small by a factor
-# of two or three: odometry turns 5 to 10 % too far, and nothing tells (test_landmark_loops).
+# Drift may explain a pose within 8 standard deviations of the estimate (squared Mahalanobis
+# distance). Before a first loop is closed, the standard deviations can be too small by a factor of
+# two or three (8 is 3 sigma times 2.7): odometry may turn 5 to 10 % too far without any indication
+# (test_landmark_loops).
 _PLAUSIBLE = 64.0
-# Beside their deviations, a loop that is closed may leave the pose by this from the one found.
-_POSITION, _HEADING = 0.3, 0.1  # m, rad
-_GATE = 3.0  # deviations (sigma) within which an observation is of a landmark
-_LEAST_DEVIATION = 0.05  # m: of an observation from its landmark at the pose found
+# Chosen by hand; `benchmarks/relocalization.py` and test_landmark_loops show what a change does.
+# Distance (m, rad) of the corrected pose from the relocalized one that is tolerated beside its
+# standard deviation: the joint graph weighs the pose against all other observations.
+_POSITION, _HEADING = 0.3, 0.1
+_GATE = 3.0  # sigma, within which an observation is associated with a landmark
+_LEAST_DEVIATION = 0.05  # m: errors that the covariances of observation and landmark do not model
 
 
-class Recovered(NamedTuple):
-    """Whether a vehicle is lost, was given another pose, and whether that has closed a loop."""
+class RelocalizationResult(NamedTuple):
+    """Whether a vehicle is lost, was given another pose, and whether that closed a loop."""
 
     lost: bool
     relocated: bool
     closed: bool
 
 
-class Recovery:
-    """Relocalizers of all vehicles, and what becomes of those that they find."""
+class Relocalization:
+    """Searches for the poses of lost vehicles, and corrects or restarts them."""
 
-    def __init__(self, team: TeamState, redrawing: Redrawing) -> None:
+    def __init__(self, team: TeamState, redrawer: PathRedrawer) -> None:
         self._team = team
-        self._redrawing = redrawing
+        self._redrawer = redrawer
         config = team.config.relocalization
         self._relocalizers = [Relocalizer(config) for _ in team.vehicles]
         self._loops = [LandmarkLoops(config) for _ in team.vehicles]
@@ -58,11 +61,11 @@ class Recovery:
         self._loops[number].predict(increment)
 
     def reach(self, number: int) -> float:
-        """Return the distance (m) from its pose within which a vehicle's landmarks may lie."""
+        """Return how far (m) from its estimated pose a vehicle may be."""
         return self._relocalizers[number].reach
 
     def reset(self, number: int) -> None:
-        """Forget what a vehicle observed: its pose is given anew."""
+        """Discard the recent matches of a vehicle, because it was given another pose."""
         self._relocalizers[number].reset()
         self._loops[number].reset()
 
@@ -73,46 +76,46 @@ class Recovery:
         found: CandidateSet,
         agreed: NDArray[np.bool_],
         recorded: Places,
-    ) -> Recovered:
-        """Note what was matched; lead the vehicle to where it is found if it is lost.
+    ) -> RelocalizationResult:
+        """Record the matches of an update; relocalize the vehicle if it is lost.
 
         agreed (K,): observations that most of the particles associate. recorded (K,): ids of the
-        landmarks that they are recorded of, or -1.
+        landmarks under which the joint graph has recorded them, or -1.
         """
         team = self._team
         relocalizer, R = self._relocalizers[number], found.measured.R
         deviations = np.sqrt(0.5 * (R[:, 0] + R[:, 3]))
         similar = np.where(found.is_distinctive[:, None], found.similar_ids, -1)
         relocalizer.add(found.observed.z, deviations, similar, agreed)
-        wanted = team.config.relocalization.relocalization and team.engine.relocalizes
-        if not wanted:
-            return Recovered(relocalizer.is_lost, False, False)
+        enabled = team.config.relocalization.relocalization and team.engine.relocalizes
+        if not enabled:
+            return RelocalizationResult(relocalizer.is_lost, False, False)
         if not relocalizer.is_lost:
             closed = self._search_loop(number, observations, recorded)
-            return Recovered(False, closed, closed)
+            return RelocalizationResult(False, closed, closed)
         positions = team.map.positions(
             relocalizer.similar_ids(), team.best_particles(), team.groups
         )
         pose = relocalizer.search(positions, team.best_pose(number), team.random)
         if pose is None:
-            return Recovered(True, False, False)
+            return RelocalizationResult(True, False, False)
         closed = self._close_loop(number, pose, positions, found, recorded)
         if not closed:
             self._restart(number, pose)
-        return Recovered(True, True, closed)
+        return RelocalizationResult(True, True, closed)
 
     def _search_loop(
         self, number: int, observations: LandmarkObservations, recorded: Places
     ) -> bool:
-        """Search for a loop by landmarks that are not the latest; return whether one is closed."""
+        """Search for a loop among the older landmarks; return whether one was closed."""
         team, loops = self._team, self._loops[number]
-        if team.joint is None or number in team.apart:
+        if team.joint is None or number in team.unlocalized:
             return False
         if not loops.is_due(recorded, team.map.next_id):
             return False
-        hidden, apart = loops.latest(team.map, number), team.hidden_landmarks(number)
-        if apart is not None:
-            hidden |= apart
+        hidden, foreign = loops.is_recent(team.map, number), team.hidden_landmarks(number)
+        if foreign is not None:
+            hidden |= foreign
         estimate, P = team.estimate(number)
         found = find_candidates(
             team.map, observations, team.config.association, estimate, P, math.inf, hidden
@@ -124,20 +127,20 @@ class Recovery:
     def _close_loop(
         self,
         number: int,
-        pose: Relocalized,
+        pose: RelocalizedPose,
         positions: dict[int, Array],
         found: CandidateSet,
         recorded: Places,
     ) -> bool:
-        """Lead the path to the pose found by what is observed there; return whether it went there.
+        """Close a loop at the relocalized pose; return whether the path now agrees with it.
 
-        If that contradicts the motion, or other observations, nothing is changed.
+        If the pose contradicts the motion or other observations, nothing changes.
         """
         team, joint = self._team, self._team.joint
         if joint is None:
             return False
         keyframe = joint.keyframe(number, team.estimate(number)[0])
-        ids = _observed_at(pose, positions, found)
+        ids = _associated_at(pose, positions, found)
         stored = np.diff(joint.graph.observations_of(np.maximum(ids, 0)).first) > 0
         ids[~stored | np.isin(ids, recorded)] = -1
         if not (ids >= 0).any() or not self._is_plausible(keyframe, pose):
@@ -145,37 +148,37 @@ class Recovery:
         deviations = np.array([pose.position_deviation] * 2 + [pose.heading_deviation])
         saved = {name: np.array(value) for name, value in joint.state_dict().items()}
         try:
-            joint.observe_far_off(
+            joint.observe_with_initial_pose(
                 keyframe, ids, recorded, found.observed, pose.pose, np.diag(deviations**2)
             )
-            redraw = self._redrawing.draw([number])
+            replacement = self._redrawer.draw([number])
         except SlamError:
-            redraw = None
-        off = np.abs(_off(joint.graph.estimate(keyframe), pose.pose))
+            replacement = None
+        off = np.abs(_pose_difference(joint.graph.estimate(keyframe), pose.pose))
         limits = _GATE * deviations + (_POSITION, _POSITION, _HEADING)
-        if redraw is None or (off > limits).any():
+        if replacement is None or (off > limits).any():
             joint.restore(saved)
             return False
-        self._redrawing.take(redraw)
+        self._redrawer.replace_particles(replacement)
         stamp, entries = team.stamps[number], team.map.entries_with(ids)
         team.correlation.add(number, stamp, entries, ids)
         self.reset(number)
         return True
 
-    def _is_plausible(self, keyframe: int, pose: Relocalized) -> bool:
-        """Return whether the motion may have led to where a vehicle was found."""
+    def _is_plausible(self, keyframe: int, pose: RelocalizedPose) -> bool:
+        """Return whether drift may explain the relocalized pose."""
         team = self._team
         joint = team.required_joint()
         P = joint.graph.covariance(keyframe)
         P += np.diag([pose.position_deviation**2] * 2 + [pose.heading_deviation**2])
-        off = _off(joint.graph.estimate(keyframe), pose.pose)
+        off = _pose_difference(joint.graph.estimate(keyframe), pose.pose)
         return bool(off @ np.linalg.solve(P, off) < _PLAUSIBLE)
 
-    def _restart(self, number: int, found: Relocalized) -> None:
-        """Place a vehicle where it was relocalized, in each particle relative to its own map.
+    def _restart(self, number: int, found: RelocalizedPose) -> None:
+        """Place a vehicle at the relocalized pose, in each particle relative to its own map.
 
-        The particles differ in where they have the landmarks; the common frame of these is no
-        better known to the vehicle than to them.
+        The particles differ in the positions of the landmarks. The pose is relative to these, so
+        that it inherits their uncertainty.
         """
         team = self._team
         deviations = np.array([found.position_deviation] * 2 + [found.heading_deviation])
@@ -190,10 +193,10 @@ class Recovery:
         team.has_motion[number] = True
 
     def _moves_of(self, entries: Places, pose: Pose2) -> Array:
-        """Return how the landmarks of each particle are moved from their mean.
+        """Return the motion (M, 3) of the landmarks of each particle relative to their mean.
 
-        entries (n,): two landmarks or more. The moves (M, 3) are those of a rigid body, in the
-        frame of a pose (least squares, for small angles).
+        entries (n,): two landmarks or more. The motion is that of a rigid body, in the frame of a
+        pose (least squares, for small angles).
         """
         self._team.map.fuse(entries, self._team.groups)
         rows = self._team.map.rows.read(entries)
@@ -215,7 +218,7 @@ class Recovery:
         return moves
 
     def state_dict(self) -> State:
-        """Return what recent observations matched, for each vehicle."""
+        """Return the recent matches of each vehicle."""
         state: State = {}
         for number, relocalizer in enumerate(self._relocalizers):
             state |= under(f'relocalizer{number}', relocalizer.state_dict())
@@ -229,15 +232,17 @@ class Recovery:
             self._loops[number].restore(part(f'loops{number}', state))
 
 
-def _off(estimate: Array, pose: Pose2) -> Array:
-    """Return by how much (3,) a pose differs from an estimate, in the axes of the map."""
+def _pose_difference(estimate: Array, pose: Pose2) -> Array:
+    """Return the difference (3,) of a pose from an estimate, in the axes of the map."""
     off = np.asarray(pose) - estimate
     off[2] = wrap_angle(float(off[2]))
     return off
 
 
-def _observed_at(found: Relocalized, positions: dict[int, Array], seen: CandidateSet) -> Places:
-    """Return (K,) the ids of the landmarks that observations are of at the pose found, or -1.
+def _associated_at(
+    found: RelocalizedPose, positions: dict[int, Array], seen: CandidateSet
+) -> Places:
+    """Return the ids (K,) of the landmarks nearest to the observations at a pose, or -1.
 
     positions: see Relocalizer.search.
     """

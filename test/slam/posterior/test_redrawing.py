@@ -10,7 +10,7 @@ from explore_slam.geometry import Pose2
 from explore_slam.slam import FastSlam, redrawing
 
 STARTS = {'a': Pose2(1.0, 1.0, 0.0), 'b': Pose2(5.0, 4.0, 1.0)}
-BESIDE = {'redraw_beside': 0, 'redraw_ancestors': 120, 'redraw_part': 0.6}
+BESIDE = {'async_redraw_threshold': 0, 'redraw_ancestors': 120, 'redraw_part': 0.6}
 
 
 class Late:
@@ -68,7 +68,7 @@ def in_flight(make_world, make_slam, monkeypatch):
             slam.predict(vehicle, increment, 1e-4 * np.eye(3))
             before = slam.redraws
             slam.update(vehicle, world.see(vehicle, float(step)))
-            if slam._redrawing._flight is not None:
+            if slam._redrawer._flight is not None:
                 yield slam, world, step, held, before
                 held.go.set()
                 return
@@ -93,7 +93,7 @@ def test_results_do_not_depend_on_when_the_thread_is_done(
 
 def test_an_update_does_not_wait_and_the_next_one_takes_the_samples(in_flight):
     slam, world, step, held, draws = in_flight
-    flight = slam._redrawing._flight
+    flight = slam._redrawer._flight
     pose = slam.estimate('a')[0]
     path, particles = slam.best_path(), slam.particle_poses('a')
     slam.add_keyframe('a', step + 0.1)
@@ -158,7 +158,9 @@ def test_paths_redrawn_beside_the_updates_are_as_accurate(
     errors = {}
     for beside in (0, 10_000_000):
         world = make_world(seed)
-        slam = make_slam(world.start(**STARTS), seed, **(BESIDE | {'redraw_beside': beside}))
+        slam = make_slam(
+            world.start(**STARTS), seed, **(BESIDE | {'async_redraw_threshold': beside})
+        )
         found = drive_circles(slam, world, 60)[20:, :, :2]
         errors[beside] = float(np.sqrt((found**2).sum(axis=2).mean()))
         assert slam.redraws > 10

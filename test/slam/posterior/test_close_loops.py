@@ -90,12 +90,12 @@ def test_a_wrong_closure_among_right_ones_hardly_counts_and_can_be_taken_back():
     slam.redraw([0])
     assert slam.closure_distances()[number] > 100.0
     assert mean_error(slam, true) < error + 0.1
-    slam.reopen_loop(number)
+    slam.retract_closure(number)
     slam.redraw([0])
     assert number not in slam.closure_distances()
     assert mean_error(slam, true) == pytest.approx(error, abs=1e-3)
     with pytest.raises(SlamError, match=f'factor {number} is not'):
-        slam.reopen_loop(number)
+        slam.retract_closure(number)
 
 
 def test_a_closure_between_vehicles_merges_their_groups():
@@ -199,7 +199,7 @@ def test_a_team_with_dedicated_maps_closes_loops_in_each_of_them():
     for name in starts:
         found = team.estimate(name)[0]
         np.testing.assert_allclose(found[:2], true[name][-1][:2], atol=0.05)
-    team.reopen_loop(numbers[1])
+    team.retract_closure(numbers[1])
     assert list(team.closure_distances()) == numbers[:1]
     mixed = RelativePose(keyframes['a'][0], keyframes['b'][0], Pose2(0, 0, 0), EXACT)
     with pytest.raises(SlamError, match='expected those of one'):

@@ -1,0 +1,1 @@
+"""Joint samples of all paths from the posterior of the graph: recorded, drawn, taken over."""

@@ -1,0 +1,1 @@
+"""Vehicles that are lost or of unknown start pose: found in the map by landmarks or closures."""
