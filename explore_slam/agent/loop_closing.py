@@ -55,7 +55,7 @@ class ClosureCounts(NamedTuple):
     """How many closures a scan has led to, and how many were retracted."""
 
     closed: int = 0
-    taken_back: int = 0
+    retracted: int = 0
 
 
 class Join(NamedTuple):
@@ -138,10 +138,10 @@ class LoopClosing:
             self._note_closures(belief, found, numbers)
         if not belief.is_in_map(vehicle):
             self._begin_global_search(belief, number, keyframe.number)
-        taken_back = self._take_back(belief)
+        retracted = self._retract_inconsistent(belief)
         if self.search.anchors.number_added(number) % _THINNING_SPACING == 0:
             self._thin(belief)
-        return ClosureCounts(len(found), taken_back)
+        return ClosureCounts(len(found), retracted)
 
     def take_joins(self) -> list[Join]:
         """Return the joins since the last call."""
@@ -172,8 +172,8 @@ class LoopClosing:
         ):
             return
         self._searched[number] = distance_driven
-        settled = [n for n, name in enumerate(belief.vehicles) if belief.is_in_map(name)]
-        steps = self.global_search.search(keyframe, belief.best_path(), settled)
+        localized = [n for n, name in enumerate(belief.vehicles) if belief.is_in_map(name)]
+        steps = self.global_search.search(keyframe, belief.best_path(), localized)
         self._searching = belief.vehicles[number], steps
 
     def _join(self, belief: TeamBelief, vehicle: str, found: Sequence[Closure]) -> None:
@@ -202,24 +202,24 @@ class LoopClosing:
         anchors = self.search.anchors
         for closure in reversed(found):
             ends = [anchors.of_keyframe(k) for k in (closure.keyframe_a, closure.keyframe_b)]
-            other, newcomer = sorted(ends, key=lambda end: end.vehicle)
-            pair = other.vehicle, newcomer.vehicle
+            other, joined = sorted(ends, key=lambda end: end.vehicle)
+            pair = other.vehicle, joined.vehicle
             if pair[0] == pair[1] or pair in self._tied:
                 continue
             self._tied.add(pair)
             path = belief.best_path()
             self._joins.append(
                 Join(
-                    belief.vehicles[newcomer.vehicle],
-                    belief.stamp_of(newcomer.keyframe),
-                    self._distances_driven[newcomer.vehicle],
+                    belief.vehicles[joined.vehicle],
+                    belief.stamp_of(joined.keyframe),
+                    self._distances_driven[joined.vehicle],
                     belief.vehicles[other.vehicle],
                     belief.stamp_of(other.keyframe),
-                    Pose2.from_array(between(path[other.keyframe], path[newcomer.keyframe])),
+                    Pose2.from_array(between(path[other.keyframe], path[joined.keyframe])),
                 )
             )
 
-    def _take_back(self, belief: TeamBelief) -> int:
+    def _retract_inconsistent(self, belief: TeamBelief) -> int:
         """Remove the closures that contradict the path since it was drawn anew."""
         if belief.redraws == self._redraws or not self.search.closures:
             return 0
@@ -243,7 +243,7 @@ class LoopClosing:
             self.search.remove_anchor(keyframe)
             belief.unpin(keyframe)
         redundant = self.closure_thinning.redundant(
-            self.search.closures, path, self.search.anchors, self.thinning.judged
+            self.search.closures, path, self.search.anchors, self.thinning.evaluated
         )
         for closure in redundant:
             belief.drop_closure(self._numbers.pop(_key(closure)))
@@ -263,7 +263,7 @@ class LoopClosing:
             **under('global_search', self.global_search.state_dict()),
             'searched': np.array(list(self._searched.items()), np.float64).reshape(-1, 2),
             'tied': np.array(sorted(self._tied), np.int64).reshape(-1, 2),
-            'judged': np.array(sorted(self.thinning.judged), np.int64),
+            'evaluated': np.array(sorted(self.thinning.evaluated), np.int64),
             **under('closure_thinning', self.closure_thinning.state_dict()),
             'distances_driven': np.array(list(self._distances_driven.items()), np.float64).reshape(
                 -1, 2
@@ -280,7 +280,7 @@ class LoopClosing:
         made = cls(config)
         made.search = LoopSearch.from_state(part('search', state), config)
         made.thinning = Thinning(made.search.anchors)
-        made.thinning.judged = set(state['judged'].tolist())
+        made.thinning.evaluated = set(state['evaluated'].tolist())
         made.closure_thinning = ClosureThinning.from_state(part('closure_thinning', state))
         anchors = made.search.anchors
         pending = part('global_search', state)

@@ -55,7 +55,7 @@ def test_a_loop_is_closed_and_the_path_is_more_certain_than_without(closed):
     agent, routes = closed
     counts = agent.summary()['robot1']
     assert counts['closures'] >= 5
-    assert 'closures_taken_back' not in counts
+    assert 'closures_retracted' not in counts
     assert counts['matched_scans'] > 0.9 * len(ROUTE)
     open_loop, _ = run(laser_closures=False)
     assert 'closures' not in open_loop.summary()['robot1']

@@ -53,7 +53,7 @@ def _close_loops(team: Team, track: VehicleTrack, scan: LaserScan, moved: Pose2)
         return
     counts = team.loops.add_scan(team.belief, track.name, track.keyframe, moved, cloud, scan.stamp)
     track.count_many('closures', counts.closed)
-    track.count_many('closures_taken_back', counts.taken_back)
+    track.count_many('closures_retracted', counts.retracted)
 
 
 def _enters_map(team: Team, track: VehicleTrack, stamp: float, pose: Pose2) -> bool:

@@ -1,4 +1,4 @@
-"""Candidates wait until enough others, from other scans, agree with them."""
+"""Agreement of closure candidates: each waits until enough others, of other scans, agree."""
 
 import math
 from collections.abc import Sequence
@@ -10,18 +10,16 @@ from explore_slam.geometry import Array, between, compose
 from explore_slam.slam.closures.anchors import Anchor, Anchors
 from explore_slam.slam.closures.closure import Closure
 
-# What two right candidates may differ by: their own errors, and drift over the distance between
+# What two correct candidates may differ by: their own errors, and drift over the distance between
 # them on both sides (Intel, ACES, Belgioioso).
 _POSITION = (0.15, 0.03)  # m, m per m
 _HEADING = (0.03, 0.004)  # rad, rad per m
-_DISTANCE_BETWEEN_VEHICLES = (
-    3.0  # m, assumed for the unknown distance between anchors of two vehicles
-)
+_DISTANCE_BETWEEN_VEHICLES = 3.0  # m, assumed between anchors of two vehicles
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A closure that has passed the tests of its own, with the anchors at both ends."""
+    """A closure that has passed the individual tests, with the anchors at both ends."""
 
     a: Anchor
     b: Anchor
@@ -43,7 +41,7 @@ def agree(one: Candidate, other: Candidate, poses: Array) -> bool:
     distance_driven += (
         abs(one.a.distance_driven - other.a.distance_driven)
         if one.a.vehicle == other.a.vehicle
-        else (_DISTANCE_BETWEEN_VEHICLES)
+        else _DISTANCE_BETWEEN_VEHICLES
     )
     return (
         math.hypot(off[0], off[1]) < _POSITION[0] + _POSITION[1] * distance_driven

@@ -2,25 +2,39 @@
 
 import math
 from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
-from explore_slam.geometry import Array, Pose2, compose, wrap_angle
+from explore_slam.geometry import Array, Pose2, compose, planar_rotation, wrap_angle
 from explore_slam.registration import Alignment, LocalMap
-from explore_slam.slam.closures.anchors import Query
+from explore_slam.slam.closures.anchors import Anchor, Query
 from explore_slam.slam.closures.config import ClosureConfig
 
-# m, m, rad: deviations by which a query and a region are bent where no covariance is given: what
-# the front end drifts over half their way (Intel, against the optimized path;
+# m, m, rad: relative pose errors within the scans of a query and a region where no covariance is
+# given: the drift of the front end over half their length (Intel, against the optimized path;
 # benchmarks/laser_yardstick.py).
-_BENT = (0.02, 0.02, 0.003)
+_INTERNAL_DEVIATIONS = (0.02, 0.02, 0.003)
 _PROFILE: Array = np.linspace(-2.0, 2.0, 81)  # m along the weakest direction
-# m from the best score within which the profile is that of the likelihood's own Gaussian, and the
-# alignment says more
+# m from the best score within which the width of the profile is that of the likelihood of a single
+# return, and the alignment is more accurate
 _PEAK_HALF = 0.1
-_TEMPERATURE = 0.02  # of the scores: differences below it mean nothing
+_TEMPERATURE = 0.02  # of the scores: smaller differences are not significant
 _LEAST_INFORMATION = 1e-2  # 1/m², 1/rad²: a deviation of 10 m
+
+
+class ClosureEnds(NamedTuple):
+    """The vehicles at both ends of a closure, and the distances (m) that they had driven."""
+
+    vehicle_a: int
+    distance_a: float
+    vehicle_b: int
+    distance_b: float
+
+    @classmethod
+    def of(cls, a: Anchor, b: Anchor) -> Self:
+        """Return the ends of a closure between two anchors."""
+        return cls(a.vehicle, a.distance_driven, b.vehicle, b.distance_driven)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,17 +83,16 @@ def acceptable(found: Alignment | None, config: ClosureConfig) -> bool:
 
 
 def closure_information(
-    local_map: LocalMap, query: Query, found: Alignment, bent: Array | None = None
+    local_map: LocalMap, query: Query, found: Alignment, internal_covariance: Array | None = None
 ) -> Array:
     """Return the information (3, 3) of the query's pose in the frame of the map.
 
-    The covariance has three parts: that of the returns; bent (3, 3), in the axes of the map, by
-    which the scans of query and map are misplaced among themselves; and, along the weakest
-    direction, that of the profile of the score, which says how far the query can slide.
+    The covariance has three parts: that of the returns; internal_covariance (3, 3): relative pose
+    errors within the scans of the query and map, in the axes of the map; and, along the weakest
+    direction, that of the profile of the score, which shows how far the query can slide.
     """
     information = found.information + _LEAST_INFORMATION * np.eye(3)
-    c, s = math.cos(found.pose.theta), math.sin(found.pose.theta)
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    turn = planar_rotation(found.pose.theta)
     weakest, _ = found.weakest_direction()
     u = turn[:2, :2] @ weakest
     scores = local_map.score_profile(
@@ -90,13 +103,15 @@ def closure_information(
     off = np.abs(_PROFILE - _PROFILE[np.argmax(scores)])
     slide = weights @ np.maximum(off - _PEAK_HALF, 0.0) ** 2
     covariance = turn @ np.linalg.inv(information) @ turn.T
-    covariance += np.diag(_BENT) ** 2 if bent is None else bent
+    covariance += (
+        np.diag(_INTERNAL_DEVIATIONS) ** 2 if internal_covariance is None else internal_covariance
+    )
     covariance[:2, :2] += slide * np.outer(u, u)
     result: Array = np.linalg.inv(covariance)
     return result
 
 
-def apart(a: Array, b: Array, distance: float, turn: float) -> bool:
+def poses_differ(a: Array, b: Array, distance: float, turn: float) -> bool:
     """Return whether two poses (3,) differ by more than a distance (m) or a turn (rad)."""
     far = math.hypot(a[0] - b[0], a[1] - b[1]) > distance
     return far or abs(wrap_angle(float(a[2] - b[2]))) > turn

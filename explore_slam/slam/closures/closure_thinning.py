@@ -1,13 +1,13 @@
-"""Closures of places seen often: those that may go, so that the area bounds the graph.
+"""Select the closures of places visited often that may be dropped, to bound the graph by the area.
 
-The closures of the first visits of a place close its loops. Those of later visits tell little that
-is new, but each of them keeps two keyframes in the graph. They are dropped once the vehicle has
-driven on: what they measured is lost, never summarized. The way into and out of what is mapped for
-the first time stays closed, whatever the number of visits.
+The closures of the first visits of a place close its loops. Those of later visits add little
+information, but each of them keeps two keyframes in the graph. They are dropped, not
+marginalized, once the vehicle has driven on. The closures at either end of a part of the path that
+maps something new are kept, whatever the number of visits.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from explore_slam.geometry import Array
 from explore_slam.slam.checkpoint import State
 from explore_slam.slam.closures.anchors import QUERY_LENGTH, Anchors
-from explore_slam.slam.closures.closure import Closure
+from explore_slam.slam.closures.closure import Closure, ClosureEnds
 
 # Visits of a place by a vehicle whose closures are kept, as of landmarks (`graph_visits`).
 _VISITS = 2
@@ -25,31 +25,20 @@ _SAME_VISIT = 15.0  # m driven; nearer closures of a place belong to the same vi
 Key = tuple[int, int]  # of a closure: the keyframes a and b
 
 
-class _Ends(NamedTuple):
-    """The vehicles at both ends of a closure, and the distances (m) that they had driven."""
-
-    vehicle_a: int
-    distance_a: float
-    vehicle_b: int
-    distance_b: float
-
-
 class ClosureThinning:
-    """Which closures repeat what those of earlier visits say."""
+    """Selects the closures that repeat those of earlier visits."""
 
     def __init__(self) -> None:
-        self._ends: dict[Key, _Ends] = {}
+        self._ends: dict[Key, ClosureEnds] = {}
 
     def add(self, closures: Sequence[Closure], anchors: Anchors) -> None:
-        """Note closures whose anchors are there."""
+        """Add closures, whose anchors must exist."""
         for closure in closures:
             a, b = (anchors.of_keyframe(k) for k in (closure.keyframe_a, closure.keyframe_b))
-            self._ends[a.keyframe, b.keyframe] = _Ends(
-                a.vehicle, a.distance_driven, b.vehicle, b.distance_driven
-            )
+            self._ends[a.keyframe, b.keyframe] = ClosureEnds.of(a, b)
 
     def forget(self, closures: Sequence[Closure]) -> None:
-        """Forget closures that have been taken back or dropped."""
+        """Forget closures that have been retracted or dropped."""
         for closure in closures:
             del self._ends[closure.keyframe_a, closure.keyframe_b]
 
@@ -58,18 +47,18 @@ class ClosureThinning:
         closures: Sequence[Closure],
         poses: Array,
         anchors: Anchors,
-        judged: Collection[int],
+        evaluated: Collection[int],
     ) -> list[Closure]:
         """Return the closures that may be dropped.
 
-        closures: all that are part of the graph. poses (K, 3): of all keyframes. judged: keyframes
-        whose anchors have been judged, see Thinning.
+        closures: all that are part of the graph. poses (K, 3): of all keyframes. evaluated:
+        keyframes whose anchors have been evaluated, see Thinning.
         """
         by_vehicle: dict[int, list[Closure]] = {}
         for closure in closures:
             ends = self._ends[closure.keyframe_a, closure.keyframe_b]
             by_vehicle.setdefault(ends.vehicle_b, []).append(closure)
-        fixed = self._fixed(anchors, judged)
+        fixed = self._fixed(anchors, evaluated)
         return [
             closure
             for vehicle, own in sorted(by_vehicle.items())
@@ -77,18 +66,19 @@ class ClosureThinning:
         ]
 
     def _fixed(
-        self, anchors: Anchors, judged: Collection[int]
+        self, anchors: Anchors, evaluated: Collection[int]
     ) -> Mapping[int, tuple[Array, float]]:
-        """Return what closures must hold, of each vehicle, and how far that is known.
+        """Return, for each vehicle, the anchors that closures must fix, and how far they are known.
 
-        These are, as distances driven (n,) m, its anchors that were judged and kept.
+        Both are distances driven (m): (n,) of the anchors that were evaluated and kept, and that of
+        the first one that has not been evaluated.
         """
         kept: dict[int, list[float]] = {ends.vehicle_b: [] for ends in self._ends.values()}
         frontier = dict.fromkeys(kept, np.inf)
         for anchor in anchors:
             if anchor.vehicle not in kept:
                 continue
-            if anchor.keyframe in judged:
+            if anchor.keyframe in evaluated:
                 kept[anchor.vehicle].append(anchor.distance_driven)
             else:
                 frontier[anchor.vehicle] = min(frontier[anchor.vehicle], anchor.distance_driven)
@@ -117,26 +107,26 @@ class ClosureThinning:
     # ---- state
 
     def state_dict(self) -> State:
-        """Return what was noted of the closures; see `from_state`."""
+        """Return the ends of the closures; see `from_state`."""
         rows = [(*key, *ends) for key, ends in self._ends.items()]
         return {'ends': np.array(rows, np.float64).reshape(-1, 6)}
 
     @classmethod
     def from_state(cls, state: State) -> Self:
-        """Make a thinning that goes on where `state_dict` was called."""
+        """Make a thinning that continues exactly from a state of `state_dict`."""
         made = cls()
         for a, b, vehicle_a, distance_a, vehicle_b, distance_b in state['ends'].tolist():
-            ends = _Ends(int(vehicle_a), distance_a, int(vehicle_b), distance_b)
+            ends = ClosureEnds(int(vehicle_a), distance_a, int(vehicle_b), distance_b)
             made._ends[int(a), int(b)] = ends
         return made
 
 
 def _bridges(driven: Array, fixed: Array, frontier: float) -> NDArray[np.bool_]:
-    """Return (n,) which closures hold a kept part of the path, or may come to hold one.
+    """Return (n,) which closures fix a kept part of the path, or may come to fix one.
 
-    These are the first and the last within QUERY_LENGTH, from which on closures are independent,
-    on the way between two fixed keyframes. driven (n,), fixed (m,): distances driven (m),
-    ascending; frontier: from there on, nothing is known of what will be fixed.
+    These are, between two fixed keyframes, the first and the last within QUERY_LENGTH, the
+    distance at which closures are independent. driven (n,), fixed (m,): distances driven (m),
+    ascending; frontier (m): from there on, it is not known which keyframes will be fixed.
     """
     stops = np.concatenate([[-np.inf], fixed[fixed < frontier], [frontier]])
     after = np.searchsorted(stops, driven, 'left')
@@ -148,5 +138,5 @@ def _bridges(driven: Array, fixed: Array, frontier: float) -> NDArray[np.bool_]:
 
 
 def _visits(driven: Array) -> int:
-    """Return in how many visits closures of a place were found; driven (n,): ascending."""
+    """Return the number of visits with closures of a place; driven (n,) m: ascending."""
     return 1 + int((np.diff(driven) > _SAME_VISIT).sum()) if len(driven) else 0

@@ -7,7 +7,11 @@ from explore_slam.settings import Section, setting
 
 @dataclass(frozen=True)
 class ClosureConfig(Section):
-    """How loops are found by laser. Values: design study on Intel, ACES and Belgioioso."""
+    """Loop closing by laser.
+
+    Values were chosen on the logs Intel, ACES and Belgioioso; `benchmarks/laser_yardstick.py`
+    shows what a change does.
+    """
 
     laser_closures: bool = setting(True, 'Close loops by laser, within and between vehicles')
     closure_every: int = setting(
@@ -15,14 +19,14 @@ class ClosureConfig(Section):
     )
     closure_minimum_distance: float = setting(
         10.0,
-        'Anchors of the same vehicle are candidates after this distance driven',
+        'Minimum distance driven since anchors of the same vehicle',
         unit='m',
         low=1.0,
         high=1000.0,
     )
     closure_delay: float = setting(
         5.0,
-        'Anchors of another vehicle nearby are candidates when this much older or newer',
+        'Minimum time difference to anchors of another vehicle nearby, which may be in the scans',
         unit='s',
         low=0.0,
         high=3600.0,
@@ -45,7 +49,7 @@ class ClosureConfig(Section):
     )
     closure_other_mode: float = setting(
         0.92,
-        'A closure is dropped when another pose reaches this share of its score',
+        'Reject a closure as ambiguous if another pose scores at least this fraction of its score',
         low=0.0,
         high=1.0,
     )

@@ -29,7 +29,7 @@ from explore_slam.slam.closures.anchors import (
     Region,
     pose_of,
 )
-from explore_slam.slam.closures.closure import Closure, apart, closure_information
+from explore_slam.slam.closures.closure import Closure, closure_information, poses_differ
 from explore_slam.slam.closures.config import ClosureConfig
 from explore_slam.slam.closures.uniqueness import Fit, fit_of, trail_of
 
@@ -42,8 +42,8 @@ _ANGLE_STEP = math.radians(2.0)
 _SAME_PLACE = (2.0, math.radians(45.0))  # m, rad: one region per place and heading is enough
 _REACH = 0.4  # m, of the alignment at first
 _MODES_APART = (0.5, 0.17)  # m, rad: nearer poses are the same mode
-# Share of the returns that must lie on known surfaces: of what the newcomer has seen around the
-# path that it has in common with the map, this may not have been mapped yet (Intel: 0.5 to 0.65).
+# Share of the returns that must lie on known surfaces: around the path that the vehicle has in
+# common with the map, part of what it has seen may not have been mapped yet (Intel: 0.5 to 0.65).
 _LEAST_OVERLAP = 0.5
 _SURROUNDINGS = 8.0  # m around a match: all that is known there
 _MOST_AROUND = 40  # anchors; more of them are taken in turn
@@ -60,7 +60,7 @@ class _Found:
 
 
 class GlobalSearch:
-    """Candidates for where vehicles of unknown start are, until enough of them agree."""
+    """Searches for vehicles of unknown start; keeps candidates until enough of them agree."""
 
     def __init__(self, config: ClosureConfig, anchors: Anchors) -> None:
         self.config = config
@@ -73,7 +73,7 @@ class GlobalSearch:
 
     @classmethod
     def from_state(cls, state: State, config: ClosureConfig, anchors: Anchors) -> Self:
-        """Make a search in restored anchors that goes on where `state_dict` was called."""
+        """Make a search that continues exactly from a state of `state_dict`, in restored anchors."""
         made = cls(config, anchors)
         made.pending = candidates_of_rows(state['pending'], anchors)
         return made
@@ -83,28 +83,31 @@ class GlobalSearch:
         self.pending = [c for c in self.pending if keyframe not in (c.a.keyframe, c.b.keyframe)]
 
     def search(
-        self, keyframe: int, poses: Array, settled: Collection[int]
+        self, keyframe: int, poses: Array, localized: Collection[int]
     ) -> Iterator[list[Closure]]:
-        """Search for the anchor of a keyframe among those of settled vehicles.
+        """Search for the anchor of a keyframe among those of localized vehicles.
 
-        poses (K, 3): of all keyframes, by number; those of the settled vehicles are in one frame,
-        those of the keyframe's vehicle in another. The result yields after each region the
+        poses (K, 3): of all keyframes, by number; those of the localized vehicles are in one
+        frame, those of the keyframe's vehicle in another. The result yields after each region the
         closures that join the two: none until the last step, and then only if enough candidates
         agree. It searches the anchors of this moment at these poses, which must not change
         meanwhile: pass a copy.
         """
         anchor = self.anchors.of_keyframe(keyframe)
-        if anchor.vehicle in settled:
-            raise SlamError(f'vehicle {anchor.vehicle} is settled, expected one of unknown start')
+        if anchor.vehicle in localized:
+            raise SlamError(
+                f'vehicle {anchor.vehicle} is already in the map, expected a vehicle with unknown '
+                'start pose'
+            )
         pose_of(poses, keyframe)
         query = self.anchors.query(anchor, poses, QUERY_LENGTH)
         regions = []
         if query.distance_driven >= _MINIMUM_QUERY_LENGTH:
-            regions = list(self._regions(poses, settled))
-        return self._search(query, regions, poses, settled)
+            regions = list(self._regions(poses, localized))
+        return self._search(query, regions, poses, localized)
 
     def _search(
-        self, query: Query, regions: list[Region], poses: Array, settled: Collection[int]
+        self, query: Query, regions: list[Region], poses: Array, localized: Collection[int]
     ) -> Iterator[list[Closure]]:
         found: list[_Found] = []
         for region in regions:
@@ -116,23 +119,23 @@ class GlobalSearch:
                 pose = compose(poses[region.centre.keyframe], np.asarray(peak.pose))
                 found.append(_Found(region, peak, pose))
             yield []
-        candidate = self._candidate(query, found, poses, settled)
+        candidate = self._candidate(query, found, poses, localized)
         if candidate is None:
             return
         group = self._agreeing(candidate, poses)
         if not group:
             return
-        for fit in self._fits(group, poses, settled):
+        for fit in self._fits(group, poses, localized):
             if fit is None:
                 yield []
             elif fit.is_unique(self.config.closure_other_mode):
                 self._forget(candidate.b.vehicle)
                 yield [member.closure for member in reversed(group)]
 
-    def _regions(self, poses: Array, settled: Collection[int]) -> Iterator[Region]:
-        """Yield a region for each place and heading of the settled vehicles."""
+    def _regions(self, poses: Array, localized: Collection[int]) -> Iterator[Region]:
+        """Yield a region for each place and heading of the localized vehicles."""
         seen: list[Array] = []
-        for vehicle in sorted(settled):
+        for vehicle in sorted(localized):
             for number in self.anchors.region_numbers(vehicle):
                 if number % 2:
                     continue
@@ -140,32 +143,33 @@ class GlobalSearch:
                 if region is None:
                     continue
                 pose = poses[region.centre.keyframe]
-                if all(apart(pose, other, *_SAME_PLACE) for other in seen):
+                if all(poses_differ(pose, other, *_SAME_PLACE) for other in seen):
                     seen.append(pose)
                     yield region
 
     def _candidate(
-        self, query: Query, found: list[_Found], poses: Array, settled: Collection[int]
+        self, query: Query, found: list[_Found], poses: Array, localized: Collection[int]
     ) -> Candidate | None:
         """Return the best match if it passes all tests and nothing else is nearly as good.
 
         A region is one pass through a place, and the query may have seen more than it: overlap
-        and pose are judged with all that is known around the place. The map may still be growing
-        there, so that less overlap is asked for than of a loop; `fit_of` tests what that allows.
+        and pose are evaluated with all that is known around the place. The map may still be
+        growing there, so that less overlap is required than of a loop; `fit_of` tests for the false
+        joins that this would permit.
         """
         if not found:
             return None
         best = max(found, key=lambda match: match.peak.score)
         needed = self.config.closure_other_mode * best.peak.score
         for match in found:
-            if match.peak.score > needed and apart(match.pose, best.pose, *_MODES_APART):
+            if match.peak.score > needed and poses_differ(match.pose, best.pose, *_MODES_APART):
                 return None
         region, window = best.region, SearchWindow(IDENTITY, _WINDOW, math.pi, _ANGLE_STEP)
         if region.centre.keyframe not in self.anchors:  # removed during the search
             return None
         if region.map.find_other_mode(query.points, window, best.peak.pose, _MODES_APART, needed):
             return None
-        surroundings = self._surroundings(region, best.pose, poses, settled)
+        surroundings = self._surroundings(region, best.pose, poses, localized)
         alignment = surroundings.align(query.surfaces, best.peak.pose, _REACH)
         if (
             alignment is None
@@ -185,11 +189,11 @@ class GlobalSearch:
         return Candidate(region.centre, query.anchor, closure)
 
     def _surroundings(
-        self, region: Region, pose: Array, poses: Array, settled: Collection[int]
+        self, region: Region, pose: Array, poses: Array, localized: Collection[int]
     ) -> LocalMap:
-        """Return the map of all settled anchors around a pose, in the frame of the region."""
+        """Return the map of all localized anchors around a pose, in the frame of the region."""
         table = self.anchors.table()
-        wanted = np.isin(table.vehicles, list(settled)) & (table.keyframes < len(poses))
+        wanted = np.isin(table.vehicles, list(localized)) & (table.keyframes < len(poses))
         keyframes = table.keyframes[wanted]
         off = poses[keyframes, :2] - pose[:2]
         near = keyframes[(off**2).sum(axis=1) < _SURROUNDINGS**2]
@@ -220,20 +224,20 @@ class GlobalSearch:
         self.pending = [c for c in self.pending if c.b.vehicle != vehicle]
 
     def _fits(
-        self, group: Collection[Candidate], poses: Array, settled: Collection[int]
+        self, group: Collection[Candidate], poses: Array, localized: Collection[int]
     ) -> Iterator[Fit | None]:
-        """Yield how the newcomer's path fits into the map where a group of candidates says."""
+        """Yield how the vehicle's path fits into the map at the pose of a group of candidates."""
         frame = join_transform([member.closure for member in group], poses)
         vehicle = next(iter(group)).b.vehicle
         present = [anchor for anchor in self.anchors if anchor.keyframe < len(poses)]
         trail = trail_of([anchor for anchor in present if anchor.vehicle == vehicle])
-        known = [anchor for anchor in present if anchor.vehicle in settled]
+        known = [anchor for anchor in present if anchor.vehicle in localized]
         placed = compose(np.asarray(frame), poses[[anchor.keyframe for anchor in trail]])
         return fit_of(trail, placed, known, poses[[anchor.keyframe for anchor in known]])
 
 
 def join_transform(closures: Collection[Closure], poses: Array) -> Pose2:
-    """Return the pose of the newcomer's frame in the map that the closures predict on average."""
+    """Return the mean pose, in the map, of the vehicle's own frame that the closures predict."""
     if not closures:
         raise SlamError('no closures, expected one or more')
     predicted = []

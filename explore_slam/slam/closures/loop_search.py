@@ -1,4 +1,4 @@
-"""Search for loops: where the last metres driven lie on what was seen earlier.
+"""Search for loops: parts of the map that match the scans of the last metres driven.
 
 1. The query is the last 6 m of a vehicle; the candidates are regions of the map within the
    uncertainty of the query's pose relative to them.
@@ -15,7 +15,7 @@ from typing import Self
 import numpy as np
 
 from explore_slam.errors import SlamError
-from explore_slam.geometry import Array, Pose2, between, compose
+from explore_slam.geometry import Array, Pose2, between, compose, planar_rotation
 from explore_slam.registration import Alignment, PointCloud, SearchWindow
 from explore_slam.slam.checkpoint import State, part, under
 from explore_slam.slam.closures.agreement import (
@@ -36,9 +36,10 @@ from explore_slam.slam.closures.anchors import (
 )
 from explore_slam.slam.closures.closure import (
     Closure,
+    ClosureEnds,
     acceptable,
-    apart,
     closure_information,
+    poses_differ,
 )
 from explore_slam.slam.closures.config import ClosureConfig
 
@@ -65,7 +66,7 @@ _AGREEMENT_SPAN = 1.5  # m driven
 _LEAST_SPACING = 0.1  # m driven between closures that add information
 _PENDING_DISTANCE = 12.0  # m; older candidates are forgotten
 _BODY = 3.0  # m; nearer than this another vehicle may be in the scans
-# A closure is taken back when its squared Mahalanobis distance stays above this (chi-square with
+# A closure is retracted when its squared Mahalanobis distance stays above this (chi-square with
 # 3 degrees of freedom: 1 in 1e5) in as many checks.
 _INCONSISTENT = 25.9
 _CHECKS = 3
@@ -91,11 +92,9 @@ class LoopSearch:
         self.anchors = Anchors()
         self.closures: list[Closure] = []
         self.pending: list[Candidate] = []
-        self._closed_at: dict[
-            int, float
-        ] = {}  # distance driven by each vehicle at its last closure
-        # vehicle and distance driven at both ends of closures that may share scans with the next
-        self._accepted: list[tuple[int, float, int, float]] = []
+        self._closed_at: dict[int, float] = {}  # vehicle -> distance driven at its last closure
+        # of the closures that may share scans with the next
+        self._accepted: list[ClosureEnds] = []
         self._inconsistent: dict[tuple[int, int], int] = {}
 
     def add_anchor(
@@ -105,7 +104,7 @@ class LoopSearch:
         self.anchors.add(Anchor(keyframe, vehicle, distance_driven, stamp, cloud))
 
     def adopt(self, closures: Sequence[Closure]) -> None:
-        """Take over closures that were found elsewhere, to recheck them with the others."""
+        """Add closures that another search has found, to recheck them with the others."""
         self.closures += closures
         for closure in closures:
             self._note_closed(closure)
@@ -276,7 +275,7 @@ class LoopSearch:
         """Return whether another region or another pose in the window fits nearly as well."""
         needed = self.config.closure_other_mode * match.score
         if any(
-            other.score > needed and apart(other.pose, match.pose, *_REGIONS_DISAGREE)
+            other.score > needed and poses_differ(other.pose, match.pose, *_REGIONS_DISAGREE)
             for other in found
         ):
             return True
@@ -323,13 +322,15 @@ class LoopSearch:
         off = region.offsets[:, :2] - (alignment.pose.x, alignment.pose.y)
         a = region.anchors[int(np.argmin((off**2).sum(axis=1)))]
         pose = between(poses[a.keyframe], match.pose)
-        turn = float(pose[2]) - alignment.pose.theta
-        c, s = math.cos(turn), math.sin(turn)
-        R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        bent = None
+        R = planar_rotation(float(pose[2]) - alignment.pose.theta)
+        internal_covariance = None
         if covariance is not None:
-            bent = R.T @ _bent(query, region, a, float(pose[2]), covariance) @ R
-        information = R @ closure_information(region.map, query, alignment, bent) @ R.T
+            internal_covariance = (
+                R.T @ _internal_covariance(query, region, a, float(pose[2]), covariance) @ R
+            )
+        information = (
+            R @ closure_information(region.map, query, alignment, internal_covariance) @ R.T
+        )
         closure = Closure(
             a.keyframe,
             query.anchor.keyframe,
@@ -359,25 +360,25 @@ class LoopSearch:
             )
 
     def _with_shared_error(self, candidate: Candidate) -> Closure:
-        """Return the closure with the information that it adds to those on the same way.
+        """Return the closure with the information that it adds to those on the same path segment.
 
-        Two queries share the scans of the way that they have in common, and their errors. Of
-        closures at a spacing d, with errors that are correlated by the share in common of the
-        way q of a query, d / q are as good as independent.
+        Two queries share the scans of the segment that they have in common, and their errors. The
+        errors of closures at a spacing d are correlated by the common part of the length q of a
+        query; a fraction d / q of them counts as independent.
         """
         a, b = candidate.a, candidate.b
         self._accepted = [
             other
             for other in self._accepted
-            if other[2] != b.vehicle or b.distance_driven - other[3] < QUERY_LENGTH
+            if other.vehicle_b != b.vehicle or b.distance_driven - other.distance_b < QUERY_LENGTH
         ]
         spacings = [
-            abs(b.distance_driven - b_way)
-            for a_vehicle, a_way, b_vehicle, b_way in self._accepted
-            if (a_vehicle, b_vehicle) == (a.vehicle, b.vehicle)
-            and abs(a.distance_driven - a_way) < QUERY_LENGTH
+            abs(b.distance_driven - other.distance_b)
+            for other in self._accepted
+            if (other.vehicle_a, other.vehicle_b) == (a.vehicle, b.vehicle)
+            and abs(a.distance_driven - other.distance_a) < QUERY_LENGTH
         ]
-        self._accepted.append((a.vehicle, a.distance_driven, b.vehicle, b.distance_driven))
+        self._accepted.append(ClosureEnds.of(a, b))
         spacing = min(max(min(spacings, default=QUERY_LENGTH), _LEAST_SPACING), QUERY_LENGTH)
         information = spacing / QUERY_LENGTH * candidate.closure.information
         return replace(candidate.closure, information=information)
@@ -400,7 +401,7 @@ class LoopSearch:
 
     @classmethod
     def from_state(cls, state: State, config: ClosureConfig) -> Self:
-        """Make a search that goes on, bit by bit, where `state_dict` was called."""
+        """Make a search that continues exactly from a state of `state_dict`."""
         made = cls(config)
         made.anchors = Anchors.from_state(part('anchors', state))
         made.closures = [Closure.from_row(row) for row in state['closures']]
@@ -408,11 +409,14 @@ class LoopSearch:
         made._closed_at = {
             int(vehicle): float(distance_driven) for vehicle, distance_driven in state['closed_at']
         }
-        made._accepted = [(int(a), v, int(b), w) for a, v, b, w in state['accepted'].tolist()]
+        made._accepted = [
+            ClosureEnds(int(vehicle_a), distance_a, int(vehicle_b), distance_b)
+            for vehicle_a, distance_a, vehicle_b, distance_b in state['accepted'].tolist()
+        ]
         made._inconsistent = {(int(a), int(b)): int(n) for a, b, n in state['inconsistent']}
         return made
 
-    # ---- taking back
+    # ---- retraction
 
     def recheck(self, squared_distances: Array) -> list[Closure]:
         """Return the closures that have become inconsistent, and forget them.
@@ -426,19 +430,19 @@ class LoopSearch:
                 f'squared distances have shape {distances.shape}, '
                 f'expected {len(self.closures)} of the closures'
             )
-        kept, taken_back = [], []
+        kept, inconsistent = [], []
         counts: dict[tuple[int, int], int] = {}
         for closure, distance in zip(self.closures, distances, strict=True):
             key = (closure.keyframe_a, closure.keyframe_b)
             count = self._inconsistent.get(key, 0) + 1 if distance > _INCONSISTENT else 0
             if count >= _CHECKS:
-                taken_back.append(closure)
+                inconsistent.append(closure)
                 continue
             kept.append(closure)
             if count:
                 counts[key] = count
         self.closures, self._inconsistent = kept, counts
-        return taken_back
+        return inconsistent
 
 
 def _is_same_place(one: Candidate, other: Candidate) -> bool:
@@ -449,21 +453,20 @@ def _is_same_place(one: Candidate, other: Candidate) -> bool:
     )
 
 
-def _bent(
+def _internal_covariance(
     query: Query, region: Region, a: Anchor, heading: float, covariance: RelativeCovariance
 ) -> Array:
-    """Return how far scans are misplaced among themselves: (3, 3) in the axes of anchor a.
+    """Return the covariance (3, 3) of relative pose errors within query and map, in the axes of a.
 
-    heading (rad): of the query in the frame of a. A scan of the query is off against the newest
-    by as much as the middle one is; a map around a by as much as either half of it, the mean of
-    two. In the simulated office single closures then have a squared Mahalanobis distance from the
-    truth of 1.3 to 2.1 on average.
+    heading (rad): of the query in the frame of anchor a. The error of a scan of the query relative
+    to the newest is taken as that of its middle one; the error of the map around a as that of
+    either half of it, the mean of two. In the simulated office single closures then have a squared
+    Mahalanobis distance from the truth of 1.3 to 2.1 on average, where 3 is expected.
     """
     n = len(region.anchors)
     sides = np.array([region.anchors[n // 4].keyframe, region.anchors[3 * n // 4].keyframe])
     middle = np.array([query.middle.keyframe], np.int64)
-    c, s = math.cos(heading), math.sin(heading)
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    turn = planar_rotation(heading)
     own = turn @ covariance(query.anchor.keyframe, middle)[0] @ turn.T
     total: Array = own + 0.5 * covariance(a.keyframe, sides.astype(np.int64)).mean(axis=0)
     return total

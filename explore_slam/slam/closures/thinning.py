@@ -1,4 +1,4 @@
-"""Anchors of places that are known already: those that may go, so that the area bounds them."""
+"""Select the anchors of known places that may be removed, to bound their number by the area."""
 
 import math
 from collections.abc import Sequence
@@ -23,21 +23,21 @@ _ON_SURFACE = 0.15  # m: a return this near one of an older anchor is the same
 
 
 class Thinning:
-    """Which anchors repeat what older ones show; each is judged once."""
+    """Selects the anchors that repeat what older ones show; each is evaluated once."""
 
     def __init__(self, anchors: Anchors) -> None:
         self.anchors = anchors
-        self.judged: set[int] = set()
+        self.evaluated: set[int] = set()
 
     def state_dict(self) -> State:
-        """Return what has been judged; see `from_state`."""
-        return {'judged': np.array(sorted(self.judged), np.int64)}
+        """Return what has been evaluated; see `from_state`."""
+        return {'evaluated': np.array(sorted(self.evaluated), np.int64)}
 
     @classmethod
     def from_state(cls, state: State, anchors: Anchors) -> Self:
-        """Make a thinning of restored anchors that goes on where `state_dict` was called."""
+        """Make a thinning that continues exactly from a state of `state_dict`, for restored anchors."""
         made = cls(anchors)
-        made.judged = set(state['judged'].tolist())
+        made.evaluated = set(state['evaluated'].tolist())
         return made
 
     def redundant(
@@ -57,10 +57,10 @@ class Thinning:
         removed: set[int] = set()
         newest = {anchor.vehicle: anchor.distance_driven for anchor in self.anchors}
         for anchor in self.anchors:
-            settled = newest[anchor.vehicle] - anchor.distance_driven > _RECENT_DISTANCE
-            if not settled or anchor.keyframe in self.judged:
+            is_past = newest[anchor.vehicle] - anchor.distance_driven > _RECENT_DISTANCE
+            if not is_past or anchor.keyframe in self.evaluated:
                 continue
-            self.judged.add(anchor.keyframe)
+            self.evaluated.add(anchor.keyframe)
             older = self._older(anchor, poses, removed, frames)
             if older and self._is_known(anchor, older, covariance):
                 shown = _share_shown(anchor, older, poses)

@@ -1,9 +1,9 @@
-"""Whether a vehicle fits into the map in one place only, as far as the map reaches.
+"""Test whether the path of a vehicle has a unique match in the mapped area.
 
 A search prefers poses at which the map shows all that the vehicle has seen. Where the map is still
 growing, the right pose may lie beyond its edge, and a wrong one wins because it is covered: the
-next of equal rooms. Here every pose is judged by those returns alone that fall where the map has
-been seen: if at another pose a fair part of them does and fits as well, the join must wait.
+next of equal rooms. Here every pose is evaluated only by the returns in the mapped area: if at
+another pose a fair part of them lies there and fits as well, the join must wait.
 """
 
 import math

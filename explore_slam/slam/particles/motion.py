@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from explore_slam.geometry import IDENTITY, Array, Pose2, compose, rotated
+from explore_slam.geometry import IDENTITY, Array, Pose2, compose, planar_rotation, rotated
 from explore_slam.settings import Section, setting
 from explore_slam.slam.checkpoint import State
 from explore_slam.slam.particles.resampling import stratified_normals
@@ -100,7 +100,7 @@ def compound(
     dx = c * increment.x - s * increment.y
     dy = s * increment.x + c * increment.y
     F = np.array([[1.0, 0.0, -dy], [0.0, 1.0, dx], [0.0, 0.0, 1.0]])
-    L = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    L = planar_rotation(mean.theta)
     total = F @ covariance @ F.T + L @ noise @ L.T
     return mean.compose(increment), 0.5 * (total + total.T)
 
@@ -177,8 +177,7 @@ class Segment(NamedTuple):
     def extended(self, other: 'Segment') -> 'Segment':
         """Return this motion followed by another."""
         mean, covariance = compound(self.mean, self.covariance, other.mean, other.covariance)
-        c, s = math.cos(self.mean.theta), math.sin(self.mean.theta)
-        F, L = np.eye(3), np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        F, L = np.eye(3), planar_rotation(self.mean.theta)
         F[0, 2], F[1, 2] = self.mean.y - mean.y, mean.x - self.mean.x
         return Segment(
             mean,

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from explore_slam.geometry import Array, between, rotated
+from explore_slam.geometry import Array, between, planar_rotation, rotated
 from explore_slam.slam.graph import JointGraph
 from explore_slam.slam.graph.solver import Solution
 from explore_slam.slam.storage.row_format import Places
@@ -101,8 +101,7 @@ def _in_frame_of(u: Array, Q: Array, z: Array, P: Array) -> Array:
     which these are given.
     """
     w = between(u, z)
-    c, s = np.cos(u[2]), np.sin(u[2])
-    J = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    J = planar_rotation(-u[2])
     K = np.tile(-J, (len(z), 1, 1))
     K[:, 0, 2], K[:, 1, 2] = w[:, 1], -w[:, 0]
     found: Array = J @ P @ J.T + K @ Q @ K.transpose(0, 2, 1)

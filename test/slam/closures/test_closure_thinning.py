@@ -10,7 +10,7 @@ from explore_slam.registration import PointCloud
 from explore_slam.slam.closures import Anchor, Anchors, Closure, ClosureThinning
 
 LAP = 40  # m and keyframes
-UNJUDGED = 15  # m and keyframes, the newest
+UNEVALUATED = 15  # m and keyframes, the newest
 EMPTY = PointCloud(np.empty((0, 2)), np.empty((0, 2)), np.empty(0))
 
 
@@ -27,7 +27,7 @@ def closure(a, b):
 class Laps:
     """Every keyframe after the first lap closes on the first, unless it is in a new room."""
 
-    def __init__(self, count, room=(), blind=(), unjudged=UNJUDGED):
+    def __init__(self, count, room=(), blind=(), unevaluated=UNEVALUATED):
         self.poses = np.array([on_the_ring(k) for k in range(count)])
         self.poses[list(room), 0] += 100.0
         self.anchors, self.thinning = Anchors(), ClosureThinning()
@@ -36,14 +36,14 @@ class Laps:
         closed = [k for k in range(LAP, count) if k not in room and k not in blind]
         self.closures = [closure(k % LAP, k) for k in closed]
         self.thinning.add(self.closures, self.anchors)
-        self.judged = set(range(count - unjudged))
+        self.evaluated = set(range(count - unevaluated))
         for k in closed:
-            if k in self.judged:
+            if k in self.evaluated:
                 self.anchors.remove(k)
 
     def thin(self):
         """Drop what is redundant; return the keyframes with closures that are left."""
-        gone = self.thinning.redundant(self.closures, self.poses, self.anchors, self.judged)
+        gone = self.thinning.redundant(self.closures, self.poses, self.anchors, self.evaluated)
         self.thinning.forget(gone)
         self.closures = [c for c in self.closures if c not in gone]
         return [c.keyframe_b for c in self.closures]
@@ -52,7 +52,7 @@ class Laps:
 def test_the_closures_of_two_visits_and_the_newest_are_left():
     count = 6 * LAP
     left = Laps(count).thin()
-    frontier = count - UNJUDGED
+    frontier = count - UNEVALUATED
     # the end of the third lap is near the beginning of the second: its third visit
     assert left == [*range(LAP, 3 * LAP - 1), *range(frontier - 5, count)]
 
@@ -64,11 +64,11 @@ def test_the_number_of_closures_does_not_grow_with_the_laps():
 def test_what_is_dropped_little_by_little_is_the_same():
     laps = Laps(6 * LAP)
     once = Laps(6 * LAP).thin()
-    everything, laps.judged = laps.judged, set(range(3 * LAP))
-    for k in range(3 * LAP, 6 * LAP - UNJUDGED):
-        laps.judged.add(k)
+    everything, laps.evaluated = laps.evaluated, set(range(3 * LAP))
+    for k in range(3 * LAP, 6 * LAP - UNEVALUATED):
+        laps.evaluated.add(k)
         laps.thin()
-    assert laps.judged == everything
+    assert laps.evaluated == everything
     assert laps.thin() == once
     assert laps.thin() == once
 
@@ -85,8 +85,8 @@ def test_a_new_room_stays_tied_in_however_often_its_entrance_was_passed(late):
     assert between == set()
 
 
-def test_a_loop_of_which_nothing_is_judged_yet_is_left_alone():
-    laps = Laps(6 * LAP, unjudged=5 * LAP)
+def test_a_loop_of_which_nothing_is_evaluated_yet_is_left_alone():
+    laps = Laps(6 * LAP, unevaluated=5 * LAP)
     assert laps.thin() == list(range(LAP, 6 * LAP))
 
 
@@ -99,17 +99,17 @@ def test_visits_tied_to_keyframes_that_went_do_not_count():
         laps.anchors.add(Anchor(k, 0, float(k), float(k), EMPTY))
     laps.thinning, laps.closures = ClosureThinning(), [closure(*pair) for pair in ends]
     laps.thinning.add(laps.closures, laps.anchors)
-    for k in range(LAP, 6 * LAP - UNJUDGED):
+    for k in range(LAP, 6 * LAP - UNEVALUATED):
         laps.anchors.remove(k)
     left = laps.thin()
     assert set(range(4 * LAP + 2, 5 * LAP - 2)) <= set(left)
-    assert set(left).isdisjoint(range(5 * LAP + 2, 6 * LAP - UNJUDGED - 6))
+    assert set(left).isdisjoint(range(5 * LAP + 2, 6 * LAP - UNEVALUATED - 6))
 
 
 def test_the_state_is_restored():
     laps = Laps(6 * LAP)
     again = ClosureThinning.from_state(laps.thinning.state_dict())
-    expected = laps.thinning.redundant(laps.closures, laps.poses, laps.anchors, laps.judged)
-    found = again.redundant(laps.closures, laps.poses, laps.anchors, laps.judged)
+    expected = laps.thinning.redundant(laps.closures, laps.poses, laps.anchors, laps.evaluated)
+    found = again.redundant(laps.closures, laps.poses, laps.anchors, laps.evaluated)
     assert found == expected
     assert len(found) > 50

@@ -14,7 +14,7 @@ from explore_slam.registration import scan_cloud
 from explore_slam.slam.closures import Anchors, ClosureConfig, GlobalSearch, join_transform
 from explore_slam.slam.closures.anchors import Anchor
 
-UNKNOWN = Pose2(-7.0, 4.0, 2.2)  # of the newcomer's frame in the map
+UNKNOWN = Pose2(-7.0, 4.0, 2.2)  # of the unlocalized vehicle's frame in the map
 
 
 def joined(walls, first, second, random=None):
@@ -43,7 +43,7 @@ def joined(walls, first, second, random=None):
     return [], distance_driven, np.array(poses), steps
 
 
-def test_a_newcomer_is_joined_to_the_map():
+def test_an_unlocalized_vehicle_is_joined_to_the_map():
     walls = np.vstack([OFFICE, FURNITURE])
     first = along(*LAP)
     second = along(LAP[3], LAP[2], LAP[1], LAP[0], LAP[3])
@@ -58,7 +58,7 @@ def test_a_newcomer_is_joined_to_the_map():
 
 @pytest.mark.parametrize('period', [3.0, 4.0, 6.0])
 def test_equal_rooms_do_not_join(period):
-    """The newcomer sees nothing but the middle of a corridor of equal rooms."""
+    """The unlocalized vehicle sees nothing but the middle of a corridor of equal rooms."""
     rooms = round(36.0 / period)
     walls = corridor_of_rooms(0.0, 0.0, period, rooms)
     first = along((1.0, 0.0), (35.0, 0.0))
@@ -68,7 +68,7 @@ def test_equal_rooms_do_not_join(period):
     assert closures == []
 
 
-def test_a_newcomer_elsewhere_is_not_joined():
+def test_an_unlocalized_vehicle_elsewhere_is_not_joined():
     other = corridor_of_rooms(0.0, 0.0, 5.0, 7)
     random = np.random.default_rng(2)
     first = along(*LAP)
@@ -116,7 +116,7 @@ def test_bad_input_is_named():
     with pytest.raises(SlamError, match='keyframe 3 has no anchor'):
         next(search.search(3, np.zeros((4, 3)), [0]))
     anchors.add(Anchor(0, 0, 0.0, 0.0, scan_cloud(scan_of(OFFICE, Pose2(2.0, 1.5, 0.0)))))
-    with pytest.raises(SlamError, match='vehicle 0 is settled'):
+    with pytest.raises(SlamError, match='vehicle 0 is already in the map'):
         next(search.search(0, np.zeros((1, 3)), [0]))
     with pytest.raises(SlamError, match='poses end at keyframe'):
         next(search.search(0, np.zeros((0, 3)), [1]))

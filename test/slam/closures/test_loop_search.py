@@ -1,4 +1,4 @@
-"""Loops are found, within and between vehicles; what is wrong is refused or taken back."""
+"""Loops are found, within and between vehicles; wrong ones are rejected or retracted."""
 
 import math
 
@@ -111,7 +111,7 @@ def test_vehicles_without_common_frame_are_not_compared():
     assert np.abs(np.array(accepted[0].query_pose(np.array(poses))) - poses[19]).max() < 0.05
 
 
-def test_closures_that_stay_inconsistent_are_taken_back():
+def test_closures_that_stay_inconsistent_are_retracted():
     path = lap_and_a_half()
     run = drive(lambda *_: OFFICE, [Vehicle(path, way_scale=1.01)])
     search = run.search

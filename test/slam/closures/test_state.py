@@ -87,7 +87,7 @@ def test_anchors_of_places_seen_often_are_bounded_by_the_area():
     assert len(run.search.anchors) < 2.0 * one_lap
     assert thinning.redundant(poses, run.graph.relative_covariance) == []
     again = Thinning.from_state(thinning.state_dict(), run.search.anchors)
-    assert again.judged == thinning.judged
+    assert again.evaluated == thinning.evaluated
     # loops are still found with what is left
     last = len(laps) - 1
     closures = [run.search.search(last, poses)]

@@ -78,7 +78,7 @@ def test_motion_without_measurements_is_dead_reckoning():
     np.testing.assert_allclose(graph.covariance(3), expected, rtol=1e-6, atol=1e-10)
 
 
-def test_prior_moves_the_path_and_can_be_taken_back():
+def test_prior_moves_the_path_and_can_be_removed():
     graph = graph_of()
     graph.optimize()
     before = graph.path()
@@ -90,7 +90,7 @@ def test_prior_moves_the_path_and_can_be_taken_back():
     np.testing.assert_allclose(graph.path(), before, atol=1e-9)
 
 
-def test_wrong_closure_stands_out_and_is_taken_back(make_world):
+def test_wrong_closure_stands_out_and_is_removed(make_world):
     world = make_world(3)
     world.circle(12, vehicles=1)
     right = world.close(1, 11, 1e-4 * np.eye(3))

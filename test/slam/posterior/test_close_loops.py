@@ -1,4 +1,4 @@
-"""Closures in the belief: paths bend, vehicles are tied together, what is wrong is taken back."""
+"""Closures in the belief: paths bend, vehicles are tied together, wrong closures are retracted."""
 
 import numpy as np
 import pytest
@@ -78,7 +78,7 @@ def test_a_redraw_follows_a_surprise_or_comes_with_later_closures():
     assert slam.redraws == draws + 2
 
 
-def test_a_wrong_closure_among_right_ones_hardly_counts_and_can_be_taken_back():
+def test_a_wrong_closure_among_right_ones_hardly_counts_and_can_be_retracted():
     slam = make()
     true, keyframes = drive(slam, 'a', LAP + LAP)
     right = [closure(true, keyframes, k, k + 24) for k in range(0, 24, 2)]

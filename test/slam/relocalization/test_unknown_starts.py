@@ -40,7 +40,7 @@ def closures(driven, *pairs):
 
 
 @pytest.fixture
-def apart(make_world, make_slam):
+def unlocalized(make_world, make_slam):
     world = make_world(3)
     world.start(**STARTS)
     slam = make_slam(UNKNOWN, 1, relocalization=False)
@@ -87,9 +87,9 @@ def test_a_vehicle_among_other_landmarks_does_not_join(make_world, make_slam, se
     assert not slam.is_in_map('b')
 
 
-def test_landmarks_of_another_frame_are_not_observed(apart):
+def test_landmarks_of_another_frame_are_not_observed(unlocalized):
     """The same landmarks are seen by both; each vehicle maps them by itself."""
-    slam, world, _ = apart
+    slam, world, _ = unlocalized
     assert [slam.is_in_map(name) for name in 'ab'] == [True, False]
     assert not slam.are_in_one_frame('a', 'b')
     assert slam.groups.of(0) is not slam.groups.of(1)
@@ -102,9 +102,9 @@ def test_landmarks_of_another_frame_are_not_observed(apart):
 
 
 @pytest.mark.parametrize('off', [(0.0, 0.0, 0.0), (0.6, -0.5, 0.25)])
-def test_a_join_brings_path_landmarks_and_particles_into_the_map(apart, off):
+def test_a_join_brings_path_landmarks_and_particles_into_the_map(unlocalized, off):
     """Even from a guess of the frame that is some way off."""
-    slam, world, driven = apart
+    slam, world, driven = unlocalized
     measured = closures(driven, (2, 3), (5, 6), (8, 9), (11, 11))
     guess = STARTS['b'].compose(Pose2(*off))
     numbers = slam.join('b', guess, measured)
@@ -129,8 +129,8 @@ def test_a_join_brings_path_landmarks_and_particles_into_the_map(apart, off):
         assert error @ np.linalg.solve(P, error) < 20.0
 
 
-def test_a_known_pose_joins_too(apart):
-    slam, world, _ = apart
+def test_a_known_pose_joins_too(unlocalized):
+    slam, world, _ = unlocalized
     slam.set_pose('b', world.true['b'], np.diag([1e-4, 1e-4, 1e-4]))
     assert slam.is_in_map('b')
     pose, P = slam.estimate('b')
@@ -140,8 +140,8 @@ def test_a_known_pose_joins_too(apart):
     assert math.hypot(start.x, start.y) < 0.7  # the path came along: the first step is 0.4 m
 
 
-def test_a_vehicle_that_was_moved_unobserved_stays_in_its_frame(apart):
-    slam, _, _ = apart
+def test_a_vehicle_that_was_moved_unobserved_stays_in_its_frame(unlocalized):
+    slam, _, _ = unlocalized
     before = slam.estimate('b')[0]
     slam.displace('b', np.diag([1.0, 1.0, 0.5]))
     assert not slam.is_in_map('b')
@@ -152,8 +152,8 @@ def test_a_vehicle_that_was_moved_unobserved_stays_in_its_frame(apart):
         slam.displace('b', -np.eye(3))
 
 
-def test_what_cannot_join_is_refused_and_changes_nothing(apart):
-    slam, _, driven = apart
+def test_what_cannot_join_is_refused_and_changes_nothing(unlocalized):
+    slam, _, driven = unlocalized
     good = closures(driven, (2, 3), (5, 6))
     before = slam.state_dict()
     wrong = [
@@ -178,16 +178,16 @@ def test_what_cannot_join_is_refused_and_changes_nothing(apart):
     slam.join('b', STARTS['b'], good)
 
 
-def test_a_vehicle_seen_from_another_frame_tells_nothing(apart):
-    slam, _, _ = apart
+def test_a_vehicle_seen_from_another_frame_tells_nothing(unlocalized):
+    slam, _, _ = unlocalized
     before = slam.estimate('b')[0]
     seen = InterRobotObservation(20.0, 'b', np.array([1.0, 0.0]), 1e-4 * np.eye(2))
     slam.update_inter_robot('a', [seen])
     assert slam.estimate('b')[0] == before
 
 
-def test_apart_survives_a_checkpoint(apart):
-    slam, _, driven = apart
+def test_an_unlocalized_vehicle_survives_a_checkpoint(unlocalized):
+    slam, _, driven = unlocalized
     other = FastSlam.from_state(slam.state_dict())
     assert not other.is_in_map('b')
     measured = closures(driven, (2, 3), (5, 6))
@@ -218,8 +218,8 @@ def test_unknown_starts_need_one_joint_map(settings, message):
         TeamBelief(UNKNOWN, config)
 
 
-def test_the_graph_moves_as_a_rigid_body(apart):
-    slam, _, driven = apart
+def test_the_graph_moves_as_a_rigid_body(unlocalized):
+    slam, _, driven = unlocalized
     graph = slam.joint.graph
     slam.redraw([1])
     frame = np.array([3.0, -2.0, 2.0])
