@@ -11,14 +11,16 @@ import numpy as np
 from explore_slam.compiled import kernel
 from explore_slam.geometry import Array
 from explore_slam.slam.association.state import Associations, CandidateRows, Observed
-from explore_slam.slam.storage.row_format import covariance_in_vehicle_frame
+from explore_slam.slam.storage.row_format import Six, covariance_in_vehicle_frame
 
 
 @kernel
 def _mahalanobis_squared(
-    x: float, y: float, z: float, xx: float, xy: float, xz: float, yy: float, yz: float, zz: float
+    residual: tuple[float, float, float], covariance: Six
 ) -> float:  # pragma: no cover - compiled
-    """Return νᵀ S⁻¹ ν of a residual (x, y, z) and its covariance."""
+    """Return νᵀ S⁻¹ ν of a residual ν (x, y, z) and its packed covariance S."""
+    x, y, z = residual
+    xx, xy, xz, yy, yz, zz = covariance
     a, b, d = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
     square = (
         a * x * x
@@ -60,11 +62,12 @@ def associate(
                 sxx, sxy, sxz, syy, syz, szz = covariance_in_vehicle_frame(
                     c, s, row[3, m], row[4, m], row[5, m], row[6, m], row[7, m], row[8, m]
                 )
-                square = _mahalanobis_squared(
-                    z[k, 0] - (c * dx + s * dy), z[k, 1] - (c * dy - s * dx), z[k, 2] - row[2, m],
+                ex, ey = z[k, 0] - (c * dx + s * dy), z[k, 1] - (c * dy - s * dx)
+                S = (
                     sxx + R[k, 0], sxy + R[k, 1], sxz + R[k, 2], syy + R[k, 3], syz + R[k, 4],
                     szz + R[k, 5],
                 )  # fmt: skip
+                square = _mahalanobis_squared((ex, ey, z[k, 2] - row[2, m]), S)
                 nearest = min(nearest, square)
                 distance = rows.distances[k, j]
                 if not square <= gate or distance > best:

@@ -68,10 +68,10 @@ class ClosureThinning:
     def _fixed(
         self, anchors: Anchors, evaluated: Collection[int]
     ) -> Mapping[int, tuple[Array, float]]:
-        """Return, for each vehicle, the anchors that closures must fix, and how far they are known.
+        """Return the anchors of each vehicle that closures must fix, and how far they are known.
 
-        Both are distances driven (m): (n,) of the anchors that were evaluated and kept, and that of
-        the first one that has not been evaluated.
+        Both are distances driven (m): (n,) of the anchors that were evaluated and kept, and that
+        of the first one that has not been evaluated.
         """
         kept: dict[int, list[float]] = {ends.vehicle_b: [] for ends in self._ends.values()}
         frontier = dict.fromkeys(kept, np.inf)

@@ -73,7 +73,10 @@ class GlobalSearch:
 
     @classmethod
     def from_state(cls, state: State, config: ClosureConfig, anchors: Anchors) -> Self:
-        """Make a search that continues exactly from a state of `state_dict`, in restored anchors."""
+        """Make a search that continues exactly from a state of `state_dict`.
+
+        anchors: restored before.
+        """
         made = cls(config, anchors)
         made.pending = candidates_of_rows(state['pending'], anchors)
         return made
@@ -154,8 +157,8 @@ class GlobalSearch:
 
         A region is one pass through a place, and the query may have seen more than it: overlap
         and pose are evaluated with all that is known around the place. The map may still be
-        growing there, so that less overlap is required than of a loop; `fit_of` tests for the false
-        joins that this would permit.
+        growing there, so that less overlap is required than of a loop; `fit_of` tests for the
+        false joins that this would permit.
         """
         if not found:
             return None

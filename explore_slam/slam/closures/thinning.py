@@ -35,7 +35,10 @@ class Thinning:
 
     @classmethod
     def from_state(cls, state: State, anchors: Anchors) -> Self:
-        """Make a thinning that continues exactly from a state of `state_dict`, for restored anchors."""
+        """Make a thinning that continues exactly from a state of `state_dict`.
+
+        anchors: restored before.
+        """
         made = cls(anchors)
         made.evaluated = set(state['evaluated'].tolist())
         return made

@@ -10,7 +10,7 @@ observed the same landmarks.
 import numpy as np
 
 from explore_slam.geometry import Array
-from explore_slam.slam.graph import checks, motion
+from explore_slam.slam.graph import chain, checks, se2
 from explore_slam.slam.graph.config import GraphConfig
 from explore_slam.slam.graph.factors import Integers
 from explore_slam.slam.graph.storage import Storage
@@ -151,13 +151,13 @@ def drop_if_free(storage: Storage, row: int) -> None:
         keyframes['motion'][end] + keyframes['motion_sensitivity'][end] @ calibration
         for end in (row, after)
     )
-    mean, covariance = motion.compound(
+    mean, covariance = se2.compound(
         first,
         keyframes['motion_covariance'][row],
         second,
         keyframes['motion_covariance'][after],
     )
-    F, G = motion.jacobians(first, mean)
+    F, G = se2.jacobians(first, mean)
     sensitivity = F @ keyframes['motion_sensitivity'][row]
     sensitivity += G @ keyframes['motion_sensitivity'][after]
     keyframes['motion'][after] = mean - sensitivity @ calibration
@@ -182,14 +182,14 @@ def carry_dropped(storage: Storage, old: Array) -> None:
         return
     poses = keyframes['chain'].copy()
     rows = np.arange(len(poses))
-    chain = motion.Chain(
+    motions = chain.Chain(
         keyframes['previous'],
         keyframes['live'],
         keyframes['reference'],
         storage.calibrated_increments(rows),
         keyframes['covariance'],
     )
-    motion.carry_dropped(chain, old, checks.EXACT_DEVIATION**2, poses)
+    chain.carry_dropped(motions, old, checks.EXACT_DEVIATION**2, poses)
     dropped = ~keyframes['live']
     for name in ('pose', 'chain'):
         keyframes[name][dropped] = poses[dropped]

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from explore_slam.compiled import kernel
 from explore_slam.geometry import Array
+from explore_slam.slam.graph.se2 import wrapped
 from explore_slam.slam.graph.tables import Table
 
 Integers = NDArray[np.int64]
@@ -88,14 +89,6 @@ class Factors(NamedTuple):
     def last(self, count: int) -> 'Factors':
         """Return the last factors."""
         return Factors._make(column[len(column) - count :] for column in self)
-
-
-@kernel
-def wrapped(angle: float) -> float:
-    """Return the angle (rad) in [−π, π]."""
-    if -math.pi <= angle <= math.pi:
-        return angle
-    return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
 
 
 @kernel

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Array, compose
 from explore_slam.slam.checkpoint import State, part, under
-from explore_slam.slam.graph import bounding, checks, motion
+from explore_slam.slam.graph import bounding, checks, se2
 from explore_slam.slam.graph.config import GraphConfig
 from explore_slam.slam.graph.factors import (
     CAUCHY,
@@ -196,7 +196,7 @@ class JointGraph:
         last = store.newest[vehicle]
         expected = u + C @ store.calibration_of(last)
         pose = np.empty(3)
-        motion.compose(store.keyframes['chain'][last], expected, pose)
+        se2.compose(store.keyframes['chain'][last], expected, pose)
         if estimate is not None:
             pose[:] = checks.matrix('estimate', estimate, (3,))
         store.append_keyframe(
@@ -545,7 +545,7 @@ class JointGraph:
         if rows:
             increments = self._storage.calibrated_increments(rows)
             for increment, noise in zip(increments, table['covariance'][rows], strict=True):
-                mean, covariance = motion.compound(mean, covariance, increment, noise)
+                mean, covariance = se2.compound(mean, covariance, increment, noise)
         return covariance
 
     def live_keyframes(self) -> Integers:

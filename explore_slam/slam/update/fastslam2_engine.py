@@ -18,18 +18,20 @@ from explore_slam.slam.particles.group import Group
 from explore_slam.slam.storage.ancestry import Index
 from explore_slam.slam.update.engine import PoseProposal
 from explore_slam.slam.update.parallel import over_particles
-from explore_slam.slam.update.proposal import ProposalParameters, propose
+from explore_slam.slam.update.proposal import ProposalInputs, ProposalParameters, propose
 
+# Chosen by hand; `benchmarks/slam_mrclam.py` and `benchmarks/relocalization.py` show what a change
+# does to accuracy and to vehicles that are lost.
 # Cost of the largest descriptor distance E0 beside d² + ln|S| of a candidate: that of 2 sigma.
 _DESCRIPTOR_COST = 4.0
-_LEAST_DISTANCE = 0.05  # E0 below it does not make descriptors more decisive
+_LEAST_DISTANCE = 0.05  # smallest E0 that the cost is scaled by: none may outweigh the position
 
-# New landmarks: observations must confirm the pose before distinctive descriptors found elsewhere
-# are taken as new, and nothing is inserted if nearly all matches contradict the pose.
-_CONFIRMING = 3  # associated observations that confirm a pose, and their least part of ...
-_CONFIRMING_PART = 0.5  # ... those with a distinctive descriptor
-_CONTRADICTING_PART = 0.4  # part of all observations that must be distinctive ...
-_CONTRADICTED_PART = 0.25  # ... for the pose to be contradicted if fewer of them are associated
+# New landmarks: an observation with a distinctive descriptor that matches a landmark elsewhere is
+# inserted only if others confirm the pose; nothing is inserted if nearly all contradict it.
+_CONFIRMING = 3  # least number of associated observations that confirm a pose, and their ...
+_CONFIRMING_PART = 0.5  # ... least fraction of those with a distinctive descriptor
+_CONTRADICTING_PART = 0.4  # fraction of the observations with a distinctive match from which ...
+_CONTRADICTED_PART = 0.25  # ... the pose is contradicted if less than this fraction is associated
 
 
 def _parameters(found: CandidateSet, P: Array, config: FastSlamConfig) -> ProposalParameters:
@@ -53,13 +55,12 @@ def _propose(
     config: FastSlamConfig,
 ) -> PoseProposal:
     """Associate, and return the proposal of predicted poses (M, 3) of covariance P (3, 3)."""
-    proposal, parameters = PoseProposal.at(poses), _parameters(found, P, config)
+    proposal = PoseProposal.at(poses)
+    parameters = _parameters(found, P, config)
+    inputs = ProposalInputs(rows, found.measured, found.observed, parameters, poses)
 
     def run(begin: int, end: int) -> None:
-        propose(
-            rows, found.measured, found.observed, parameters, poses, begin, end, proposal.given,
-            chosen,
-        )  # fmt: skip
+        propose(inputs, begin, end, proposal.given, chosen)
 
     over_particles(run, len(poses), config.filter_threads)
     return proposal

@@ -84,6 +84,20 @@ class ProposalParameters(NamedTuple):
     P: Array
 
 
+class ProposalInputs(NamedTuple):
+    """What the proposals of all particles follow from.
+
+    Observations are associated with the covariances of `measured` and count with those of
+    `observed`; poses (M, 3): predicted.
+    """
+
+    rows: CandidateRows
+    measured: Observed
+    observed: Observed
+    parameters: ProposalParameters
+    poses: Array
+
+
 class Proposals(NamedTuple):
     """Gaussians of the pose errors in the predicted vehicle frames, and likelihoods.
 
@@ -201,9 +215,7 @@ def _accumulate(
 @kernel
 def _accumulate_all(
     w: Array,
-    rows: CandidateRows,
-    observed: Observed,
-    parameters: ProposalParameters,
+    inputs: ProposalInputs,
     scales: Array,
     reweighted: bool,
     m0: int,
@@ -214,8 +226,9 @@ def _accumulate_all(
 
     Unmatched observations cost as much as a residual at the gate.
     """
-    choice, robust_weight, t2 = chosen.choice, chosen.robust_weight, parameters.t2
-    unmatched = robust_cost(parameters.gate, t2)
+    rows, observed, t2 = inputs.rows, inputs.observed, inputs.parameters.t2
+    choice, robust_weight = chosen.choice, chosen.robust_weight
+    unmatched = robust_cost(inputs.parameters.gate, t2)
     scratch, w = w, np.empty((SCRATCH, BLOCK))
     w[:] = scratch
     for i in range(BLOCK):
@@ -304,22 +317,13 @@ def sample_proposals(
 
 @kernel
 def propose(
-    rows: CandidateRows,
-    measured: Observed,
-    observed: Observed,
-    parameters: ProposalParameters,
-    poses: Array,
-    begin: int,
-    end: int,
-    proposals: Proposals,
-    chosen: Associations,
+    inputs: ProposalInputs, begin: int, end: int, proposals: Proposals, chosen: Associations
 ) -> None:  # pragma: no cover - compiled
-    """Associate and set the proposals of particles begin … end with predicted poses (M, 3).
+    """Associate and set the proposals of particles begin … end.
 
-    Observations are associated with the covariances of `measured` and count with those of
-    `observed`. choice and robust_weight of `chosen` are set; log_likelihoods are added to.
+    choice and robust_weight of `chosen` are set; log_likelihoods are added to.
     """
-    R = observed.R
+    parameters, poses, R = inputs.parameters, inputs.poses, inputs.observed.R
     scales = np.empty(len(R))
     for k in range(len(R)):
         a = R[k, 3] * R[k, 5] - R[k, 4] * R[k, 4]
@@ -335,9 +339,9 @@ def propose(
                 w[v, i] = 1.0
         for i in range(n):
             _linearize(w, poses, zero, m0, i)
-        _associate(w, rows, measured, parameters, m0, n, chosen.choice)
+        _associate(w, inputs.rows, inputs.measured, parameters, m0, n, chosen.choice)
         for reweighted in (False, True):
-            w = _accumulate_all(w, rows, observed, parameters, scales, reweighted, m0, n, chosen)
+            w = _accumulate_all(w, inputs, scales, reweighted, m0, n, chosen)
             _solve_block(w, poses, parameters, m0, n)
         for i in range(n):
             for v in range(3):

@@ -7,7 +7,7 @@ import pytest
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Pose2, between, compose
 from explore_slam.slam.graph import GraphConfig, JointGraph
-from explore_slam.slam.graph.motion import compound
+from explore_slam.slam.graph.se2 import compound
 from explore_slam.slam.particles.motion import calibrated
 
 NOISE = np.diag([0.02, 0.01, 0.01]) ** 2

@@ -13,6 +13,7 @@ from explore_slam.slam.update.landmark_update import (
     update_landmarks,
 )
 from explore_slam.slam.update.proposal import (
+    ProposalInputs,
     ProposalParameters,
     Proposals,
     propose,
@@ -71,10 +72,10 @@ class Scene:
         poses = self.poses.copy()
         proposals = Proposals(np.zeros((M, 3)), np.zeros((M, 6)), np.zeros(M))
         parameters = ProposalParameters(gate, 0.0, threshold**2, 1.0, self.P)
-        propose(
-            self.candidate_rows, self.observed, self.observed, parameters, poses, 0, end,
-            proposals, self.chosen,
-        )  # fmt: skip
+        inputs = ProposalInputs(
+            self.candidate_rows, self.observed, self.observed, parameters, poses
+        )
+        propose(inputs, 0, end, proposals, self.chosen)
         sample_proposals(proposals.means, proposals.covariances, normals, poses)
         return poses, proposals.log_likelihoods
 
