@@ -1,4 +1,4 @@
-"""Checks of what the filter is given; they all pass before anything is changed."""
+"""Validation of the inputs of the filter; all checks precede any change of its state."""
 
 import math
 

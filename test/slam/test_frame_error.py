@@ -44,7 +44,7 @@ def test_a_pose_is_consistent_although_frames_err_as_a_whole(make_world, make_sl
     assert untold > 2.5 * told
 
 
-def test_a_frame_never_tells_more_than_its_own_error_allows(make_world, make_slam):
+def test_a_frame_never_adds_more_information_than_its_own_error_allows(make_world, make_slam):
     world = make_world(seed=1, deviation=0.001)
     slam = make_slam(world.start(**START), **SHARED)
     slam.predict('a', Pose2(0.0, 0.0, 0.0), np.zeros((3, 3)))

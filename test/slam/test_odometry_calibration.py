@@ -80,7 +80,7 @@ def test_a_motion_with_a_covariance_is_taken_as_it_is(make_world, make_slam, dri
 
 
 @pytest.mark.parametrize('values', [{'odometry_calibration': False}, {'engine': 'paper'}])
-def test_where_it_is_switched_off_wheels_are_believed(make_slam, values):
+def test_without_calibration_wheel_odometry_is_used_as_it_is(make_slam, values):
     slam = make_slam(START, **values)
     slam.predict('a', Pose2(1.0, 0.0, 0.5))
     pose, covariance = slam.estimate('a')

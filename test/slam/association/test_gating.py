@@ -35,7 +35,7 @@ def test_candidates_beyond_the_gate_are_left_out():
     assert chosen([0.3, 0.1], [0.0, 0.5])[0] == 0
 
 
-def test_equal_descriptors_are_told_apart_by_position():
+def test_equal_descriptors_are_distinguished_by_position():
     assert chosen([0.1, 0.1], [0.2, 0.1])[0] == 1
 
 

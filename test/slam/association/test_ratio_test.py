@@ -25,7 +25,7 @@ def test_landmarks_at_the_same_place_do_not_compete():
     assert not distinctive([0, 1, 2], [0.15, 0.16, 0.17])
 
 
-def test_the_limit_stands_for_all_landmarks_that_were_not_found():
+def test_the_limit_is_the_distance_of_landmarks_that_were_not_found():
     assert distinctive([0, -1], [0.25, np.inf])
     assert not distinctive([0, -1], [0.27, np.inf])
 

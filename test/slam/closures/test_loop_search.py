@@ -63,7 +63,7 @@ def test_furniture_moved_between_two_visits_does_not_keep_a_loop_open():
     assert turns.max() < 0.03
 
 
-def test_two_vehicles_close_on_each_others_way():
+def test_loops_close_between_the_paths_of_two_vehicles():
     world = np.vstack([OFFICE, FURNITURE])
     first = along(*LAP[:3])
     second = along((12.4, 8.4), (12.4, 1.5), (2.0, 1.4))

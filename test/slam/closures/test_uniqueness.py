@@ -53,7 +53,7 @@ def test_the_next_of_equal_rooms_is_a_rival_although_the_map_ends_there(period):
 
 
 @pytest.mark.parametrize('turned', [0.0, math.pi])
-def test_the_way_through_an_office_fits_in_one_place(turned):
+def test_a_path_through_an_office_fits_in_one_place(turned):
     """Also if it was driven in the other direction, so that the laser sees from the other side."""
     walls = np.vstack([OFFICE, FURNITURE])
     second = along(*(LAP[1:4] if not turned else LAP[3:0:-1]))
@@ -63,7 +63,7 @@ def test_the_way_through_an_office_fits_in_one_place(turned):
     assert result.is_unique(OTHER_MODE)
 
 
-def test_a_way_where_nothing_is_known_joins_nothing():
+def test_a_path_in_unmapped_space_joins_nothing():
     walls = np.vstack([OFFICE, FURNITURE])
     first = along(*LAP)
     result = fit(walls, first, first[:20], (60.0, 0.0, 0.0))
@@ -71,7 +71,7 @@ def test_a_way_where_nothing_is_known_joins_nothing():
     assert not result.is_unique(OTHER_MODE)
 
 
-def test_a_trail_is_the_newest_way_in_steps():
+def test_a_trail_is_the_newest_part_of_the_path_in_steps():
     walls = np.vstack([OFFICE, FURNITURE])
     anchors = anchors_along(walls, along(*LAP))
     trail = trail_of(anchors)

@@ -101,7 +101,7 @@ def test_motion_over_dropped_keyframes_is_exact(bounded_world):
         np.testing.assert_allclose(world.graph.covariance(k), expected, rtol=1e-6, atol=1e-12)
 
 
-def test_dropped_keyframes_hang_where_the_whole_graph_has_them(bounded_world):
+def test_dropped_keyframes_stay_where_the_whole_graph_has_them(bounded_world):
     """A correction between two kept keyframes is spread as the exact smoother spreads it."""
     world, whole = bounded_world(), JointGraph(GraphConfig(graph_bounded=False))
     for graph in (world.graph, whole):
@@ -298,7 +298,7 @@ def test_keyframes_dropped_at_a_known_calibration_are_compounded_exactly(bounded
         )
 
 
-def test_dropped_keyframes_hang_by_the_calibrated_motion(bounded_world):
+def test_dropped_keyframes_follow_the_calibrated_motion(bounded_world):
     """Wheels that turn 1.1 times too far: straight legs and turns, and nothing seen between."""
     graph = bounded_world().graph
     graph.add_start(0, 0, [0.0, 0.0, 0.0])
@@ -363,7 +363,7 @@ def test_dropped_keyframes_move_with_the_kept_ones_that_share_landmarks(bounded_
     np.testing.assert_allclose(graph.path()[:, :2], expected[:, :2], atol=0.05)
 
 
-def test_dropped_keyframes_without_landmarks_hang_by_their_motion(bounded_world):
+def test_dropped_keyframes_without_landmarks_are_interpolated_by_their_motion(bounded_world):
     graph, true = drive_back_and_forth(bounded_world, sees=False)
     graph.optimize()
     path = graph.path()

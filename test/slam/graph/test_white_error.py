@@ -54,7 +54,7 @@ def test_increments_of_matched_poses_are_anticorrelated():
     assert -0.55 < np.mean(found) < -0.35
 
 
-def test_chain_with_white_error_is_honest():
+def test_chain_with_white_error_is_consistent():
     assert 2.4 < anees(WALK, WHITE) < 3.6  # 120 values, expectation 3
 
 

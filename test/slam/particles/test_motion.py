@@ -25,7 +25,7 @@ def of_wheels(increment, calibration):
     return Segment(corrected, noise, sensitivity, sensitivity @ calibration)
 
 
-def test_a_way_in_many_steps_is_as_uncertain_as_in_few():
+def test_a_motion_in_many_steps_is_as_uncertain_as_in_few():
     def drive(steps):
         mean, covariance = IDENTITY, np.zeros((3, 3))
         for _ in range(steps):

@@ -114,7 +114,7 @@ def test_an_update_does_not_wait_and_the_next_one_takes_the_samples(in_flight):
     assert np.abs(world.error('a', slam.estimate('a')[0])[:2]).max() < 0.3
 
 
-def test_a_checkpoint_of_a_redraw_under_way_goes_on_bit_by_bit(in_flight, drive_circles):
+def test_a_checkpoint_during_a_redraw_continues_exactly(in_flight, drive_circles):
     slam, world, step, held, draws = in_flight
     held.go.set()
     state = slam.state_dict()
@@ -140,7 +140,7 @@ def test_a_checkpoint_of_a_redraw_under_way_goes_on_bit_by_bit(in_flight, drive_
     ],
     ids=['set_pose', 'displace', 'redraw', 'resample_now'],
 )
-def test_whatever_changes_the_paths_takes_the_samples_first(in_flight, call):
+def test_whatever_changes_the_paths_completes_the_redraw_first(in_flight, call):
     slam, world, step, held, draws = in_flight
     held.go.set()
     call(slam)

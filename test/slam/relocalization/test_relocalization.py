@@ -155,7 +155,7 @@ def test_two_landmarks_are_too_few():
     assert search(relocalizer, positions) is None
 
 
-def test_landmarks_close_together_do_not_tell_the_heading():
+def test_landmarks_close_together_do_not_determine_the_heading():
     """Matches that deviate by 4 cm determine 0.15 rad from an extent of 0.27 m on."""
     for spread, found in ((0.1, False), (1.0, True)):
         positions = {

@@ -178,7 +178,7 @@ def test_what_cannot_join_is_refused_and_changes_nothing(unlocalized):
     slam.join('b', STARTS['b'], good)
 
 
-def test_a_vehicle_seen_from_another_frame_tells_nothing(unlocalized):
+def test_a_vehicle_observed_from_another_frame_adds_no_information(unlocalized):
     slam, _, _ = unlocalized
     before = slam.estimate('b')[0]
     seen = InterRobotObservation(20.0, 'b', np.array([1.0, 0.0]), 1e-4 * np.eye(2))
