@@ -7,8 +7,8 @@ from explore_slam.errors import SlamError
 from explore_slam.geometry import Array
 from explore_slam.slam.graph.factors import Integers
 
-# m, rad: minimum standard deviation of a measurement, so that exact knowledge (a vehicle at rest, a
-# start that defines the map) leaves the information matrix well conditioned
+# m, rad: minimum standard deviation of a measurement, so that exact knowledge (a vehicle at rest,
+# a start that defines the map) leaves the information matrix well conditioned
 EXACT_DEVIATION = 1e-6
 SYMMETRY = 1e-6  # of the largest entry: what rounding may have done to a symmetric matrix
 ROUNDING = 1e-9  # of the largest entry: an eigenvalue this far below zero is zero

@@ -44,8 +44,8 @@ _LEAST_INFORMATION = 1e-4  # 1/m², 1/rad²: of a closure in directions that it 
 _EXPECTED_D2 = 3.0  # expected squared Mahalanobis distance of a pose (chi-square, 3 dof)
 
 # Largest part of the particles for which own ancestors can be demanded, whatever the settings:
-# one resampling of equally likely particles leaves about 60 % of the ancestors, and a threshold
-# near that would call for a redraw after every update.
+# one resampling leaves about 60 % of them, and a threshold near that would call for a redraw after
+# every resampling.
 _MOST_ANCESTORS = 0.3
 # Part of the samples that still have descendants as long as at most one resampling (about 60 %)
 # has taken place since the draw.
@@ -146,11 +146,11 @@ class JointPosterior:
 
     def predict(self, vehicle: int, step: Segment, white: Array) -> None:
         """Append an odometry increment; white (3, 3): see FastSlam.predict."""
-        tail = self._motions[vehicle]
-        tail.motion.append(step, self.config.linearizable_heading)
+        since = self._motions[vehicle]
+        since.motion.append(step, self.config.linearizable_heading)
         if step.is_motion():
-            tail.motion.white = white
-            tail.moved = True
+            since.motion.white = white
+            since.moved = True
 
     def check_motion(self, vehicle: int) -> None:
         """Raise FloatingPointError if the motion since the newest keyframe has overflown."""
@@ -162,15 +162,15 @@ class JointPosterior:
 
         estimate: mean pose of the filter, which is used until the next optimization.
         """
-        tail = self._motions[vehicle]
-        if tail.moved:
-            motion = tail.motion.total()
+        since = self._motions[vehicle]
+        if since.moved:
+            motion = since.motion.total()
             self.graph.add_keyframe(
                 vehicle,
                 self._next,
                 np.asarray(motion.mean) - motion.offset,
                 motion.covariance + np.diag(_LEAST_DEVIATIONS**2),
-                self._white(tail.motion.white),
+                self._white(since.motion.white),
                 estimate=np.asarray(estimate),
                 sensitivity=motion.sensitivity,
             )
@@ -439,9 +439,11 @@ class JointPosterior:
         state['calibrations'] = self.calibrations
         state['counters'] = np.array([self.draws, self._next, self._redrawn_at], np.int64)
         state['new_closures'] = np.array(list(self._new_closures.items()), np.int64).reshape(-1, 2)
-        state['tails'] = np.array([[t.keyframe, t.moved] for t in self._motions], np.int64)
-        for vehicle, tail in enumerate(self._motions):
-            state |= under(f'motion{vehicle}', tail.motion.state_dict())
+        state['newest_keyframes'] = np.array(
+            [[t.keyframe, t.moved] for t in self._motions], np.int64
+        )
+        for vehicle, since in enumerate(self._motions):
+            state |= under(f'motion{vehicle}', since.motion.state_dict())
         return state
 
     def restore(self, state: State) -> None:
@@ -451,7 +453,7 @@ class JointPosterior:
         self._new_closures = dict(state['new_closures'].tolist())
         self.calibrations = state['calibrations'].copy()
         self.draws, self._next, self._redrawn_at = state['counters'].tolist()
-        for vehicle, (keyframe, moved) in enumerate(state['tails'].tolist()):
+        for vehicle, (keyframe, moved) in enumerate(state['newest_keyframes'].tolist()):
             motion = PendingMotion()
             motion.restore(part(f'motion{vehicle}', state))
             self._motions[vehicle] = _MotionSinceKeyframe(keyframe, motion, bool(moved))
