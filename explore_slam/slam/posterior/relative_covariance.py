@@ -56,7 +56,7 @@ class RelativeCovariances:
         owner = int(owners[-1])
         known = self._posterior(owner)
         near = _newest(known, owner, reference)
-        since = self._graph.motion_covariance(near, reference)
+        drift = self._graph.motion_covariance(near, reference)
         out = np.empty((len(others), 3, 3))
         tied = np.isin(owners[:-1], known.solution.problem.vehicles)
         if tied.any():
@@ -66,10 +66,10 @@ class RelativeCovariances:
             ]
             P = known.solution.relative_covariance(near, np.array(nodes, np.int64))
             z = between(path[near], path[others[tied]])
-            out[tied] = _in_frame_of(between(path[near], path[reference]), since, z, P)
+            out[tied] = _in_frame_of(between(path[near], path[reference]), drift, z, P)
         if tied.all():
             return out
-        own = known.solution.covariance(near) + rotated(since, -path[near, 2])
+        own = known.solution.covariance(near) + rotated(drift, -path[near, 2])
         for row in np.flatnonzero(~tied).tolist():
             vehicle, keyframe = int(owners[row]), int(others[row])
             theirs = self._posterior(vehicle)
