@@ -1,4 +1,4 @@
-"""Candidate search: the landmarks that an observation may be, by descriptor and by place.
+"""Candidate search: the landmarks that an observation may be of, by descriptor and position.
 
 Step 2.2 of the paper's algorithm, for all particles at once: descriptors belong to landmarks, and
 the particles of one group differ little compared to the search radius.

@@ -85,7 +85,7 @@ class _Found:
 
 
 class LoopSearch:
-    """Anchors of all vehicles, the closures accepted so far, and candidates that wait."""
+    """Holds the anchors of all vehicles and the accepted closures; searches for new ones."""
 
     def __init__(self, config: ClosureConfig) -> None:
         self.config = config
@@ -317,7 +317,7 @@ class LoopSearch:
     def _candidate(
         self, query: Query, match: _Found, poses: Array, covariance: RelativeCovariance | None
     ) -> tuple[Candidate, SearchWindow]:
-        """Tie the query to the anchor of the region that is nearest to where it was found."""
+        """Return the candidate that ties the query to the nearest anchor of the region."""
         region, alignment = match.region, match.alignment
         off = region.offsets[:, :2] - (alignment.pose.x, alignment.pose.y)
         a = region.anchors[int(np.argmin((off**2).sum(axis=1)))]
@@ -352,7 +352,7 @@ class LoopSearch:
         return accepted
 
     def _note_closed(self, closure: Closure) -> None:
-        """Note how far the vehicles of a closure had driven at its ends."""
+        """Update the distance that the vehicles of a closure had driven at their last one."""
         for keyframe in (closure.keyframe_a, closure.keyframe_b):
             end = self.anchors.of_keyframe(keyframe)
             self._closed_at[end.vehicle] = max(

@@ -36,7 +36,7 @@ _LEAST_RETURNS = 100  # that count: 20 m of wall in cells of _CELL
 
 
 class Fit(NamedTuple):
-    """How a path fits into the map at the pose of a join, and at the best other one.
+    """How well a path fits into the map at the pose of a join, and at the best other pose.
 
     score: mean likelihood (0 to 1) of the returns that fall where the map has been seen; returns:
     their number; rival: the best score elsewhere, 0 if there is none.
@@ -47,12 +47,12 @@ class Fit(NamedTuple):
     rival: float
 
     def is_unique(self, other_mode: float) -> bool:
-        """Return whether enough is known, and nothing else fits with this part of the score."""
+        """Return whether enough returns count and no other pose scores this fraction."""
         return self.returns >= _LEAST_RETURNS and self.rival < other_mode * self.score
 
 
 class _Map(NamedTuple):
-    """What is known of an area, in cells (H, W); corner (2,) m: the lower left one.
+    """The mapped part of an area, in cells (H, W); corner (2,) m: the lower left one.
 
     seen: 1 where a laser has seen, else 0; fitting: likelihood of a return, 0 where not seen.
     """
@@ -111,7 +111,7 @@ def _near_returns(anchor: Anchor, pose: Array) -> Array:
 
 
 def _seen_map(known: Sequence[Anchor], poses: Array, low: Array, high: Array) -> _Map:
-    """Return what anchors at poses (m, 3) have seen of an area from low to high (2,)."""
+    """Return what anchors at poses (m, 3) have mapped of an area from low to high (2,)."""
     width, height = (np.ceil((high - low) / _CELL).astype(int) + 1).tolist()
     free, seen = np.ones((height, width), np.bool_), np.zeros((height, width), np.bool_)
     steps = np.arange(0.0, _SIGHT, _CELL)

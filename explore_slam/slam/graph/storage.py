@@ -1,4 +1,4 @@
-"""Tables of everything that was measured, with the present estimate."""
+"""Tables of all measurements in the graph, with the current estimate."""
 
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
@@ -170,7 +170,7 @@ class Storage:
         return np.zeros(3) if found is None else found.mean
 
     def calibrated_increments(self, rows: Sequence[int] | Integers) -> Array:
-        """Return the calibrated motions (n, 3) from the previous keyframes to some."""
+        """Return the calibrated motions (n, 3) that lead to keyframes from their previous ones."""
         table = self.keyframes
         calibrations = np.zeros((max(self.newest, default=-1) + 1, 3))
         for vehicle, calibration in self.calibrations.items():

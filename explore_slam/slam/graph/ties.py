@@ -1,4 +1,4 @@
-"""Which vehicles measurements connect."""
+"""Connected components of the graph: vehicles that measurements tie together."""
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
