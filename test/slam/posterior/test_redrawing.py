@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from explore_slam.geometry import Pose2
-from explore_slam.slam import FastSlam, redrawing
+from explore_slam.slam import FastSlam
+from explore_slam.slam.posterior import redrawing
 
 STARTS = {'a': Pose2(1.0, 1.0, 0.0), 'b': Pose2(5.0, 4.0, 1.0)}
 BESIDE = {'async_redraw_threshold': 0, 'redraw_ancestors': 120, 'redraw_part': 0.6}
@@ -68,7 +69,7 @@ def in_flight(make_world, make_slam, monkeypatch):
             slam.predict(vehicle, increment, 1e-4 * np.eye(3))
             before = slam.redraws
             slam.update(vehicle, world.see(vehicle, float(step)))
-            if slam._redrawer._flight is not None:
+            if slam._redrawer._pending is not None:
                 yield slam, world, step, held, before
                 held.go.set()
                 return
@@ -93,13 +94,13 @@ def test_results_do_not_depend_on_when_the_thread_is_done(
 
 def test_an_update_does_not_wait_and_the_next_one_takes_the_samples(in_flight):
     slam, world, step, held, draws = in_flight
-    flight = slam._redrawer._flight
+    pending = slam._redrawer._pending
     pose = slam.estimate('a')[0]
     path, particles = slam.best_path(), slam.particle_poses('a')
     slam.add_keyframe('a', step + 0.1)
     slam.landmarks()
     assert slam.redraws == draws
-    assert not flight.drawn.done()
+    assert not pending.samples.done()
     np.testing.assert_array_equal(slam.particle_poses('a'), particles)
     np.testing.assert_array_equal(slam.best_path()[: len(path)], path)
     # motion goes on meanwhile, and is not lost
