@@ -208,12 +208,12 @@ class Relocalization:
         place = (mean - [pose.x, pose.y]) @ axes.T
         off = np.where(there[:, None], rows[:, :2] - mean[:, :, None], 0.0)
         off = np.einsum('ab,nbm->nam', axes, off)
-        center, shift = place.mean(axis=0), off.mean(axis=0)
-        arm = place - center
+        centre, shift = place.mean(axis=0), off.mean(axis=0)
+        arm = place - centre
         turned = (arm[:, :1] * off[:, 1] - arm[:, 1:] * off[:, 0]).sum(axis=0)
         turned /= max(float((arm**2).sum()), np.finfo(float).tiny)
-        x = shift[0] + turned * center[1]
-        y = shift[1] - turned * center[0]
+        x = shift[0] + turned * centre[1]
+        y = shift[1] - turned * centre[0]
         moves: Array = np.stack([x, y, turned], axis=1)
         return moves
 

@@ -338,11 +338,11 @@ class Relocalizer:
             return None
         weights = 1.0 / deviations[inside] ** 2
         weights /= weights.sum()
-        center, goal = weights @ points[inside], weights @ landmarks[inside]
-        p, m = points[inside] - center, landmarks[inside] - goal
+        centre, goal = weights @ points[inside], weights @ landmarks[inside]
+        p, m = points[inside] - centre, landmarks[inside] - goal
         dot = weights @ (p[:, 0] * m[:, 0] + p[:, 1] * m[:, 1])
         cross = weights @ (p[:, 0] * m[:, 1] - p[:, 1] * m[:, 0])
-        fitted = self._pose_of_vehicle(math.atan2(cross, dot), center, goal)
+        fitted = self._pose_of_vehicle(math.atan2(cross, dot), centre, goal)
         deviation = float(np.sqrt(np.mean(deviations[inside] ** 2)))
         extent = math.sqrt(float(weights @ (p**2).sum(axis=1)))
         heading = deviation / max(extent, _LEAST_EXTENT)
@@ -351,11 +351,11 @@ class Relocalizer:
         away = math.hypot(fitted.x - goal[0], fitted.y - goal[1])
         return RelocalizedPose(fitted, math.hypot(deviation, heading * away), heading, ids)
 
-    def _pose_of_vehicle(self, turn: float, center: Array, goal: Array) -> Pose2:
-        """Return the pose if the odometry frame is rotated, and its point center moved to goal."""
+    def _pose_of_vehicle(self, turn: float, centre: Array, goal: Array) -> Pose2:
+        """Return the pose if the odometry frame is rotated, and its point centre moved to goal."""
         c, s = math.cos(turn), math.sin(turn)
         frame = Pose2(
-            goal[0] - c * center[0] + s * center[1], goal[1] - s * center[0] - c * center[1], turn
+            goal[0] - c * centre[0] + s * centre[1], goal[1] - s * centre[0] - c * centre[1], turn
         )
         return frame.compose(self.odometry)
 
