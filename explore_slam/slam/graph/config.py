@@ -29,8 +29,9 @@ class GraphConfig(Section):
         high=20.0,
     )
     closure_scale: float = setting(
-        1.0,
-        'Scale of the Cauchy kernel on relative poses that loop closing measured',
+        2.385,
+        'Scale of the Cauchy kernel on relative poses that loop closing measured; the default has '
+        '95 % efficiency for normal errors (Holland and Welsch 1977)',
         unit='sigma',
         low=0.1,
         high=100.0,
