@@ -5,8 +5,9 @@ Vehicle frame: x forward, y left, z up, origin midway between the drive wheels o
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
-from explore_slam.geometry import Pose2
+from explore_slam.geometry import Pose2, Pose3
 from explore_slam.settings import Section, setting
 
 
@@ -62,3 +63,14 @@ class CameraMountConfig(Section):
     camera_yaw: float = setting(
         0.0, 'Camera yaw, fixed axes', unit='rad', low=-3.2, high=3.2, tier='basic'
     )
+
+
+class ExplicitMounts(NamedTuple):
+    """Poses of laser and of optical frame that settings give explicitly; None: not set.
+
+    Transforms are compared with these. Defaults of settings are not: they say nothing about a
+    vehicle.
+    """
+
+    laser: Pose2 | None = None
+    camera: Pose3 | None = None

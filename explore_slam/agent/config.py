@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 from explore_slam.exploration import ExplorationConfig
-from explore_slam.geometry import Pose2, Pose3
 from explore_slam.mapping import GridConfig
-from explore_slam.mounts import CameraMountConfig, LaserMountConfig
+from explore_slam.mounts import CameraMountConfig, ExplicitMounts, LaserMountConfig
 from explore_slam.registration import ScanMatchingConfig
 from explore_slam.settings import Section, section, setting
 from explore_slam.slam import FastSlamConfig
@@ -98,14 +97,11 @@ class AgentConfig(Section):
     exploration: ExplorationConfig = section(ExplorationConfig)
 
 
-def explicit_mounts(config: AgentConfig) -> tuple[Pose2 | None, Pose3 | None]:
-    """Return the poses of laser and of optical frame that the settings give; None for defaults.
-
-    Transforms are compared with these; defaults are not: they say nothing about this vehicle.
-    """
+def explicit_mounts(config: AgentConfig) -> ExplicitMounts:
+    """Return the mounts that differ from the defaults of the settings."""
     laser, camera = config.laser_mount, config.vision.mount
     optical = CameraMount.from_config(camera).optical_pose
-    return (
+    return ExplicitMounts(
         laser.pose if laser != LaserMountConfig() else None,
         optical if camera != CameraMountConfig() else None,
     )

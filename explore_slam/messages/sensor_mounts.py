@@ -18,6 +18,7 @@ from explore_slam.geometry import Pose2, Pose3, roll_pitch_yaw, wrap_angle
 from explore_slam.messages.base import OPTICAL
 from explore_slam.messages.transforms import TransformTree, frame_name
 from explore_slam.messages.vehicle_settings import VehicleConfig
+from explore_slam.mounts import ExplicitMounts
 
 logger = logging.getLogger(__name__)
 
@@ -59,7 +60,7 @@ class SensorMounts:
 
     tree: transforms, which may grow while messages arrive.
     config: settings of the vehicle.
-    team_laser, team_camera: mounts that the team's settings give explicitly, for comparison.
+    team: mounts that the settings of the team give explicitly.
     used: frame -> mount of every sensor so far.
     """
 
@@ -68,14 +69,13 @@ class SensorMounts:
         vehicle: str,
         tree: TransformTree,
         config: VehicleConfig | None = None,
-        team_laser: Pose2 | None = None,
-        team_camera: Pose3 | None = None,
+        team: ExplicitMounts | None = None,
     ) -> None:
         self.vehicle = vehicle
         self.config = config or VehicleConfig()
         self.used: dict[str, Mount] = {}
         self._tree = tree
-        self._team_laser, self._team_camera = team_laser, team_camera
+        self._team = team or ExplicitMounts()
         self._odometry_base = self._odometry_frame = ''
         self._warned: set[str] = set()
 
@@ -118,7 +118,7 @@ class SensorMounts:
 
     def _laser(self, frame: str) -> Mount:
         found = self._tree.lookup(self.base, frame)
-        own, team = self.config.laser_pose, self._team_laser
+        own, team = self.config.laser_pose, self._team.laser
         if found is None:
             return self._use(
                 frame, self._from_settings(own or team, own is not None, 'laser_mount')
@@ -145,7 +145,7 @@ class SensorMounts:
 
     def _camera(self, frame: str) -> Mount:
         found = self._tree.lookup(self.base, frame)
-        own, team = self.config.optical_pose, self._team_camera
+        own, team = self.config.optical_pose, self._team.camera
         if found is None:
             return self._use(
                 frame, self._from_settings(own or team, own is not None, 'camera_mount')

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 from rclpy.node import Node
 
@@ -50,6 +50,16 @@ class OperatorPose:
 
     pose: Pose2
     covariance: Array
+
+
+class OperatorSink(NamedTuple):
+    """What takes the requests of the operator.
+
+    set_pose: takes (vehicle, OperatorPose). set_goal: takes (vehicle, Pose2).
+    """
+
+    set_pose: Take
+    set_goal: Take
 
 
 def operator_pose(message: Any, map_frame: str) -> OperatorPose:
@@ -99,7 +109,7 @@ class VehicleInputs:
     the transforms do not hold yet waits for it for a while; then the settings apply.
 
     sink: the agent, which takes measurements.
-    set_pose: takes (vehicle, OperatorPose).
+    operator: takes what the operator sends to the vehicle.
     mounts: of the vehicle's sensors; also its base and odometry frames.
     """
 
@@ -110,8 +120,7 @@ class VehicleInputs:
         team: list[str],
         inbox: Inbox,
         sink: MeasurementSink,
-        set_pose: Take,
-        set_goal: Take,
+        operator: OperatorSink,
         transforms: TransformListener,
         map_frame: str,
     ) -> None:
@@ -121,8 +130,7 @@ class VehicleInputs:
         self._others = [name for name in team if name != self.vehicle]
         self._inbox = inbox
         self._sink = sink
-        self._set_pose = set_pose
-        self._set_goal = set_goal
+        self._operator = operator
         self._transforms = transforms
         self._map_frame = map_frame
         self._reader = VehicleReader(MEASUREMENT_KINDS, mounts)
@@ -243,7 +251,7 @@ class VehicleInputs:
             f'{self.vehicle} is placed by the operator at x {x:.2f} m, y {y:.2f} m, '
             f'yaw {yaw:.2f} rad'
         )
-        self._inbox.put('pose', self.vehicle, self._set_pose, (self.vehicle, given))
+        self._inbox.put('pose', self.vehicle, self._operator.set_pose, (self.vehicle, given))
 
     def _on_goal(self, message: Any) -> None:
         """Send the vehicle where the operator says; DataError where that cannot be used."""
@@ -251,7 +259,7 @@ class VehicleInputs:
         self._node.get_logger().info(
             f'{self.vehicle} is sent to x {goal.x:.2f} m, y {goal.y:.2f} m by the operator'
         )
-        self._inbox.put('goal', self.vehicle, self._set_goal, (self.vehicle, goal))
+        self._inbox.put('goal', self.vehicle, self._operator.set_goal, (self.vehicle, goal))
 
     def losses(self) -> dict[str, int]:
         """Return the numbers of messages that could not be used so far, by reason."""

@@ -37,6 +37,7 @@ from explore_slam.messages.vehicle_settings import VehicleConfig
 from explore_slam.nodes.agent_inputs import (
     LIMITS,
     OperatorPose,
+    OperatorSink,
     VehicleInputs,
     operator_polygon,
 )
@@ -151,7 +152,7 @@ class AgentSession:
         transforms = TransformListener(self._node, names)
         given = explicit_mounts(self.config.agent)
         mounts = {
-            name: SensorMounts(name, transforms.trees[name], config, *given)
+            name: SensorMounts(name, transforms.trees[name], config, given)
             for name, config in self._vehicle_configs.items()
         }
         return {
@@ -161,8 +162,7 @@ class AgentSession:
                 names,
                 self.inbox,
                 sink=self.agent,
-                set_pose=self._place,
-                set_goal=self._send_to_goal,
+                operator=OperatorSink(self._place, self._send_to_goal),
                 transforms=transforms,
                 map_frame=self.config.map_frame,
             )

@@ -9,7 +9,7 @@ from explore_slam.messages.sensor_mounts import SensorMounts
 from explore_slam.messages.topics import GlobalTopic
 from explore_slam.messages.transforms import TransformTree
 from explore_slam.messages.vehicle_settings import VehicleConfig
-from explore_slam.mounts import LaserMountConfig
+from explore_slam.mounts import ExplicitMounts, LaserMountConfig
 from explore_slam.nodes.endpoints import qos_profile
 from explore_slam.nodes.ros_types import message_class
 
@@ -77,6 +77,6 @@ def own_mounts(node: Node, vehicle: str, laser: LaserMountConfig, base: str = ''
     empty: that of the odometry messages.
     """
     transforms = TransformListener(node, [vehicle], namespaced=False)
-    given = laser.pose if laser != LaserMountConfig() else None
+    given = ExplicitMounts(laser.pose if laser != LaserMountConfig() else None)
     config = VehicleConfig(robot_base_frame=base)
-    return SensorMounts(vehicle, transforms.trees[vehicle], config, team_laser=given)
+    return SensorMounts(vehicle, transforms.trees[vehicle], config, given)

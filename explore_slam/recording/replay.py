@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 from explore_slam.data import OdometryReading
 from explore_slam.errors import ExploreSlamError, RecordingError
-from explore_slam.geometry import Array, Pose2, Pose3, moved_enough
+from explore_slam.geometry import Array, Pose2, moved_enough
 from explore_slam.messages.base import planar_pose, time_message
 from explore_slam.messages.measurement import MeasurementSink, VehicleReader
 from explore_slam.messages.measurement_kinds import KIND_OF_TOPIC, MEASUREMENT_KINDS
@@ -18,6 +18,7 @@ from explore_slam.messages.odometry import odometry_record
 from explore_slam.messages.sensor_mounts import SensorMounts
 from explore_slam.messages.topics import RecordedTopic, TopicKind
 from explore_slam.messages.vehicle_settings import VehicleConfig, settings_of_vehicles
+from explore_slam.mounts import ExplicitMounts
 from explore_slam.recording.bag import BagReader
 from explore_slam.recording.events import Event
 from explore_slam.recording.ordering import StampOrder, unstamped_topics
@@ -78,7 +79,7 @@ class Replay:
     vision: 'agent' or 'vehicle', see topic_selection.frames_or_landmarks.
     choices: topics that the user has chosen by hand.
     settings: of the team and of single vehicles by name (messages.vehicle_settings).
-    team_laser, team_camera: mounts of the sensors that the settings of the team give explicitly.
+    team_mounts: mounts of the sensors that the settings of the team give explicitly.
     """
 
     def __init__(
@@ -90,8 +91,7 @@ class Replay:
         vision: str | None = None,
         choices: Iterable[TopicChoice] = (),
         settings: Mapping[str, Any] | None = None,
-        team_laser: Pose2 | None = None,
-        team_camera: Pose3 | None = None,
+        team_mounts: ExplicitMounts | None = None,
     ) -> None:
         self.bag = bag
         found, warnings = vehicle_topics(bag.topics, vehicles, choices, bag.rates)
@@ -104,7 +104,7 @@ class Replay:
         self.bodies = {name: config.body.record for name, config in configs.items()}
         trees = recorded_transforms(bag, self.vehicles)
         self.mounts = {
-            name: SensorMounts(name, trees[name], configs[name], team_laser, team_camera)
+            name: SensorMounts(name, trees[name], configs[name], team_mounts)
             for name in self.vehicles
         }
         self._unstamped = unstamped_topics(bag.messages(set(self._by_name)))

@@ -168,7 +168,7 @@ def replay_bag(
             settings.get('vision'),
             topic_choices(topics),
             settings,
-            *explicit_mounts(effective),
+            explicit_mounts(effective),
         )
         if not _has_odometry(replay):
             return evaluate_frames(replay, effective, until)

@@ -195,7 +195,7 @@ def test_pause_ignores_measurements_but_follows_odometry():
         assert vehicle.error_of(agent.estimate(name)[0]) < 0.06
 
 
-def test_silent_vehicles_are_told():
+def test_silent_vehicles_are_reported():
     agent, team = make_team()
     drive(agent, team, 20)
     for _ in range(50):

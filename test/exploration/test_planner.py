@@ -358,7 +358,7 @@ def test_home_again():
     assert planner.plan(grid, 1.0, home).status is ExplorationStatus.RETURNED
 
 
-def test_home_is_where_a_vehicle_was_first_seen_unless_told():
+def test_home_is_where_a_vehicle_was_first_seen_unless_given():
     planner = Planner(config())
     start = snapshot(HALL, 4, 3)
     planner.plan(hall(), 0.0, {'robot1': start})
@@ -366,7 +366,7 @@ def test_home_is_where_a_vehicle_was_first_seen_unless_told():
     assert math.dist(result.plans['robot1'].goal[:2], start.pose[:2]) < 0.4
 
 
-def test_paused_sends_nobody_anywhere():
+def test_a_paused_planner_sends_no_vehicle():
     result = Planner(config()).plan(hall(), 0.0, team(HALL, (4, 3)), 'paused')
     assert result.status is ExplorationStatus.PAUSED
     assert not result.plans

@@ -135,7 +135,7 @@ def test_a_trail_through_a_gap_that_is_too_narrow_is_open():
     assert opened.costs.cost[cell] > 20.0
 
 
-def test_nobody_starts_far_from_free_cells():
+def test_no_vehicle_starts_far_from_free_cells():
     made = scene({'a': at(0, 0), 'b': VehicleSnapshot(Pose2(-9.0, -9.0, 0.0))})
     assert list(made.starts) == ['a']
     assert np.isfinite(made.costs.cost[made.starts['a']])

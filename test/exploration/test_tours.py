@@ -121,7 +121,7 @@ def test_fixed_stops_come_first():
     assert plan_tours(given, np.array([0])).orders == [[0, 1, 2]]
 
 
-def test_stops_that_nobody_reaches_are_in_no_tour():
+def test_stops_that_no_vehicle_reaches_are_in_no_tour():
     given = problem([[1.0, np.inf], [np.inf, np.inf]], np.zeros((2, 2)), longest_weight=1.0)
     assert plan_tours(given, np.array([-1, -1])).orders == [[0], []]
 

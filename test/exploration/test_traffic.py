@@ -48,7 +48,7 @@ def test_at_a_crossing_the_second_one_stops_before_the_path_of_the_first():
     assert found['b'].limit == pytest.approx(3.5, abs=0.11)
 
 
-def test_whoever_passes_a_crossing_much_later_goes():
+def test_a_vehicle_that_passes_a_crossing_much_later_goes():
     near = traveler('b', (4.5, -4.5), (4.5, 4.5))
     late = traveler('b', (4.5, -11.0), (4.5, 4.5))
     first = traveler('a', (0, 0), (9, 0))

@@ -25,6 +25,7 @@ from explore_slam.messages.vehicle_settings import (
     settings_of_vehicles,
     vehicle_settings,
 )
+from explore_slam.mounts import ExplicitMounts
 from explore_slam.recording.rosbags_types import MESSAGES
 from explore_slam.vision import CameraMount
 
@@ -123,7 +124,7 @@ def test_settings_apply_without_transforms_and_contradictions_are_named_once(cap
     empty = SensorMounts('r', TransformTree(), own)
     assert empty.place_scan(SCAN, 'laser').mount == pytest.approx(Pose2(0.3, 0.0, 1.0))
     assert 'r.laser_mount' in empty.report()['laser']
-    team = SensorMounts('r', TransformTree(), team_laser=Pose2(0.2, 0.0, 0.0))
+    team = SensorMounts('r', TransformTree(), team=ExplicitMounts(Pose2(0.2, 0.0, 0.0)))
     assert team.place_scan(SCAN, 'laser').mount == Pose2(0.2, 0.0, 0.0)
     default = SensorMounts('r', TransformTree())
     assert default.place_scan(SCAN, 'laser').mount is None

@@ -45,7 +45,7 @@ def test_time_waits_for_the_pose_of_the_slowest_vehicle():
     assert alone.delay(5.9, 100.0) == 0.0
 
 
-def test_time_creeps_on_a_little_before_it_stands():
+def test_time_slows_before_it_is_held():
     """An agent that publishes by simulated time and has caught up gets the time to do so."""
     it = pace(pose_lead=1.0, pose_wait_timeout=5.0)
     it.report_pose('a', 5.0, 100.0)

@@ -1,4 +1,4 @@
-"""Laser odometry: matches where wheel odometry is far off, refusals, and an honest error."""
+"""Laser odometry: matches where wheel odometry is far off, refusals, and a consistent error."""
 
 import math
 
@@ -125,7 +125,7 @@ def test_scans_without_returns_change_nothing(value):
     np.testing.assert_allclose(after.pose, IDENTITY, atol=0.005)
 
 
-def test_a_drive_drifts_far_less_than_the_wheels_and_its_error_is_as_told():
+def test_a_drive_drifts_far_less_than_wheel_odometry_and_its_error_is_consistent():
     """The chain of drifts explains the error of the end, the white errors that of each pose."""
     noise = np.array([0.02, 0.01, 0.02])
     distances, ends = [], []

@@ -63,7 +63,7 @@ def test_a_wrong_mounting_shows():
     assert observation_metrics(seen[::6], truth, 0.4)['matches_that_agree'] > 0.97
 
 
-def test_without_truth_only_counts_are_told():
+def test_without_truth_only_counts_are_reported():
     seen, _ = moving(0.02)
     found = observation_metrics(seen, None, 0.4)
     assert 'matches_that_agree' not in found

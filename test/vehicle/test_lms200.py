@@ -147,7 +147,7 @@ def test_a_bad_line_costs_scans_not_the_stream(rig):
     assert all(np.nanmax(scan.ranges[np.isfinite(scan.ranges)]) <= 8.2 for scan in scans)
 
 
-def test_a_standing_mirror_a_pulled_cable_and_lost_power_are_told(rig):
+def test_a_standing_mirror_a_pulled_cable_and_lost_power_are_reported(rig):
     scanner, line, laser = rig({'scanner_timeout': 0.6})
     laser.connect()
     scanner.faults.stalled = True

@@ -179,7 +179,7 @@ def test_bumpers_stalls_sonar_battery_and_the_red_button(rig):
     assert not state.motors_on
 
 
-def test_a_pulled_cable_and_a_silent_robot_are_told(rig):
+def test_a_pulled_cable_and_a_silent_robot_are_reported(rig):
     device, line, robot = rig()
     robot.connect()
     pose = run(robot, 0.4)[-1].odometry.pose

@@ -44,5 +44,5 @@ def test_without_opengl_the_packages_to_install_are_named(environment):
     assert 'apt-get install libegl1 libgl1 libgles2' in said
 
 
-def test_with_opengl_nothing_is_said():
+def test_with_opengl_nothing_is_printed():
     assert start() == ''

@@ -111,7 +111,7 @@ def test_a_mistake_is_named(load, change, words):
         ('furniture: 7\nsize: [3, 3]', 'expected a list'),
     ],
 )
-def test_what_is_no_world_is_said(load, text, word):
+def test_what_is_no_world_is_refused_with_the_reason(load, text, word):
     with pytest.raises(SimulationError, match=word):
         load(text)
 
