@@ -8,6 +8,7 @@ import numpy as np
 from explore_slam.compiled import kernel
 from explore_slam.errors import RegistrationError
 from explore_slam.geometry import Array, Pose2
+from explore_slam.registration.angles import wrapped
 from explore_slam.registration.surface_map import SurfaceMap, nearest_element
 
 # Where no other source is given, values were chosen on the Intel, ACES and Belgioioso logs;
@@ -134,7 +135,7 @@ def _iterate(
         # error of the prior in the vehicle frame
         c, s = math.cos(pose[2]), math.sin(pose[2])
         dx, dy = prior[0] - pose[0], prior[1] - pose[1]
-        turn = (prior[2] - pose[2] + math.pi) % (2.0 * math.pi) - math.pi
+        turn = wrapped(prior[2] - pose[2])
         off = np.array([c * dx + s * dy, c * dy - s * dx, turn])
         system = information + prior_information
         for i in range(3):

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from explore_slam.compiled import kernel
 from explore_slam.errors import RegistrationError
 from explore_slam.geometry import Array, Pose2, wrap_angle
+from explore_slam.registration.angles import wrapped
 from explore_slam.registration.likelihood_grid import FULL, RESOLUTION, Levels, LikelihoodGrid
 
 ANGLE_STEP = math.radians(1.0)  # half a step moves a return at 6 m by one cell of 0.05 m
@@ -211,7 +212,7 @@ def _penalty(dx: int, dy: int, size: int, extent: int, weight: float) -> float:
 @kernel
 def _is_excluded(dx: int, dy: int, size: int, turn: float, excluded: Array) -> bool:
     """Return whether all offsets of a block belong to the mode that is excluded."""
-    if abs((turn - excluded[2] + math.pi) % (2.0 * math.pi) - math.pi) >= excluded[4]:
+    if abs(wrapped(turn - excluded[2])) >= excluded[4]:
         return False
     reach = excluded[3] / RESOLUTION
     for x in (dx, dx + size - 1):

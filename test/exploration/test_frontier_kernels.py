@@ -28,7 +28,7 @@ def marks(shape):
     return np.zeros(shape, np.int32)
 
 
-def test_a_frontier_cell_is_free_with_an_unknown_neighbor_beside_it():
+def test_a_frontier_cell_is_free_with_an_unknown_neighbour_beside_it():
     assert clusters(
         """
         ....??
@@ -39,7 +39,7 @@ def test_a_frontier_cell_is_free_with_an_unknown_neighbor_beside_it():
     ) == [[(0, 3), (1, 3), (2, 3), (3, 4), (3, 5)]]
 
 
-def test_diagonal_neighbors_do_not_make_a_frontier():
+def test_diagonal_neighbours_do_not_make_a_frontier():
     assert (
         clusters(
             """
@@ -99,7 +99,7 @@ def test_unknown_cells_at_the_edge_of_the_grid_count_too():
     ) == [[(0, 2), (1, 1), (2, 0)]]
 
 
-def test_the_viewpoint_is_the_cell_of_the_cluster_nearest_to_its_center():
+def test_the_viewpoint_is_the_cell_of_the_cluster_nearest_to_its_centre():
     free, _ = masks('\n'.join(['.' * 9] * 3))
     cells = np.array([[1, c] for c in range(9)])
     viewpoints = np.ones((3, 9), np.bool_)
@@ -124,7 +124,7 @@ def test_a_viewpoint_beside_the_cluster_is_reached_over_free_cells_only():
     assert find_viewpoint(free, viewpoints, marks(free.shape), 1, cells, 8) == (-1, -1)
 
 
-def test_of_viewpoints_at_one_distance_the_one_nearest_to_the_center_is_taken():
+def test_of_viewpoints_at_one_distance_the_one_nearest_to_the_centre_is_taken():
     free = np.ones((5, 9), np.bool_)
     cells = np.array([[0, c] for c in range(9)])
     viewpoints = np.zeros((5, 9), np.bool_)
@@ -132,7 +132,7 @@ def test_of_viewpoints_at_one_distance_the_one_nearest_to_the_center_is_taken():
     assert find_viewpoint(free, viewpoints, marks((5, 9)), 1, cells, 4) == (2, 5)
 
 
-def test_a_pocket_is_counted_up_to_the_limit_and_has_a_center():
+def test_a_pocket_is_counted_up_to_the_limit_and_has_a_centre():
     _, unknown = masks(
         """
         ........
