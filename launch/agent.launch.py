@@ -1,37 +1,45 @@
 """The central agent for any number of vehicles.
 
 ros2 launch explore_slam agent.launch.py vehicles:=robot1,robot2 start_poses:=0,0,0,0,1,0
+
+Arguments that are not given leave the parameter file and the defaults of the node as they are.
 """
 
+from functools import partial
 from pathlib import Path
 
 from launch_ros.actions import Node
 
 from explore_slam.live import launch_arguments as read
 from explore_slam.live.launch_description import description, rviz, values
+from explore_slam.nodes.agent_parameters import AgentNodeConfig
 
 CONFIG = Path(__file__).resolve().parents[1] / 'config'
 ARGUMENTS = {
-    'vehicles': ('robot1,robot2', 'names of the vehicles, separated by commas: their namespaces'),
+    'vehicles': (
+        '',
+        'names of the vehicles, separated by commas: their namespaces; robot1,robot2 if neither '
+        'this nor params_file names them',
+    ),
     'start_poses': (
-        '0,0,0,0,1,0',
+        '',
         'start pose of each vehicle in the map: x, y (m), heading (rad); nan,nan,nan: unknown',
     ),
-    'vision': ('agent', 'where features are extracted: agent, vehicle, or none without cameras'),
-    'use_laser': ('true', 'false for a team without laser scanners'),
-    'seed': ('0', 'seed of all random numbers'),
-    'explore': ('true', 'start exploring at once; false: wait for explore/resume'),
+    'vision': ('', 'where features are extracted: agent, vehicle, or none without cameras'),
+    'use_laser': ('', 'false for a team without laser scanners'),
+    'seed': ('', 'seed of all random numbers'),
+    'explore': ('', 'true: start exploring at once; false: wait for explore/resume'),
     'autostart': (
-        'true',
-        'configure and activate at the start; false: wait for a lifecycle manager',
+        '',
+        'true: configure and activate at the start; false: wait for a lifecycle manager',
     ),
-    'run_directory': ('.', 'folder into which save_map and save_state write'),
+    'run_directory': ('', 'folder into which save_map and save_state write'),
     'namespace': ('', 'namespace of the agent'),
     'params_file': (
         str(CONFIG / 'agent.yaml'),
-        'parameter file of the agent; arguments of the command line override it',
+        'parameter file of the agent; arguments that are given override it',
     ),
-    'use_sim_time': ('false', 'use the time of /clock'),
+    'use_sim_time': ('', 'true: use the time of /clock'),
     'rviz': ('false', 'show map, vehicles and frontiers in RViz'),
     'scan_topic': ('', 'scans of each vehicle, if not scan; without slash: in its namespace'),
     'odom_topic': ('', 'odometry of each vehicle, if not odom'),
@@ -43,32 +51,38 @@ ARGUMENTS = {
 
 def start_agent(context):
     given = values(ARGUMENTS, context)
-    vehicles = read.names('vehicles', given['vehicles'])
-    sim_time = {'use_sim_time': read.boolean('use_sim_time', given['use_sim_time'])}
-    parameters = {
-        'vehicles': vehicles,
-        'start_poses': read.numbers('start_poses', given['start_poses'], 3 * len(vehicles)),
-        'vision': read.choice('vision', given['vision'], ('agent', 'vehicle', 'none')),
-        'use_laser': read.boolean('use_laser', given['use_laser']),
-        'seed': read.whole_number('seed', given['seed'], 0),
-        'explore': read.boolean('explore', given['explore']),
-        'autostart': read.boolean('autostart', given['autostart']),
-        'run_directory': given['run_directory'],
-        **sim_time,
-    }
+    file = read.existing_file('params_file', given['params_file'])
+    parameters = read.given_parameters(
+        given,
+        {
+            'vehicles': ('vehicles', read.names),
+            'vision': ('vision', partial(read.choice, choices=('agent', 'vehicle', 'none'))),
+            'use_laser': ('use_laser', read.boolean),
+            'seed': ('seed', partial(read.whole_number, low=0)),
+            'explore': ('explore', read.boolean),
+            'autostart': ('autostart', read.boolean),
+            'run_directory': ('run_directory', read.text),
+            'use_sim_time': ('use_sim_time', read.boolean),
+        },
+    )
+    vehicles = read.in_effect(parameters, file, 'vehicles', AgentNodeConfig().vehicles)
+    if given['start_poses']:
+        poses = read.numbers('start_poses', given['start_poses'], 3 * len(vehicles))
+        parameters['start_poses'] = poses
     topics = {name: given[name] for name in read.TOPICS}
     actions = [
         Node(
             package='explore_slam',
             executable='agent',
             namespace=given['namespace'],
-            parameters=[read.existing_file('params_file', given['params_file']), parameters],
+            parameters=[file, parameters],
             remappings=read.remappings(topics, vehicles),
             output='screen',
         )
     ]
     if read.boolean('rviz', given['rviz']):
-        actions.append(rviz(CONFIG, sim_time))
+        sim_time = read.in_effect(parameters, file, 'use_sim_time', False)
+        actions.append(rviz(CONFIG, {'use_sim_time': sim_time}))
     return actions
 
 

@@ -5,6 +5,7 @@ ros2 launch explore_slam demo.launch.py world:=office rviz:=true
 `explore_slam demo` does the same without ros2 launch and writes a run folder.
 """
 
+from functools import partial
 from pathlib import Path
 
 from launch.actions import SetEnvironmentVariable
@@ -17,7 +18,7 @@ CONFIG = Path(__file__).resolve().parents[1] / 'config'
 ARGUMENTS = {
     'world': ('office', 'name of a world of the package, or a world file'),
     'vehicles': ('2', 'number of vehicles'),
-    'seed': ('0', 'seed of the agent and of the simulated noise'),
+    'seed': ('', 'seed of the agent and of the simulated noise, if not that of params_file'),
     'params_file': (str(CONFIG / 'agent.yaml'), 'parameter file of the agent'),
     'rviz': ('false', 'show map, vehicles and frontiers in RViz'),
 }
@@ -27,14 +28,16 @@ def start(context):
     given = values(ARGUMENTS, context)
     world = read.world_file(given['world'], CONFIG / 'worlds')
     starts = read.start_poses_of(world, given['vehicles'])
-    seed = {'seed': read.whole_number('seed', given['seed'], 0)}
+    file = read.existing_file('params_file', given['params_file'])
+    seed = read.given_parameters(given, {'seed': ('seed', partial(read.whole_number, low=0))})
+    seed = {'seed': read.in_effect(seed, file, 'seed', 0)}
     team = {
         'vehicles': list(starts),
         'start_poses': [number for pose in starts.values() for number in pose],
         **seed,
     }
     simulated = {'use_sim_time': True}
-    parameters = [read.existing_file('params_file', given['params_file']), {**team, **simulated}]
+    parameters = [file, {**team, **simulated}]
     actions = [
         # without a large segment of shared memory images are lost
         SetEnvironmentVariable(

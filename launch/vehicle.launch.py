@@ -1,6 +1,8 @@
 """One vehicle: driver of base, laser and Kinect, path follower, feature extractor.
 
 ros2 launch explore_slam vehicle.launch.py name:=robot1 base_port:=/dev/pioneer motors:=true
+
+Arguments that are not given leave the parameter file and the defaults of the nodes as they are.
 """
 
 from pathlib import Path
@@ -16,21 +18,21 @@ ARGUMENTS = {
     'name': ('robot1', 'name of the vehicle: its namespace'),
     'params_file': (
         str(CONFIG / 'vehicle.yaml'),
-        'parameters of driver and follower; arguments of the command line override them',
+        'parameters of driver and follower; arguments that are given override them',
     ),
-    'base_port': ('/dev/pioneer', "serial device of the base, or 'tcp://host:port'"),
-    'laser_port': ('/dev/lms200', 'serial device of the laser'),
-    'base': ('true', 'drive the Pioneer base; false: another node does'),
-    'laser': ('true', 'read the SICK LMS-200; false: another node publishes scan'),
-    'camera': ('true', 'read the Kinect; false: another node publishes camera/...'),
-    'motors': ('false', 'enable the motors at the start; false: service enable_motors does'),
+    'base_port': ('', "serial device of the base, or 'tcp://host:port'"),
+    'laser_port': ('', 'serial device of the laser'),
+    'base': ('', 'true: drive the Pioneer base; false: another node does'),
+    'laser': ('', 'true: read the SICK LMS-200; false: another node publishes scan'),
+    'camera': ('', 'true: read the Kinect; false: another node publishes camera/...'),
+    'motors': ('', 'true: enable the motors at the start; false: service enable_motors does'),
     'follower': ('true', 'run the path follower'),
     'features': ('false', 'extract features on the vehicle (needs vision:=vehicle of the agent)'),
     'autostart': (
-        'true',
-        'configure and activate at the start; false: wait for a lifecycle manager',
+        '',
+        'true: configure and activate at the start; false: wait for a lifecycle manager',
     ),
-    'use_sim_time': ('false', 'use the time of /clock'),
+    'use_sim_time': ('', 'true: use the time of /clock'),
     'scan_topic': ('', 'scans, if not scan; without slash: in the namespace of the vehicle'),
     'odom_topic': ('', 'odometry, if not odom'),
     'color_topic': ('', 'colour images, if not camera/rgb/image_raw'),
@@ -39,34 +41,38 @@ ARGUMENTS = {
 }
 
 
+def port(_name, text):
+    """Return a port as text, which YAML would otherwise read as a number."""
+    return ParameterValue(text, value_type=str)
+
+
 def start(context):
     given = values(ARGUMENTS, context)
-    flags = (
-        'base', 'laser', 'camera', 'motors', 'follower', 'features', 'autostart', 'use_sim_time',
-    )  # fmt: skip
-    on = {name: read.boolean(name, given[name]) for name in flags}
     common = {
         'package': 'explore_slam',
         'namespace': given['name'],
         'remappings': read.remappings({name: given[name] for name in read.TOPICS}),
         'output': 'screen',
     }
-    time = {'use_sim_time': on['use_sim_time']}
-    managed = {**time, 'autostart': on['autostart']}
-    driver = {
-        'base_port': ParameterValue(given['base_port'], value_type=str),
-        'laser_port': ParameterValue(given['laser_port'], value_type=str),
-        'use_base': on['base'],
-        'use_laser': on['laser'],
-        'use_camera': on['camera'],
-        'motors_at_start': on['motors'],
-    }
+    time = read.given_parameters(given, {'use_sim_time': ('use_sim_time', read.boolean)})
+    managed = {**time, **read.given_parameters(given, {'autostart': ('autostart', read.boolean)})}
+    driver = read.given_parameters(
+        given,
+        {
+            'base_port': ('base_port', port),
+            'laser_port': ('laser_port', port),
+            'base': ('use_base', read.boolean),
+            'laser': ('use_laser', read.boolean),
+            'camera': ('use_camera', read.boolean),
+            'motors': ('motors_at_start', read.boolean),
+        },
+    )
     file = read.existing_file('params_file', given['params_file'])
-    nodes = [('pioneer_driver', [file, driver, managed])]
-    if on['follower']:
+    nodes = [('pioneer_driver', [file, {**driver, **managed}])]
+    if read.boolean('follower', given['follower']):
         nodes.append(('path_follower', [file, managed]))
-    if on['features']:
-        nodes.append(('feature_extractor', [time]))
+    if read.boolean('features', given['features']):
+        nodes.append(('feature_extractor', [file, time]))
     return [
         Node(executable=name, name=name, parameters=parameters, **common)
         for name, parameters in nodes

@@ -16,15 +16,20 @@ from launch.substitutions import LaunchConfiguration
 from explore_slam.live import launch_arguments as read
 from explore_slam.live.launch_description import description
 
+CONFIG = Path(__file__).resolve().parents[1] / 'config'
 ARGUMENTS = {
     'vehicles': ('robot1,robot2', 'names of the vehicles, separated by commas'),
     'ports': ('/dev', 'folder of the ports'),
-    'camera': ('true', 'read the Kinect of each vehicle'),
-    'motors': ('false', 'enable the motors at the start; false: service enable_motors does'),
+    'params_file': (
+        str(CONFIG / 'vehicle.yaml'),
+        'parameters of the drivers and followers; arguments that are given override them',
+    ),
+    'camera': ('', 'true: read the Kinect of each vehicle'),
+    'motors': ('', 'true: enable the motors at the start; false: service enable_motors does'),
     'features': ('false', 'extract features on the vehicles'),
-    'use_sim_time': ('false', 'use the time of /clock'),
+    'use_sim_time': ('', 'true: use the time of /clock'),
 }
-PASSED_ON = ('camera', 'motors', 'features', 'use_sim_time')
+PASSED_ON = ('params_file', 'camera', 'motors', 'features', 'use_sim_time')
 
 
 def include_vehicles(context):

@@ -19,8 +19,21 @@ _JUMP_SLACK = 0.1
 _JUMP_TURN_RATE = 20.0
 _JUMP_TURN_SLACK = 0.3
 _RESTART_GAP = 0.4  # s without readings; no driver restarts faster, and they come at 10 Hz or more
-_NEAR_ZERO = 0.02  # m and rad; a base stands still while its driver starts
+_RESTART_INTERVALS = 2.0  # usual intervals between readings; a shorter gap is none for that driver
+# Odometry begins at zero, but the first readings may be lost (best effort), and the base may have
+# moved since: at a manoeuvring speed of 0.05 m/s (rad/s) in the gap, up to half a metre (radian).
+_ORIGIN_TOLERANCE = 0.05  # m and rad
+_ORIGIN_SPEED = 0.05  # m/s and rad/s
+_ORIGIN_TOLERANCE_LIMIT = 0.5  # m and rad
+_ORIGIN_NOISE = 0.02  # m and rad; of readings of a base that stands still
 _RESTART_CONTRAST = 3.0  # times as far from zero was the last reading of the old driver at least
+_IMU_RESTART_DISTANCE = 0.3  # m; from here to zero at any heading, which an IMU may keep
+# What a base can add to its recent motion: a TurtleBot3 Burger accelerates by 2.5 m/s² and
+# 3.2 rad/s², bases that turn on the spot by up to 10 rad/s²
+_ACCELERATION = 2.5  # m/s²
+_TURN_ACCELERATION = 10.0  # rad/s²
+_RECENT_READINGS = 10  # by which recent speeds and the usual interval are judged
+_STAMP_JITTER = 0.03  # s
 _TRIM_MINIMUM = 64  # readings; shorter histories are not worth trimming
 
 
@@ -38,9 +51,29 @@ class Step(NamedTuple):
         return noise.covariance(self.increment) if self.covariance is None else self.covariance
 
 
-def _near_zero(pose: Pose2, factor: float) -> bool:
-    limit = factor * _NEAR_ZERO
-    return math.hypot(pose.x, pose.y) < limit and abs(wrap_angle(pose.theta)) < limit
+def _from_origin(pose: Pose2) -> float:
+    """Return the larger of distance (m) and heading (rad) from where odometry begins."""
+    return max(math.hypot(pose.x, pose.y), abs(wrap_angle(pose.theta)))
+
+
+def _is_at_origin(reading: Pose2, last: Pose2, gap: float) -> bool:
+    """Return whether odometry began anew: a reading close to zero, the last one far from it.
+
+    gap: time (s) between the two, in which the base may have moved from zero.
+    """
+    distance = _from_origin(reading)
+    tolerance = min(_ORIGIN_TOLERANCE + _ORIGIN_SPEED * gap, _ORIGIN_TOLERANCE_LIMIT)
+    if distance > tolerance:
+        return False
+    return _from_origin(last) > _RESTART_CONTRAST * max(distance, _ORIGIN_NOISE)
+
+
+def _keeps_heading_only(reading: Pose2, last: Pose2) -> bool:
+    """Return whether the position began at zero again, at the heading of an IMU."""
+    return (
+        math.hypot(reading.x, reading.y) < _ORIGIN_NOISE
+        and math.hypot(last.x, last.y) > _IMU_RESTART_DISTANCE
+    )
 
 
 def interpolate(a: Pose2, b: Pose2, fraction: float) -> Pose2:
@@ -143,7 +176,7 @@ class OdometryBuffer:
         pose = reading.pose
         if self._correction is not None:
             pose = self._correction.compose(pose)
-        if self._stamps and self._is_jump(reading.stamp, pose):
+        if self._stamps and self._is_jump(reading, pose):
             logger.warning(
                 '%s: odometry jumped from (%.2f, %.2f) to (%.2f, %.2f) in %.3f s; '
                 'treated as a reset of the base, not as motion',
@@ -273,19 +306,44 @@ class OdometryBuffer:
             self._fixes = [fix for fix in self._fixes if fix.stamp >= self._stamps[0]]
 
     def _is_restart(self, reading: OdometryReading) -> bool:
-        """Return whether a reading at zero after a gap is the first of a restarted driver."""
-        if reading.stamp - self.last < _RESTART_GAP:
+        """Return whether a reading near zero after a gap is the first of a restarted driver."""
+        gap = reading.stamp - self.last
+        if gap < _RESTART_GAP:
             return False  # a reset of a base that keeps running: a jump, which is no motion
-        return _near_zero(reading.pose, 1.0) and not _near_zero(self.reading, _RESTART_CONTRAST)
+        intervals = np.diff(self._stamps[-_RECENT_READINGS:])
+        if len(intervals) and gap < _RESTART_INTERVALS * float(np.median(intervals)):
+            return False
+        last = self.reading
+        return _is_at_origin(reading.pose, last, gap) or _keeps_heading_only(reading.pose, last)
 
-    def _is_jump(self, stamp: float, pose: Pose2) -> bool:
+    def _is_jump(self, reading: OdometryReading, pose: Pose2) -> bool:
+        """Return whether a reading, at a pose of the trajectory, is no motion of the base."""
         moved = math.hypot(pose.x - self.pose.x, pose.y - self.pose.y)
         turned = abs(wrap_angle(pose.theta - self.pose.theta))
-        duration = stamp - self.last
-        return (
+        duration = reading.stamp - self.last
+        if (
             moved > self._jump_speed * duration + _JUMP_SLACK
             or turned > _JUMP_TURN_RATE * duration + _JUMP_TURN_SLACK
-        )
+        ):
+            return True
+        if not _is_at_origin(reading.pose, self.reading, duration):
+            return False
+        # it ends where odometry begins: motion only if the base was fast enough for it
+        speed, turn_rate = self._recent_speeds()
+        travel = speed * (duration + _STAMP_JITTER) + 0.5 * _ACCELERATION * duration**2
+        turn = turn_rate * (duration + _STAMP_JITTER) + 0.5 * _TURN_ACCELERATION * duration**2
+        return moved > travel + _ORIGIN_NOISE or turned > turn + _ORIGIN_NOISE
+
+    def _recent_speeds(self) -> tuple[float, float]:
+        """Return the highest speed (m/s) and turn rate (rad/s) of the newest steps."""
+        speed = turn_rate = 0.0
+        stamps, poses = self._stamps[-_RECENT_READINGS:], self._poses[-_RECENT_READINGS:]
+        for k in range(1, len(stamps)):
+            duration = max(stamps[k] - stamps[k - 1], _STAMP_JITTER)
+            step = poses[k - 1].between(poses[k])
+            speed = max(speed, math.hypot(step.x, step.y) / duration)
+            turn_rate = max(turn_rate, abs(wrap_angle(step.theta)) / duration)
+        return speed, turn_rate
 
     def _continue_from(self, reading: OdometryReading) -> None:
         """Attach a reading, and those that follow it, to the last pose."""

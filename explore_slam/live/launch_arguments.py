@@ -1,13 +1,14 @@
 """Arguments of the launch files: text in, values out, one sentence for what cannot be read."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import yaml
 
 from explore_slam.errors import ConfigError
 from explore_slam.messages.topics import TopicKind
-from explore_slam.settings import unknown_name
+from explore_slam.settings import read_parameters, unknown_name
 
 TRUE, FALSE = ('true', 'yes', 'on', '1'), ('false', 'no', 'off', '0')
 # argument of the launch files -> topic in a vehicle's namespace that it stands for
@@ -18,6 +19,36 @@ TOPICS = {
     'depth_topic': TopicKind.DEPTH.value,
     'camera_info_topic': TopicKind.CAMERA_INFO.value,
 }
+
+
+def given_parameters(
+    given: Mapping[str, str], readers: Mapping[str, tuple[str, Callable[[str, str], Any]]]
+) -> dict[str, Any]:
+    """Return parameter -> value of the arguments that were given.
+
+    The others are left to the parameter file, and to the defaults of the node: a default of the
+    launch file would override both.
+
+    given: argument -> text, '' where it was not given.
+    readers: argument -> parameter, and what reads its text.
+    """
+    return {
+        parameter: reader(name, given[name])
+        for name, (parameter, reader) in readers.items()
+        if given[name]
+    }
+
+
+def text(_name: str, value: str) -> str:
+    """Return a text as it is."""
+    return value
+
+
+def in_effect(parameters: Mapping[str, Any], file: str, name: str, default: Any) -> Any:
+    """Return the value that a node has: as given, or in its parameter file, or its default."""
+    if name in parameters:
+        return parameters[name]
+    return read_parameters(Path(file)).get(name, default)
 
 
 def boolean(name: str, text: str) -> bool:
@@ -61,12 +92,12 @@ def whole_number(name: str, text: str, low: int, high: int | None = None) -> int
     return found
 
 
-def choice(name: str, text: str, choices: Sequence[str]) -> str:
+def choice(name: str, word: str, choices: Sequence[str]) -> str:
     """Return one of several words."""
-    if text not in choices:
-        hint = ' (off is read as a boolean by YAML: write none)' if text in FALSE else ''
-        raise ConfigError(f'{name} is {text!r}, expected one of {list(choices)}{hint}')
-    return text
+    if word not in choices:
+        hint = ' (off is read as a boolean by YAML: write none)' if word in FALSE else ''
+        raise ConfigError(f'{name} is {word!r}, expected one of {list(choices)}{hint}')
+    return word
 
 
 def existing_file(name: str, text: str) -> str:

@@ -53,9 +53,9 @@ class AgentNode(ManagedNode):
         self.vehicle_configs = declare_vehicle_settings(
             self, self.config.team, self.config.vehicles
         )
-        warn_of_unknown_parameters(
-            self, {**values_of(DriverNodeConfig()), **values_of(PathFollowerConfig())}
-        )
+        others = {*values_of(DriverNodeConfig()), *values_of(PathFollowerConfig())}
+        own = {f'{vehicle}.{name}' for vehicle in self.config.vehicles for name in others}
+        warn_of_unknown_parameters(self, others | own)
         self.session: AgentSession | None = None
         self.add_on_set_parameters_callback(self._on_parameters)
         self.start(self.config.lifecycle.autostart)

@@ -1,11 +1,13 @@
 """Parameters of the driver node: frames, and the settings of its devices."""
 
 from dataclasses import dataclass
+from typing import Self
 
 from explore_slam.messages.frames import FrameNames
+from explore_slam.messages.vehicle_settings import VehicleConfig
 from explore_slam.nodes import shared_parameters
 from explore_slam.nodes.shared_parameters import LifecycleConfig
-from explore_slam.settings import Section, section, setting
+from explore_slam.settings import Section, section, setting, with_values
 from explore_slam.vehicle import DriverConfig
 
 
@@ -30,12 +32,27 @@ class DriverNodeConfig(Section):
     driver: DriverConfig = section(DriverConfig)
     lifecycle: LifecycleConfig = section(LifecycleConfig)
 
+    def with_mounts(self, vehicle: VehicleConfig) -> Self:
+        """Return the parameters with the mounts that the vehicle's settings give.
+
+        They are laser_mount and camera_mount in place of laser_x, camera_x and so on.
+        """
+        values: dict[str, float] = {}
+        for prefix, numbers, names in (
+            ('laser', vehicle.laser_mount, ('x', 'y', 'yaw')),
+            ('camera', vehicle.camera_mount, ('x', 'y', 'z', 'roll', 'pitch', 'yaw')),
+        ):
+            if len(numbers) == len(names):
+                values.update(zip((f'{prefix}_{name}' for name in names), numbers, strict=True))
+        return with_values(self, values)
+
     def frames(self, vehicle: str) -> FrameNames:
-        """Return the frames of the vehicle."""
+        """Return the frames of the vehicle; names that begin with its name keep it once."""
+        own = f'{vehicle}/'
         return FrameNames(
             vehicle,
-            odom_suffix=self.odom_frame,
-            base_suffix=self.robot_base_frame,
+            odom_suffix=self.odom_frame.removeprefix(own),
+            base_suffix=self.robot_base_frame.removeprefix(own),
             laser_suffix=self.laser_frame,
             camera_suffix=self.camera_frame,
         )

@@ -22,6 +22,7 @@ from explore_slam.errors import ExploreSlamError
 from explore_slam.messages import landmarks_message, odometry_record
 from explore_slam.messages.frame_pairing import FRAME, FramePairing
 from explore_slam.messages.topics import GlobalTopic, TopicKind
+from explore_slam.messages.vehicle_settings import VehicleConfig
 from explore_slam.mounts import LaserMountConfig
 from explore_slam.nodes.endpoints import publisher, subscribe
 from explore_slam.nodes.inbox import Inbox
@@ -41,6 +42,8 @@ from explore_slam.settings import Section, section, setting
 from explore_slam.vision import FeatureExtractor, KeyframeSelector, VisionConfig
 
 _INPUTS = InputConfig()  # the defaults of the agent
+# settings of the vehicle, which the agent has too
+_VEHICLE_SETTINGS = ('camera_mount', 'odom_frame', 'robot_base_frame')
 POLL_PERIOD = 0.2  # s that the worker waits for a frame before it looks at the time
 ODOMETRY_WAIT = 0.5  # s that a frame waits for odometry that reaches its stamp
 
@@ -60,11 +63,14 @@ class FeatureExtractorNode(Node):
 
     def __init__(self, **options: Any) -> None:
         super().__init__('feature_extractor', **options)
-        self.config = declare_settings(self, FeatureExtractorConfig())
         self.vehicle = vehicle_name(self)
+        self.config = declare_settings(self, FeatureExtractorConfig(), vehicle=self.vehicle)
+        sensors = declare_settings(
+            self, VehicleConfig(), vehicle=self.vehicle, names=_VEHICLE_SETTINGS
+        )
         self._extractor = FeatureExtractor(self.config.vision)
         self._selector = KeyframeSelector(self.config.vision)
-        self._mounts = own_mounts(self, self.vehicle, LaserMountConfig())
+        self._mounts = own_mounts(self, self.vehicle, LaserMountConfig(), sensors)
         self._pairing = FramePairing(self._mounts)
         self._odometry = OdometryBuffer(
             self.vehicle,

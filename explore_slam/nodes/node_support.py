@@ -2,11 +2,12 @@
 
 import contextlib
 import dataclasses
+import difflib
 import logging
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any, Protocol
 
 import rclpy
@@ -25,9 +26,17 @@ from rclpy.signals import SignalHandlerOptions
 
 from explore_slam.errors import ConfigError, ExploreSlamError
 from explore_slam.messages.vehicle_settings import VehicleConfig, vehicle_settings
-from explore_slam.settings import Section, Setting, settings_of, unknown_name, with_values
+from explore_slam.settings import (
+    Section,
+    Setting,
+    settings_of,
+    unknown_name,
+    values_of,
+    with_values,
+)
 
 _NICENESS = -10  # granted to root, and where limits.conf allows it
+_MISSPELT = 0.85  # similarity (difflib) from which a name is a misspelling of another
 SILENCE = 5.0  # s without a message after which its possible causes are logged
 REPORT_PERIOD = 1.0  # s between diagnostics
 WARNING_PERIOD = 5.0  # s between warnings of the same place in the code
@@ -61,16 +70,26 @@ def _plain(value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
 
 
-def declare_settings[S: Section](node: Node, tree: S, notes: Mapping[str, str] | None = None) -> S:
+def declare_settings[S: Section](
+    node: Node,
+    tree: S,
+    notes: Mapping[str, str] | None = None,
+    vehicle: str = '',
+    names: Collection[str] | None = None,
+) -> S:
     """Declare every leaf of the tree as a parameter; return the tree with the node's values.
 
     notes: name -> when a change takes effect, for the description.
+    vehicle: of a node that lives in its namespace; '<vehicle>.<name>' goes before '<name>', as in
+    the agent, so that one parameter file serves all nodes.
+    names: of the leaves that are declared; None: all.
     Raises ConfigError naming the parameter, its value and what was expected.
     """
     when = notes or {}
     values = {
-        info.name: declare_setting(node, info, value, when.get(info.name, ''))
+        info.name: declare_setting(node, info, value, when.get(info.name, ''), vehicle)
         for info, value in settings_of(tree)
+        if names is None or info.name in names
     }
     return with_values(tree, values)
 
@@ -89,13 +108,49 @@ def warn_of_unknown_parameters(node: Node, others: Iterable[str] = ()) -> None:
             node.get_logger().warning(text)
 
 
-def declare_setting(node: Node, info: Setting, value: Any, note: str = '') -> Any:
+def warn_of_unknown_vehicle_parameters(node: Node, vehicle: str, others: Iterable[str]) -> None:
+    """Log what the node of a vehicle does not have, of what it was given.
+
+    A file may be shared with the agent, whose settings a vehicle need not have installed: only
+    names that resemble one of the vehicle's are warned of, the rest is one line of information.
+
+    others: names of parameters of the other nodes of a vehicle.
+    """
+    known = sorted({*node._parameters, *others, *values_of(VehicleConfig())})
+    rest = []
+    for name in sorted(node._parameter_overrides):
+        owner, dot, leaf = name.partition('.')
+        own = dot and owner == vehicle
+        leaf = leaf if dot else name
+        if leaf in known:
+            continue
+        if difflib.get_close_matches(leaf, known, n=1, cutoff=_MISSPELT):
+            prefix = f'{vehicle}.' if own else ''
+            names = [f'{prefix}{item}' for item in known]
+            text = unknown_name(name, names).replace('setting', 'parameter')
+            node.get_logger().warning(text)
+        else:
+            rest.append(name)
+    if rest:
+        node.get_logger().info(
+            f'parameters that this node does not have (the agent may): {", ".join(rest)}'
+        )
+
+
+def declare_setting(
+    node: Node, info: Setting, value: Any, note: str = '', vehicle: str = ''
+) -> Any:
     """Declare one setting with its default; return the value that the node has.
 
+    vehicle: whose '<vehicle>.<name>' goes before '<name>'.
     ConfigError for a number out of range.
     """
+    own = node._parameter_overrides.get(f'{vehicle}.{info.name}') if vehicle else None
+    given = _plain(value) if own is None else own.value
     try:
-        node.declare_parameter(info.name, _plain(value), _descriptor(info, note))
+        node.declare_parameter(
+            info.name, given, _descriptor(info, note), ignore_override=own is not None
+        )
     except InvalidParameterValueException as error:  # rclpy checks the range first
         raise ConfigError(str(error)) from error
     return _plain(node.get_parameter(info.name).value)

@@ -38,6 +38,7 @@ from explore_slam.messages.topics import (
     TopicKind,
     VehicleTopic,
 )
+from explore_slam.messages.vehicle_settings import VehicleConfig
 from explore_slam.nodes.driver_parameters import DriverNodeConfig
 from explore_slam.nodes.endpoints import publisher, subscribe, subscribe_latched_or_not
 from explore_slam.nodes.managed_node import ManagedNode
@@ -54,7 +55,7 @@ from explore_slam.nodes.node_support import (
     now_seconds,
     run_node,
     vehicle_name,
-    warn_of_unknown_parameters,
+    warn_of_unknown_vehicle_parameters,
 )
 from explore_slam.nodes.ros_types import MESSAGES
 from explore_slam.nodes.shared_parameters import LifecycleConfig
@@ -65,6 +66,8 @@ from explore_slam.vehicle import PathFollower, PathFollowerConfig, VelocityComma
 _REPORT_PERIOD = 0.5  # s
 _ACKNOWLEDGE_TIMEOUT = 0.2  # s for the last command to arrive
 _QUIET_AFTER = 1.0  # s of zero commands, then none: another node may drive the vehicle
+# settings of the vehicle, which the agent has too
+_AT_START = dict.fromkeys(('laser_mount', 'odom_frame', 'robot_base_frame'), 'set at start only')
 _INPUTS = (VehicleTopic.PLAN, VehicleTopic.POSE, TopicKind.ODOMETRY, TopicKind.SCAN)
 
 
@@ -103,13 +106,18 @@ class ActiveFollower:
     """Adapter between topics and PathFollower, from the activation of the node on."""
 
     def __init__(
-        self, node: Node, vehicle: str, config: PathFollowerConfig, outputs: PathFollowerOutputs
+        self,
+        node: Node,
+        vehicle: str,
+        config: PathFollowerConfig,
+        sensors: VehicleConfig,
+        outputs: PathFollowerOutputs,
     ) -> None:
         self._node = node
         self._vehicle = vehicle
         self._outputs = outputs
         self.follower = PathFollower(config)
-        self._mounts = own_mounts(node, vehicle, config.laser_mount)
+        self._mounts = own_mounts(node, vehicle, config.laser_mount, sensors)
         self._command: VelocityCommand | None = None
         self._reported = -1.0
         self._since = 0.0  # s; since when the state holds
@@ -234,16 +242,23 @@ class PathFollowerNode(ManagedNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__('path_follower', **options)
-        self.config = declare_settings(self, PathFollowerConfig())
-        self._lifecycle = declare_settings(self, LifecycleConfig())
-        warn_of_unknown_parameters(self, values_of(DriverNodeConfig()))
         self._vehicle = vehicle_name(self)
+        self.config = declare_settings(self, PathFollowerConfig(), vehicle=self._vehicle)
+        self._sensors = declare_settings(
+            self, VehicleConfig(), _AT_START, self._vehicle, _AT_START.keys()
+        )
+        self._lifecycle = declare_settings(self, LifecycleConfig())
+        warn_of_unknown_vehicle_parameters(self, self._vehicle, values_of(DriverNodeConfig()))
         self._outputs: PathFollowerOutputs | None = None
         self.active: ActiveFollower | None = None
         self.add_on_set_parameters_callback(self._on_parameters)
         self.start(self._lifecycle.autostart)
 
     def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        fixed = [item.name for item in parameters if item.name in _AT_START]
+        if fixed:
+            reason = f'{", ".join(fixed)}: set at start only'
+            return SetParametersResult(successful=False, reason=reason)
         self.config, result = changed_settings(self.config, parameters)
         if result.successful and self.active is not None:
             self.active.configure(self.config)
@@ -256,7 +271,9 @@ class PathFollowerNode(ManagedNode):
     def activate(self) -> None:
         """Begin to follow plans; nothing of an earlier activation is known any more."""
         assert self._outputs is not None
-        self.active = ActiveFollower(self, self._vehicle, self.config, self._outputs)
+        self.active = ActiveFollower(
+            self, self._vehicle, self.config, self._sensors, self._outputs
+        )
 
     def deactivate(self) -> None:
         """Stop the vehicle."""

@@ -28,6 +28,7 @@ from explore_slam.geometry import to_world
 from explore_slam.messages import scan_record
 from explore_slam.messages.sensor_mounts import SensorMounts
 from explore_slam.messages.topics import TopicKind, VehicleTopic
+from explore_slam.messages.vehicle_settings import VehicleConfig
 from explore_slam.nodes.driver_outputs import DriverOutputs, Latency
 from explore_slam.nodes.driver_parameters import DriverNodeConfig
 from explore_slam.nodes.endpoints import subscribe
@@ -45,7 +46,7 @@ from explore_slam.nodes.node_support import (
     now_seconds,
     run_node,
     vehicle_name,
-    warn_of_unknown_parameters,
+    warn_of_unknown_vehicle_parameters,
 )
 from explore_slam.nodes.transform_listener import own_mounts
 from explore_slam.settings import values_of
@@ -70,6 +71,7 @@ _MOTOR_GRACE = 1.0  # s until a base reports that its motors were switched on
 _BASE_STOP_TIMEOUT, _STOP_TIMEOUT = 3.0, 1.0  # s for a device to close; a base brakes first
 _OPEN_TIMEOUT = 30.0  # s for all devices to be opened: a laser may try several baud rates
 _NO_POINTS = np.empty((0, 2))
+_MOUNTS = ('laser_mount', 'camera_mount')  # settings of the vehicle, which the agent has too
 _CHANGEABLE = {*values_of(SafetyConfig()), 'use_sim_time'}  # while the node runs
 
 
@@ -132,7 +134,8 @@ class DriverSession:
         if self.laser is None and self.config.watch_scan_topic:
             name, laser = self._vehicle, self.config.driver.laser_mount
             base = self.config.frames(name).base if self.base is not None else ''
-            self._mounts = own_mounts(self._node, name, laser, base)
+            sensors = VehicleConfig(robot_base_frame=base)
+            self._mounts = own_mounts(self._node, name, laser, sensors)
             subscribe(self._node, TopicKind.SCAN, self._on_watched_scan)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._node.create_timer(REPORT_PERIOD, self._report, clock=steady)
@@ -324,8 +327,11 @@ class PioneerDriverNode(ManagedNode):
         self._log_handler = RosLogHandler(self)
         logging.getLogger('explore_slam').addHandler(self._log_handler)
         logging.getLogger('explore_slam').setLevel(logging.INFO)
-        self.config = declare_settings(self, DriverNodeConfig())
-        warn_of_unknown_parameters(self, values_of(PathFollowerConfig()))
+        vehicle = vehicle_name(self)
+        config = declare_settings(self, DriverNodeConfig(), vehicle=vehicle)
+        mounts = declare_settings(self, VehicleConfig(), vehicle=vehicle, names=_MOUNTS)
+        self.config = config.with_mounts(mounts)
+        warn_of_unknown_vehicle_parameters(self, vehicle, values_of(PathFollowerConfig()))
         self._session: DriverSession | None = None
         self.add_on_set_parameters_callback(self._on_parameters)
         self.start(self.config.lifecycle.autostart)

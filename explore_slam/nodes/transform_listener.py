@@ -70,13 +70,14 @@ class TransformListener:
             tree.add(message)
 
 
-def own_mounts(node: Node, vehicle: str, laser: LaserMountConfig, base: str = '') -> SensorMounts:
+def own_mounts(
+    node: Node, vehicle: str, laser: LaserMountConfig, config: VehicleConfig | None = None
+) -> SensorMounts:
     """Return the mounts of the vehicle in whose namespace a node lives, from its transforms.
 
-    laser: mount in the settings of the node, which applies without transforms. base: base frame;
-    empty: that of the odometry messages.
+    laser: mount in the settings of the node, which applies without transforms.
+    config: mounts and frames in the settings of the vehicle, which go before it.
     """
     transforms = TransformListener(node, [vehicle], namespaced=False)
     given = ExplicitMounts(laser.pose if laser != LaserMountConfig() else None)
-    config = VehicleConfig(robot_base_frame=base)
     return SensorMounts(vehicle, transforms.trees[vehicle], config, given)

@@ -5,9 +5,11 @@ import re
 from pathlib import Path
 
 import pytest
+import yaml
 
 from explore_slam.errors import ConfigError
 from explore_slam.live import launch_arguments as read
+from explore_slam.settings import read_parameters
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 LAUNCH = REPOSITORY / 'launch'
@@ -68,7 +70,7 @@ def test_misspelt_arguments_are_named_and_foreign_ones_are_not():
 @pytest.mark.parametrize('path', sorted(LAUNCH.glob('*.launch.py')), ids=lambda path: path.stem)
 def test_every_argument_is_described(path):
     text = path.read_text(encoding='utf-8')
-    table = text[text.index('ARGUMENTS = {') : text.index('\n}\n')]
+    table = text[text.index('\nARGUMENTS = {') : text.index('\n}\n')]
     found = re.findall(r"^    '(\w+)': \(", table, re.MULTILINE)
     assert len(found) >= 5
     assert len(re.findall(r"'[^']* [^']*'|\"[^\"]* [^\"]*\"", table)) >= len(found)
@@ -112,6 +114,89 @@ def test_the_launch_files_start_their_nodes():
     nodes = [e.node_executable for e in vehicle if hasattr(e, 'node_executable')]
     assert nodes == ['pioneer_driver', 'feature_extractor']
     assert len(entities_of('vehicles', vehicles='a,b,c')) == 3
+
+
+def parameters_of(node):
+    """What a node gets: the values of its parameter files and arguments, later ones first."""
+    from launch import LaunchContext
+    from launch_ros.utilities import evaluate_parameters
+
+    values = {}
+    for item in evaluate_parameters(LaunchContext(), node._Node__parameters):
+        values.update(read_parameters(item) if isinstance(item, Path) else item)
+    return values
+
+
+def given_to(name, executable, **given):
+    (node, *_) = [
+        entity
+        for entity in entities_of(name, **given)
+        if getattr(entity, 'node_executable', '') == executable
+    ]
+    return parameters_of(node)
+
+
+def test_a_parameter_file_of_the_agent_applies_unless_an_argument_is_given(tmp_path):
+    pytest.importorskip('launch_ros', reason="ROS's launch is not installed")
+    file = tmp_path / 'agent.yaml'
+    values = {
+        'vehicles': ['left', 'right'],
+        'start_poses': [1.0, 2.0, 0.5, 3.0, 4.0, 0.0],
+        'vision': 'none',
+        'use_laser': False,
+        'seed': 9,
+        'explore': False,
+        'autostart': False,
+        'run_directory': '/runs',
+        'use_sim_time': True,
+    }
+    file.write_text(yaml.safe_dump({'/**': {'ros__parameters': values}}))
+    found = given_to('agent', 'agent', params_file=str(file))
+    assert {name: found[name] for name in values} == values
+    found = given_to('agent', 'agent', params_file=str(file), seed='4', explore='true')
+    assert (found['seed'], found['explore'], found['vision']) == (4, True, 'none')
+    assert given_to('demo', 'agent', params_file=str(file))['seed'] == 9
+    (rviz,) = [
+        entity
+        for entity in entities_of('agent', params_file=str(file), rviz='true')
+        if getattr(entity, 'node_executable', '') == 'rviz2'
+    ]
+    assert parameters_of(rviz)['use_sim_time'] is True
+    with pytest.raises(ConfigError, match='start_poses has 3 numbers, expected 6'):
+        entities_of('agent', params_file=str(file), start_poses='0,0,0')
+    # neither the file nor an argument: the defaults of the node
+    file.write_text(yaml.safe_dump({'/**': {'ros__parameters': {'particles': 50}}}))
+    assert given_to('agent', 'agent', params_file=str(file)) == {'particles': 50}
+
+
+def test_a_parameter_file_of_the_driver_applies_unless_an_argument_is_given(tmp_path):
+    pytest.importorskip('launch_ros', reason="ROS's launch is not installed")
+    file = tmp_path / 'vehicle.yaml'
+    values = {
+        'base_port': '/dev/ttyUSB7',
+        'laser_port': '/dev/ttyUSB8',
+        'use_base': False,
+        'use_laser': False,
+        'use_camera': False,
+        'motors_at_start': True,
+        'autostart': False,
+        'use_sim_time': True,
+    }
+    file.write_text(yaml.safe_dump({'/**': {'ros__parameters': values}}))
+    assert given_to('vehicle', 'pioneer_driver', params_file=str(file)) == values
+    found = given_to('vehicle', 'pioneer_driver', params_file=str(file), motors='no')
+    assert found == {**values, 'motors_at_start': False}
+    found = given_to('vehicle', 'path_follower', params_file=str(file), autostart='true')
+    assert (found['use_sim_time'], found['autostart']) == (True, True)
+
+
+def test_arguments_that_are_not_given_are_no_parameters():
+    readers = {
+        'seed': ('seed', lambda _, text: int(text)),
+        'laser': ('use_laser', read.boolean),
+    }
+    assert read.given_parameters({'seed': '', 'laser': ''}, readers) == {}
+    assert read.given_parameters({'seed': '', 'laser': 'no'}, readers) == {'use_laser': False}
 
 
 def test_wrong_values_and_names_of_the_launch_files_are_one_sentence():

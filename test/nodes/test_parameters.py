@@ -1,3 +1,4 @@
+import difflib
 import math
 from pathlib import Path
 
@@ -8,9 +9,11 @@ from rclpy.parameter import Parameter
 from ros_domain import own_domain
 
 from explore_slam.errors import ConfigError
+from explore_slam.messages.vehicle_settings import VehicleConfig
 from explore_slam.nodes.agent_parameters import AgentNodeConfig
 from explore_slam.nodes.driver_parameters import DriverNodeConfig
 from explore_slam.nodes.path_follower import PathFollowerNode
+from explore_slam.nodes.pioneer_driver import PioneerDriverNode
 from explore_slam.settings import settings_of, values_of, with_values
 from explore_slam.vehicle import PathFollowerConfig
 
@@ -85,3 +88,67 @@ def test_the_nodes_of_a_vehicle_take_their_sections_of_the_file(tmp_path):
     node.stop()
     node.destroy_node()
     context.try_shutdown()
+
+
+SHARED = """
+/**:
+  ros__parameters:
+    vehicles: [robot1, robot2]
+    particles: 100
+    laser_mount: [0.0, 0.1, 0.0]
+    robot_base_frame: robot1/chassis
+    robot1:
+      vehicle_radius: 0.4
+      follow_speed: 0.2
+      laser_mount: [-0.2, 0.0, 1.57]
+      use_laser: false
+      folow_speed: 0.3
+    robot2:
+      vehicle_radius: 0.3
+      vision: none
+"""
+
+
+def test_one_file_serves_the_agent_and_the_nodes_of_a_vehicle(tmp_path, capfd):
+    file = tmp_path / 'team.yaml'
+    file.write_text(SHARED)
+    context = rclpy.Context()
+    context.init(domain_id=own_domain(77))
+    options = {
+        'namespace': '/robot1',
+        'context': context,
+        'cli_args': ['--ros-args', '--params-file', str(file), '-p', 'autostart:=false'],
+    }
+    follower = PathFollowerNode(**options)
+    try:
+        assert follower.config.body.vehicle_radius == 0.4
+        assert follower.config.body.follow_speed == 0.2
+        assert follower.get_parameter('follow_speed').value == 0.2
+        assert follower.get_parameter('laser_mount').value == [-0.2, 0.0, 1.57]
+        assert follower.get_parameter('robot_base_frame').value == 'robot1/chassis'
+        (answer,) = follower.set_parameters([Parameter('robot_base_frame', value='other')])
+        assert (answer.successful, answer.reason) == (False, 'robot_base_frame: set at start only')
+    finally:
+        follower.stop()
+        follower.destroy_node()
+    driver = PioneerDriverNode(**options)
+    try:
+        assert tuple(driver.config.driver.laser_mount.pose) == (-0.2, 0.0, 1.57)
+        assert values_of(driver.config)['use_laser'] is False
+        assert driver.config.frames('robot1').base == 'robot1/chassis'
+    finally:
+        driver.stop()
+        driver.destroy_node()
+        context.try_shutdown()
+    log = capfd.readouterr().err
+    assert "no parameter 'robot1.folow_speed'; did you mean 'robot1.follow_speed'?" in log
+    assert log.count('there is no parameter') == 2  # the misspelt one, by each node
+    assert log.count('does not have (the agent may): particles, vehicles') == 2
+
+
+def test_the_settings_of_the_agent_do_not_look_like_misspelt_ones_of_a_vehicle():
+    own = {**values_of(DriverNodeConfig()), **values_of(PathFollowerConfig())}
+    own = [*own, *values_of(VehicleConfig())]
+    for name in values_of(AgentNodeConfig()):
+        if name not in own:
+            assert difflib.get_close_matches(name, own, cutoff=0.85) == [], name
