@@ -360,6 +360,8 @@ class AgentSession:
         if now == 0.0:  # simulated time has not begun
             return
         self.agent.advance(now)
+        if self.planner.must_withdraw:
+            self._due['plan'] = -np.inf
         if self._is_due('plan', 1.0 / self.config.planner_frequency, now):
             self._plan(now)
         if self._is_due('map', self.config.map_period, now):

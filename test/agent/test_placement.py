@@ -150,6 +150,40 @@ def test_a_displaced_vehicle_stands_until_it_is_placed(caplog):
     assert agent.statuses()[0].state is not VehicleState.LOST
 
 
+class HalfRoom(SyntheticWorld):
+    """The laser sees the left half of its beams only: much remains to be explored."""
+
+    def scan_from(self, stamp, pose, beams=181):
+        scan = super().scan_from(stamp, pose, beams)
+        scan.ranges[: beams // 2] = float('nan')
+        return scan
+
+
+@pytest.mark.parametrize('cause', ['driver restarted', 'lost', 'silent'])
+def test_the_only_vehicle_stops_when_it_must_not_drive(cause):
+    agent = Agent(CONFIG, {'robot1': START}, 1)
+    vehicle = SyntheticVehicle(HalfRoom(), START, speed=0.4, turn=0.0)
+    planner = TeamPlanner(agent)
+    drive(agent, vehicle, 20)
+    plan = planner.plan(agent.now).plans['robot1']
+    assert agent.track('robot1').plan is plan
+    assert not planner.must_withdraw
+    if cause == 'driver restarted':
+        vehicle.stamp += 2.5
+        vehicle.odometry = IDENTITY
+        agent.add('robot1', OdometryReading(vehicle.stamp, IDENTITY))
+        assert planner.must_withdraw
+    elif cause == 'lost':
+        agent.set_pose('robot1', vehicle.pose, np.diag([25.0, 25.0, 1.0]))
+        drive(agent, vehicle, 1)
+    else:
+        agent.advance(agent.now + 60.0)
+    result = planner.plan(agent.now)
+    assert result.plans == {}
+    assert agent.track('robot1').plan is None
+    assert not planner.must_withdraw
+
+
 def test_a_displaced_vehicle_is_relocalized_by_its_landmarks(caplog):
     agent, vehicle = restarted()
     caplog.set_level('INFO')
