@@ -7,6 +7,7 @@ from synthetic import SyntheticVehicle, SyntheticWorld
 from explore_slam.agent import Agent, AgentConfig, TeamPlanner
 from explore_slam.agent.odometry import OdometryBuffer
 from explore_slam.data import OdometryReading, VehicleState
+from explore_slam.errors import SlamError
 from explore_slam.exploration import ExplorationStatus
 from explore_slam.geometry import IDENTITY, Pose2
 from explore_slam.settings import with_values
@@ -47,6 +48,19 @@ def test_a_vehicle_that_is_placed_need_not_be_confirmed():
     agent.set_pose('robot1', vehicle.pose, TIGHT)
     drive(agent, vehicle, 20, offset=Pose2(4.0, 1.0, 0.5))
     assert planner.plan(2.5).searched
+
+
+def test_a_vehicle_is_placed_where_it_is_now():
+    agent, vehicle = make()
+    for _ in range(30):  # without scans there are no keyframes on the way
+        agent.add('robot1', vehicle.advance())
+    given = Pose2(1.0, 2.0, -1.0)
+    before = agent.estimate('robot1')
+    with pytest.raises(SlamError, match='covariance'):
+        agent.set_pose('robot1', given, np.diag([1.0, -1.0, 1.0]))
+    assert agent.estimate('robot1')[0] == before[0]
+    agent.set_pose('robot1', given, 1e-4 * TIGHT)
+    assert tuple(agent.estimate('robot1')[0]) == pytest.approx(given, abs=0.01)
 
 
 def test_odometry_from_zero_needs_no_confirmation():
