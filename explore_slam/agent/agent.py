@@ -33,6 +33,7 @@ from explore_slam.errors import AgentError
 from explore_slam.geometry import IDENTITY, Array, Pose2, rotated
 from explore_slam.mapping import LaserMap, OccupancyGrid, save_map
 from explore_slam.slam import Landmarks, OdometryCalibration, TeamBelief, compound
+from explore_slam.slam.checks import check_motion_covariance, check_pose
 
 
 class Agent:
@@ -109,8 +110,14 @@ class Agent:
         self.now = stamp if jumped_back else max(self.now, stamp)
 
     def set_pose(self, vehicle: str, pose: Pose2, covariance: Array) -> None:
-        """Place a vehicle at a pose given by the operator, covariance (3, 3); the map is kept."""
+        """Place a vehicle, where it is now, at a pose given by the operator; the map is kept.
+
+        covariance: (3, 3) of the pose. SlamError if it cannot be used; the state is unchanged.
+        """
         track = self.track(vehicle)
+        check_pose('pose', pose)
+        check_motion_covariance('covariance', covariance)
+        self._add_keyframe_here(track)  # else its motion since the newest one would follow
         self.belief.set_pose(vehicle, pose, covariance)
         placement.place(track)
 
@@ -268,11 +275,15 @@ class Agent:
     def save_state(self, path: Path) -> Path:
         """Write filter and scans to a file for load_state; return its path."""
         for track in self.tracks.values():
-            if track.keyframe is not None and track.odometry.last > track.keyframe.stamp:
-                self._team.predict(track, track.odometry.last)
-                self._team.add_keyframe(track, track.odometry.last)
+            self._add_keyframe_here(track)
         checkpoint.save(path, self.belief, self.laser_map, self._team.loops)
         return path
+
+    def _add_keyframe_here(self, track: VehicleTrack) -> None:
+        """Add a keyframe at the newest odometry of a vehicle, unless there is one."""
+        if track.keyframe is not None and track.odometry.last > track.keyframe.stamp:
+            self._team.predict(track, track.odometry.last)
+            self._team.add_keyframe(track, track.odometry.last)
 
     def load_state(self, path: Path) -> None:
         """Continue from a saved state of the same vehicles; AgentError changes nothing."""

@@ -89,6 +89,14 @@ class TeamPlanner:
             self._planner.report_blocked(vehicle, track.plan.goal, now)
         track.follower = report
 
+    @property
+    def must_withdraw(self) -> bool:
+        """Whether a vehicle has a plan, but its pose is in doubt: the next cycle is urgent."""
+        return any(
+            track.plan is not None and (track.displaced or bool(track.doubt))
+            for track in self._agent.tracks.values()
+        )
+
     def plan(self, now: float) -> PlanningResult:
         """Run one planning cycle at a time (s) and store plan and state in the agent's tracks."""
         vehicles = {
@@ -98,14 +106,15 @@ class TeamPlanner:
         }
         in_doubt = any(track.doubt for track in self._agent.tracks.values())
         mode = PlanningMode.PAUSED if in_doubt else self.mode
-        grid = self.areas.view(self._agent.grid)
+        grid = self._agent.grid
+        forbidden = self.areas.out_of_bounds(grid)
         if mode is PlanningMode.EXPLORE:
             self._end_reached_goals(vehicles)
             vehicles = {
                 name: known._replace(goal=self._goals.get(name))
                 for name, known in vehicles.items()
             }
-        result = self._planner.plan(grid, now, vehicles, mode)
+        result = self._planner.plan(self.areas.view(grid), now, vehicles, mode, forbidden)
         for name in result.refused:
             logger.warning('%s: the goal of the operator cannot be reached', name)
             del self._goals[name]

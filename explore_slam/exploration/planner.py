@@ -14,6 +14,7 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from explore_slam.data import Plan
 from explore_slam.exploration.blacklist import Blacklist
@@ -90,8 +91,12 @@ class Planner:
         now: float,
         vehicles: Mapping[str, VehicleSnapshot],
         mode: PlanningMode | str = PlanningMode.EXPLORE,
+        forbidden: NDArray[np.bool_] | None = None,
     ) -> PlanningResult:
-        """Run one planning cycle at a time (s); see PlanningResult."""
+        """Run one planning cycle at a time (s); see PlanningResult.
+
+        forbidden: cells (H, W), occupied in the grid, that no vehicle may enter.
+        """
         wanted = PlanningMode(mode)
         self._history.update(vehicles)
         self._keep_out.expire(now)
@@ -100,7 +105,13 @@ class Planner:
         if 0 in grid.shape:
             return self._cannot_search('the map is empty')
         scene = Scene(
-            grid, now, self.config, vehicles, self._history.trails, self._keep_out.places()
+            grid,
+            now,
+            self.config,
+            vehicles,
+            self._history.trails,
+            self._keep_out.places(),
+            forbidden,
         )
         if not scene.vehicles:
             return self._cannot_search('no vehicle with a valid pose')
@@ -113,10 +124,14 @@ class Planner:
         return self._explore(scene)
 
     def _cannot_search(self, reason: str) -> PlanningResult:
-        """Keep all plans in force; this is neither an empty search nor the end."""
-        plans = {name: task.sent for name, task in self._tasks.items() if task.sent}
+        """Withdraw all plans; this is neither an empty search nor the end.
+
+        No vehicle is known to stand where it may drive, so that none may follow an older plan:
+        each is silent, lost, or in a place that has become impassable, such as a keep-out area.
+        """
+        self._tasks, self._retreats = {}, {}
         text = f'cannot search now: {reason}'
-        return PlanningResult(ExplorationStatus.PAUSED, text, plans, searched=False)
+        return PlanningResult(ExplorationStatus.PAUSED, text, searched=False)
 
     def _explore(self, scene: Scene) -> PlanningResult:
         """Assign frontiers; without any, retry what is blocked before exploration is complete.

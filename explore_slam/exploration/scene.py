@@ -56,17 +56,21 @@ class Scene:
         vehicles: Mapping[str, VehicleSnapshot],
         trails: Mapping[str, list[Point]] | None = None,
         keep_out: Iterable[Point] = (),
+        forbidden: NDArray[np.bool_] | None = None,
     ) -> None:
         """Prepare a grid for planning.
 
         trails: where vehicles have driven (m), which is passable whatever the map shows.
         keep_out: places (m) where vehicles were blocked.
+        forbidden: cells (H, W), occupied in the grid, that no vehicle may enter: unlike an
+        obstacle on a trail, they are not looked at again.
         """
         self.grid, self.now, self.config = grid, now, config
         self.vehicles = {n: v for n, v in vehicles.items() if v.active and v.pose.is_finite()}
         self._probability_costs = STRATEGIES[config.strategy].probability_costs
         self._trails = trails or {}
         self._keep_out = list(keep_out)
+        self._forbidden = forbidden
         self._bodies = {name: vehicle.body for name, vehicle in vehicles.items()}
         self._others = {
             name: vehicle
@@ -176,7 +180,10 @@ class Scene:
             # and looks.
             tight = (made.tight_cost,)
             radius = self._paths(self._bodies[name]).planning_radius
-            self._open_trail(self._trails.get(name, []), made, ~made.unknown, tight, radius)
+            allowed = ~made.unknown
+            if self._forbidden is not None:
+                allowed &= ~self._forbidden
+            self._open_trail(self._trails.get(name, []), made, allowed, tight, radius)
             self._block_keep_out_zones(tight)
             mask = connected_region(made.tight_cost, *self.starts[name])
             if not self._leads_further(mask, name):

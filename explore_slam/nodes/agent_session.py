@@ -25,6 +25,7 @@ from explore_slam.errors import DataError, ExploreSlamError
 from explore_slam.exploration import PlanningMode
 from explore_slam.geometry import Pose2
 from explore_slam.messages.frame_pairing import FRAME
+from explore_slam.messages.odometry import ODOMETRY
 from explore_slam.messages.sensor_mounts import SensorMounts
 from explore_slam.messages.topics import (
     GlobalTopic,
@@ -43,7 +44,7 @@ from explore_slam.nodes.agent_inputs import (
 )
 from explore_slam.nodes.agent_outputs import AgentOutputs
 from explore_slam.nodes.agent_parameters import AgentNodeConfig
-from explore_slam.nodes.agent_statistics import AgentStatistics
+from explore_slam.nodes.agent_statistics import AgentStatistics, explain_delay
 from explore_slam.nodes.endpoints import publisher, subscribe, subscribe_latched_or_not
 from explore_slam.nodes.heartbeat import Heartbeat
 from explore_slam.nodes.inbox import Inbox, Item
@@ -59,6 +60,7 @@ from explore_slam.nodes.transform_listener import TransformListener
 
 POLL_PERIOD = 0.05  # s that the worker waits for an item before it does periodic work
 _RELEASE_PERIOD = 0.2  # s between looks at messages that wait for transforms
+_BEHIND_PERIOD = 10.0  # s between warnings that the agent is behind
 _JOIN_TIMEOUT = 5.0  # s for the worker to finish what it does
 _PERIODIC = ('plan', 'map', 'map update', 'landmarks')
 
@@ -76,7 +78,7 @@ class AgentSession:
         self.agent = Agent(config.agent, config.poses(), config.seed, bodies)
         self.planner = TeamPlanner(self.agent)
         self.planner.pause(not config.explore)
-        self.inbox = Inbox({**LIMITS, FRAME.name: config.frame_queue})
+        self.inbox = Inbox({**LIMITS, FRAME.name: config.frame_queue}, prompt=('navigator',))
         self.outputs = AgentOutputs(node, config)
         navigators = {name: one.navigator for name, one in vehicle_configs.items()}
         self.plans = PlanOutputs(node, navigators, config.map_frame, self._on_navigator)
@@ -113,7 +115,7 @@ class AgentSession:
         """Stop the vehicles; the state is kept."""
         with self._publishing:
             self._active = False
-        self.plans.send(now_seconds(self._node), {})
+        self.plans.stop(now_seconds(self._node))
         self.outputs.status('exploration_paused')
 
     def close(self) -> None:
@@ -205,8 +207,20 @@ class AgentSession:
         self.inbox.put('request', topic.value, take, None)
 
     def _place(self, item: tuple[str, OperatorPose]) -> None:
+        """Place a vehicle where the operator sees it now, however far behind the agent is."""
         vehicle, given = item
+        for motion in self.inbox.take_out(vehicle, ODOMETRY.name):
+            motion.take(motion.payload)
         self.agent.set_pose(vehicle, given.pose, given.covariance)
+        self._omit_earlier(vehicle)
+
+    def _omit_earlier(self, vehicle: str | None = None) -> None:
+        """Leave out waiting measurements: they belong to the poses before a change."""
+        omitted = self.inbox.take_out(vehicle)
+        if omitted:
+            self._node.get_logger().info(
+                f'{len(omitted)} measurements from before the change are left out'
+            )
 
     def _offer_services(self) -> None:
         directory = Path(self.config.run_directory)
@@ -220,15 +234,19 @@ class AgentSession:
         def load_state() -> str:
             path = directory / 'state.npz'
             self.agent.load_state(path)
+            self._omit_earlier()
             return f'state read from {path}'
 
         def reset() -> str:
             self.agent.reset()
             self.planner.reset()
+            self._omit_earlier()
+            self._due['plan'] = -np.inf
             return 'filter, map and targets are cleared; the vehicles are at their start poses'
 
         def return_home() -> str:
             self.planner.return_home()
+            self._due['plan'] = -np.inf
             return 'the vehicles return to their start poses'
 
         for action in (save_map, save_state, load_state, reset, return_home):
@@ -285,8 +303,13 @@ class AgentSession:
         self.inbox.put('navigator', vehicle, take, None)
 
     def _on_resume(self, message: Bool) -> None:
-        resume = bool(message.data)
-        self.inbox.put('request', 'resume', lambda _: self.planner.pause(not resume), None)
+        paused = not message.data
+
+        def take(_: Any) -> None:
+            self.planner.pause(paused)
+            self._due['plan'] = -np.inf  # nobody drives on until the next cycle is due
+
+        self.inbox.put('request', 'resume', take, None)
 
     # -- the worker ------------------------------------------------------------------------------
 
@@ -360,6 +383,8 @@ class AgentSession:
         if now == 0.0:  # simulated time has not begun
             return
         self.agent.advance(now)
+        if self.planner.must_withdraw:
+            self._due['plan'] = -np.inf
         if self._is_due('plan', 1.0 / self.config.planner_frequency, now):
             self._plan(now)
         if self._is_due('map', self.config.map_period, now):
@@ -428,6 +453,9 @@ class AgentSession:
             return
         self._reported = time.monotonic()
         self._explain_clocks()
+        behind = explain_delay(self.inbox)
+        if behind:
+            self._node.get_logger().warning(behind, throttle_duration_sec=_BEHIND_PERIOD)
         parts = self.statistics.parts(
             self.agent.statuses(),
             self._vehicle_figures(),

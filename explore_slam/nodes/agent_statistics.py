@@ -17,6 +17,7 @@ from explore_slam.nodes.inbox import Inbox
 from explore_slam.nodes.node_support import OK, WARN
 
 WINDOW = 10.0  # s over which rates are averaged
+BEHIND = 2.0  # s that measurements wait for the agent, from which on it counts as behind
 KEPT = 2000  # newest latencies kept
 Part = tuple[bytes, str, Mapping[str, Any]]
 
@@ -24,6 +25,20 @@ Part = tuple[bytes, str, Mapping[str, Any]]
 _WARNED = {
     VehicleState.LOST, VehicleState.SILENT, VehicleState.BLOCKED, VehicleState.UNLOCALIZED,
 }  # fmt: skip
+
+
+def explain_delay(inbox: Inbox) -> str:
+    """Return by how much the agent is behind, and what waits; '' if it is not."""
+    delay = inbox.delay
+    if delay <= BEHIND:
+        return ''
+    waiting = ', '.join(
+        f'{source} {kind} {count}' for (kind, source), count in sorted(inbox.waiting().items())
+    )
+    return (
+        f'the agent is {delay:.1f} s behind its measurements ({waiting} wait): send scans and '
+        'frames less often, lower the number of particles, or use a faster computer'
+    )
 
 
 class AgentStatistics:
@@ -103,6 +118,7 @@ class AgentStatistics:
             'reason': planning.reason,
             'frontiers': len(planning.frontiers),
             'waiting': len(inbox),
+            'delay_s': inbox.delay,
             'dropped': sum(inbox.dropped.values()),
         }
         for name, samples in (('ros', self._latency), ('wall', self._wall_latency)):
@@ -112,8 +128,9 @@ class AgentStatistics:
         for kind, count in self._done.items():
             values[f'{kind}_mean_ms'] = 1e3 * self._busy[kind] / count
             values[f'{kind}_count'] = count
-        level = OK if planning.searched else WARN
-        return level, planning.reason or planning.status.value, values
+        behind = explain_delay(inbox)
+        level = WARN if behind or not planning.searched else OK
+        return level, behind or planning.reason or planning.status.value, values
 
     def _vehicle(
         self, status: VehicleStatus, inputs: VehicleInputs, inbox: Inbox

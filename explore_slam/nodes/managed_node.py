@@ -80,11 +80,12 @@ class ManagedNode(LifecycleNode):
         if autostart:
             self.starting = True
             for transition in (self.trigger_configure, self.trigger_activate):
-                if transition() != _SUCCESS and self._failure is not None:
-                    failure = self._failure
-                    self.stop()
-                    self.destroy_node()
-                    raise failure
+                if transition() == _SUCCESS:
+                    continue
+                failure = self._failure
+                self.stop()
+                self.destroy_node()
+                raise failure or RuntimeError(f'{transition.__name__} has failed')
             self.starting = False
 
     def stop(self) -> None:
@@ -116,7 +117,10 @@ class ManagedNode(LifecycleNode):
 
     def on_error(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Leave an unexpected error behind: the node is unconfigured, and can be configured."""
-        return self._try('clean up', self._tear_down)
+        cause = self._failure
+        result = self._try('clean up', self._tear_down)
+        self._failure = cause or self._failure
+        return result
 
     def _on_change_state(self, request: Any, response: Any) -> Any:
         try:

@@ -36,3 +36,9 @@ class PlanOutputs:
             if vehicle not in self._last or plan is not self._last[vehicle]:
                 self._last[vehicle] = plan
                 navigator.follow(stamp, plan)
+
+    def stop(self, stamp: float) -> None:
+        """Stop all vehicles at a time (s), before this returns; from the node's executor."""
+        for vehicle, navigator in self._navigators.items():
+            self._last[vehicle] = None
+            navigator.stop(stamp)

@@ -1,6 +1,7 @@
 """Settings that several nodes declare, and the start poses of a team."""
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -8,6 +9,9 @@ from typing import Any
 from explore_slam.errors import ConfigError
 from explore_slam.geometry import Pose2
 from explore_slam.settings import Section, setting
+
+# a vehicle's name is its namespace, and the first part of its parameters' and frames' names
+_NAME = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')
 
 
 @dataclass(frozen=True)
@@ -70,6 +74,12 @@ def start_poses(names: Sequence[str], values: Sequence[float]) -> dict[str, Pose
 
 
 def check_names(names: Sequence[str]) -> None:
-    """Raise ConfigError unless there is a vehicle and all names differ."""
+    """Raise ConfigError unless there is a vehicle and all names differ and are names of ROS."""
     if not names or len(set(names)) != len(names):
         raise ConfigError(f'vehicles is {list(names)}, expected one name or more, all different')
+    for name in names:
+        if not _NAME.fullmatch(name):
+            raise ConfigError(
+                f'vehicles has the name {name!r}, expected letters, digits and underscores, the '
+                'first not a digit: it is the namespace of the vehicle'
+            )

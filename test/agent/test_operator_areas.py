@@ -114,6 +114,26 @@ def test_targets_and_paths_respect_a_keep_out_area_in_the_next_cycle():
     assert np.allclose(planner.plan(1.2).plans['robot1'].waypoints[-1], target, atol=0.5)
 
 
+@pytest.mark.parametrize('corners', [square(*START[:2], 0.8), square(0.0, 0.0, 9.0)])
+def test_a_keep_out_area_over_the_only_vehicle_withdraws_its_plan(corners):
+    agent, planner, _ = make()
+    assert planner.plan(1.0).plans
+    planner.areas.add_keep_out(corners)
+    result = planner.plan(1.1)
+    assert result.plans == {}
+    assert agent.track('robot1').plan is None
+    assert (result.status, result.searched) == (ExplorationStatus.PAUSED, False)
+    planner.areas.add_keep_out([])
+    assert planner.plan(1.2).plans
+
+
+def test_an_area_to_explore_elsewhere_withdraws_the_plan():
+    _, planner, _ = make()
+    assert planner.plan(1.0).plans
+    planner.areas.set_area(square(3.0, 3.0, 0.5))
+    assert planner.plan(1.1).plans == {}
+
+
 def test_outside_of_the_area_nothing_is_explored():
     agent, planner, _ = make()
     assert planner.plan(1.0).frontiers

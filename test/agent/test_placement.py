@@ -7,6 +7,7 @@ from synthetic import SyntheticVehicle, SyntheticWorld
 from explore_slam.agent import Agent, AgentConfig, TeamPlanner
 from explore_slam.agent.odometry import OdometryBuffer
 from explore_slam.data import OdometryReading, VehicleState
+from explore_slam.errors import SlamError
 from explore_slam.exploration import ExplorationStatus
 from explore_slam.geometry import IDENTITY, Pose2
 from explore_slam.settings import with_values
@@ -47,6 +48,19 @@ def test_a_vehicle_that_is_placed_need_not_be_confirmed():
     agent.set_pose('robot1', vehicle.pose, TIGHT)
     drive(agent, vehicle, 20, offset=Pose2(4.0, 1.0, 0.5))
     assert planner.plan(2.5).searched
+
+
+def test_a_vehicle_is_placed_where_it_is_now():
+    agent, vehicle = make()
+    for _ in range(30):  # without scans there are no keyframes on the way
+        agent.add('robot1', vehicle.advance())
+    given = Pose2(1.0, 2.0, -1.0)
+    before = agent.estimate('robot1')
+    with pytest.raises(SlamError, match='covariance'):
+        agent.set_pose('robot1', given, np.diag([1.0, -1.0, 1.0]))
+    assert agent.estimate('robot1')[0] == before[0]
+    agent.set_pose('robot1', given, 1e-4 * TIGHT)
+    assert tuple(agent.estimate('robot1')[0]) == pytest.approx(given, abs=0.01)
 
 
 def test_odometry_from_zero_needs_no_confirmation():
@@ -206,6 +220,40 @@ def test_a_displaced_vehicle_stands_until_it_is_placed(caplog):
     agent.set_pose('robot1', vehicle.pose, TIGHT)
     drive(agent, vehicle, 5)
     assert agent.statuses()[0].state is not VehicleState.LOST
+
+
+class HalfRoom(SyntheticWorld):
+    """The laser sees the left half of its beams only: much remains to be explored."""
+
+    def scan_from(self, stamp, pose, beams=181):
+        scan = super().scan_from(stamp, pose, beams)
+        scan.ranges[: beams // 2] = float('nan')
+        return scan
+
+
+@pytest.mark.parametrize('cause', ['driver restarted', 'lost', 'silent'])
+def test_the_only_vehicle_stops_when_it_must_not_drive(cause):
+    agent = Agent(CONFIG, {'robot1': START}, 1)
+    vehicle = SyntheticVehicle(HalfRoom(), START, speed=0.4, turn=0.0)
+    planner = TeamPlanner(agent)
+    drive(agent, vehicle, 20)
+    plan = planner.plan(agent.now).plans['robot1']
+    assert agent.track('robot1').plan is plan
+    assert not planner.must_withdraw
+    if cause == 'driver restarted':
+        vehicle.stamp += 2.5
+        vehicle.odometry = IDENTITY
+        agent.add('robot1', OdometryReading(vehicle.stamp, IDENTITY))
+        assert planner.must_withdraw
+    elif cause == 'lost':
+        agent.set_pose('robot1', vehicle.pose, np.diag([25.0, 25.0, 1.0]))
+        drive(agent, vehicle, 1)
+    else:
+        agent.advance(agent.now + 60.0)
+    result = planner.plan(agent.now)
+    assert result.plans == {}
+    assert agent.track('robot1').plan is None
+    assert not planner.must_withdraw
 
 
 def test_a_displaced_vehicle_is_relocalized_by_its_landmarks(caplog):

@@ -188,13 +188,18 @@ def test_new_frontiers_end_the_end():
         (hall(), {'a': VehicleSnapshot(Pose2(math.inf, 1.0, 0.0))}, 'valid pose'),
     ],
 )
-def test_cannot_search_is_not_done_and_keeps_the_plans(grid, vehicles, reason):
+def test_cannot_search_is_not_done_and_withdraws_the_plans(grid, vehicles, reason):
     planner = Planner(config(empty_searches=1))
     before = planner.plan(hall(), 0.0, team(HALL, (4, 9))).plans
-    result = planner.plan(grid, 1.0, vehicles)
-    assert result.status is ExplorationStatus.PAUSED
-    assert reason in result.reason
-    assert result.plans == before
+    assert before
+    for now in (1.0, 2.0):
+        result = planner.plan(grid, now, vehicles)
+        assert result.status is ExplorationStatus.PAUSED
+        assert reason in result.reason
+        assert result.plans == {}
+    after = planner.plan(hall(), 3.0, team(HALL, (4, 9)))
+    assert after.status is ExplorationStatus.IN_PROGRESS
+    assert after.plans['robot1'].stamp == 3.0
 
 
 def test_probabilities_that_are_not_numbers_are_obstacles():
@@ -265,6 +270,11 @@ def test_a_vehicle_leaves_by_the_way_it_came_though_the_map_shows_a_wall_there()
     plan = planner.plan(grid, 10.0, inside).plans['robot1']
     assert plan.goal.x > inside['robot1'].pose.x + 4.0
     assert 'robot1' not in Planner(config()).plan(grid, 10.0, inside).plans
+    # what is forbidden there has not gone, and nobody drives there to look
+    forbidden = np.zeros(grid.shape, np.bool_)
+    forbidden[:, 5 * SIDE : 6 * SIDE] = True
+    result = planner.plan(grid, 11.0, inside, forbidden=forbidden)
+    assert 'robot1' not in result.plans
 
 
 def test_a_target_reported_as_blocked_near_by_is_left_alone_and_tried_again_at_the_end():

@@ -12,8 +12,11 @@ from nodes.test_path_follower import Harness, follower_process
 from nodes.test_pioneer_driver import Rig
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters
+from rclpy.lifecycle import TransitionCallbackReturn
 from ros_domain import own_domain
 from std_srvs.srv import Trigger
+
+from explore_slam.nodes.managed_node import ManagedNode
 
 DOMAIN = own_domain(67)
 CONFIGURE, CLEAN_UP, ACTIVATE, DEACTIVATE = (
@@ -61,6 +64,50 @@ def context():
     made.init(domain_id=DOMAIN)
     yield made
     made.try_shutdown()
+
+
+class Unfinished(ManagedNode):
+    """A node whose configuration or activation has an error in its program."""
+
+    def __init__(self, context, place):
+        self.place, self.done = place, []
+        super().__init__('unfinished', context=context)
+        self.start(True)
+
+    def _do(self, what):
+        self.done.append(what)
+        if what == self.place:
+            raise ZeroDivisionError(f'in {what}')
+
+    def configure(self):
+        self._do('configure')
+
+    def activate(self):
+        self._do('activate')
+
+    def deactivate(self):
+        self._do('deactivate')
+
+    def clean_up(self):
+        self._do('clean_up')
+
+
+@pytest.mark.parametrize('place', ['configure', 'activate'])
+def test_an_unexpected_error_at_the_start_is_the_one_that_is_raised(context, place):
+    with pytest.raises(ZeroDivisionError, match=f'in {place}'):
+        Unfinished(context, place)
+
+
+def test_an_unexpected_error_of_a_transition_leaves_a_node_that_can_be_configured(context):
+    made = Unfinished(context, '')
+    made.place = 'deactivate'
+    assert made.trigger_deactivate() == TransitionCallbackReturn.ERROR
+    assert made.done[-2:] == ['deactivate', 'clean_up']
+    assert not made.is_active
+    made.place = ''
+    assert made.trigger_configure() == TransitionCallbackReturn.SUCCESS
+    made.stop()
+    made.destroy_node()
 
 
 @pytest.fixture

@@ -138,6 +138,70 @@ def test_updates_bring_a_receiver_to_the_same_map(nodes):
     assert np.array_equal(grid_arrays(maps[1])[0], grid.to_trinary())
 
 
+def block_of(update):
+    """Return rows, columns and cells of an update."""
+    rows = slice(update.y, update.y + update.height)
+    columns = slice(update.x, update.x + update.width)
+    return rows, columns, np.array(update.data, np.int8).reshape(update.height, update.width)
+
+
+def test_who_joins_between_two_maps_is_up_to_date_with_the_next_update(nodes):
+    update = pytest.importorskip('map_msgs.msg', reason='map_msgs is not installed')
+    sender, reader, spin_until = nodes
+    early, late = {}, {}
+
+    def join(heard):
+        def on_map(message):
+            heard['map'] = grid_arrays(message)[0].copy()
+
+        def on_update(message):
+            rows, columns, cells = block_of(message)
+            heard['map'][rows, columns] = cells
+            heard['updates'] = heard.get('updates', 0) + 1
+
+        reader.create_subscription(GridMessage, 'map', on_map, LATCHED)
+        spin_until(lambda: 'map' in heard)
+        before = sender.count_subscribers('map_updates')
+        reader.create_subscription(update.OccupancyGridUpdate, 'map_updates', on_update, 10)
+        spin_until(lambda: sender.count_subscribers('map_updates') > before)
+
+    def insert_obstacle(heading):
+        scan = LaserScan(4.0, 0.0, 0.01, np.full(10, 1.0, np.float32), 0.1, 10.0)
+        for _ in range(6):
+            grid.insert_scan(Pose2(0.0, 0.0, heading), scan)
+
+    outputs, grid = MapOutputs(sender), room()
+    outputs.publish(1.0, 'map', grid)
+    first = grid.to_trinary()
+    join(early)
+    insert_obstacle(0.0)
+    outputs.publish_update(2.0, 'map', grid)
+    spin_until(lambda: early.get('updates') == 1)
+    join(late)
+    insert_obstacle(2.0)
+    outputs.publish_update(3.0, 'map', grid)
+    outputs.publish_update(3.1, 'map', grid)  # nothing new
+    spin_until(lambda: late.get('updates') == 1 and early['updates'] == 2)
+    for heard in (early, late):
+        assert np.array_equal(heard['map'], grid.to_trinary())
+    outputs.publish_update(4.0, 'map', room())  # all is again as the map has it
+    spin_until(lambda: late['updates'] == 2 and early['updates'] == 3)
+    for heard in (early, late):
+        assert np.array_equal(heard['map'], first)
+
+
+def test_there_is_no_map_before_there_are_data(nodes):
+    sender, reader, spin_until = nodes
+    maps = []
+    outputs = MapOutputs(sender)
+    reader.create_subscription(GridMessage, 'map', maps.append, LATCHED)
+    outputs.publish(1.0, 'map', OccupancyGrid())
+    outputs.publish(2.0, 'map', room())
+    spin_until(lambda: maps)
+    assert len(maps) == 1
+    assert maps[0].info.width > 0
+
+
 def test_the_changed_rectangle_holds_all_changes():
     before = np.zeros((5, 7), np.int8)
     after = before.copy()

@@ -28,11 +28,14 @@ DOMAIN = own_domain(97)
 class Server:
     """A bt_navigator or controller_server that does what a test wants."""
 
-    def __init__(self, context, kind):
-        self.node = rclpy.create_node('server', namespace='/robot1', context=context)
+    def __init__(self, kind):
+        self.context = rclpy.Context()
+        self.context.init(domain_id=DOMAIN)
+        self.node = rclpy.create_node('server', namespace='/robot1', context=self.context)
         self.goals, self.outcome, self.accepts, self.canceled = [], 'succeed', True, 0
-        self.release = threading.Event()
+        self.release, self.left = threading.Event(), threading.Event()
         self.type = getattr(NAV2, kind.type_name)
+        self.kind = kind
         self._server = ActionServer(
             self.node,
             self.type,
@@ -42,10 +45,28 @@ class Server:
             cancel_callback=lambda _: CancelResponse.ACCEPT,
             callback_group=ReentrantCallbackGroup(),
         )
+        # the executor must go on while a goal is executed
+        self._executor = rclpy.executors.MultiThreadedExecutor(4, context=self.context)
+        self._executor.add_node(self.node)
+        self._thread = threading.Thread(target=self._executor.spin, daemon=True)
+        self._thread.start()
+
+    def end(self):
+        """End the node; goals that are executed are never heard of again."""
+        if self.left.is_set():
+            return
+        self.left.set()
+        self._executor.shutdown(timeout_sec=5.0)
+        self._thread.join(timeout=5.0)
+        self._server.destroy()
+        self.node.destroy_node()
+        self.context.try_shutdown()
 
     def execute(self, handle):
         self.goals.append(handle.request)
         while not self.release.wait(0.02):
+            if self.left.is_set():
+                return self.type.Result()
             if self.outcome != 'be silent':
                 handle.publish_feedback(self.type.Feedback())
             if handle.is_cancel_requested:
@@ -71,12 +92,7 @@ def robot(request, monkeypatch):
     monkeypatch.setattr(module, 'SILENCE', 1.0)
     context = rclpy.Context()
     context.init(domain_id=DOMAIN)
-    server = Server(context, kind)
-    # the server's executor must go on while a goal is executed
-    serving = rclpy.executors.MultiThreadedExecutor(4, context=context)
-    serving.add_node(server.node)
-    thread = threading.Thread(target=serving.spin, daemon=True)
-    thread.start()
+    server = Server(kind)
     node = rclpy.create_node('agent', context=context)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
@@ -91,15 +107,21 @@ def robot(request, monkeypatch):
 
     yield server, navigator, reports, spin_until
     server.release.set()
-    serving.shutdown(timeout_sec=5.0)
-    thread.join(timeout=5.0)
+    server.end()
     node.destroy_node()
-    server.node.destroy_node()
     context.try_shutdown()
 
 
 def plan(x, y=0.0):
     return Plan(1.0, 'robot1', Pose2(x, y, 0.5), np.array([[0.0, 0.0], [x, y]]))
+
+
+def wait_for(condition, seconds=20.0):
+    """Wait for what the server does in its thread."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.02)
 
 
 def states(reports):
@@ -138,8 +160,15 @@ def test_another_way_to_the_same_goal_is_news_only_for_who_follows_the_path(robo
         assert server.goals[1].path.poses[-1].pose.position.x == pytest.approx(2.02)
     server.release.set()
     spin_until(lambda: FollowerState.ARRIVED in states(reports))
-    navigator.follow(3.0, plan(2.02, 1.0))
-    assert len(server.goals) == 1 + hasattr(server.goals[0], 'path')
+    count = 1 + hasattr(server.goals[0], 'path')
+    assert len(server.goals) == count
+    # nav2 is content, the agent is not: it goes on, and each newer plan is sent once
+    for stamp in (3.0, 4.0):
+        navigator.follow(stamp, plan(2.02, 1.0))
+        count += 1
+        spin_until(lambda wanted=count: len(server.goals) == wanted)
+        spin_until(lambda: states(reports)[-1] is FollowerState.ARRIVED)
+    assert len(server.goals) == count
 
 
 def test_aborted_is_blocked_with_the_error(robot):
@@ -174,6 +203,40 @@ def test_without_a_plan_the_goal_is_canceled(robot):
     navigator.follow(2.0, None)
     spin_until(lambda: server.canceled == 1)
     assert reports[-1].state is FollowerState.WAITING
+
+
+def test_a_stop_cancels_before_it_returns(robot):
+    server, navigator, reports, spin_until = robot
+    navigator.follow(1.0, plan(2.0))
+    spin_until(lambda: FollowerState.DRIVING in states(reports) and server.goals)
+    navigator.stop(2.0)
+    assert reports[-1].state is FollowerState.WAITING
+    wait_for(lambda: server.canceled == 1)  # though the executor of the navigator has ended
+
+
+def test_a_stop_cancels_a_goal_whose_acceptance_was_not_heard(robot):
+    server, navigator, reports, spin_until = robot
+    navigator.follow(1.0, plan(2.0))
+    spin_until(lambda: reports and reports[-1].reason == 'goal sent')
+    navigator.stop(2.0)
+    wait_for(lambda: server.canceled == 1)
+    assert FollowerState.DRIVING not in states(reports)
+
+
+def test_a_goal_is_sent_again_to_a_server_that_comes_back(robot, monkeypatch):
+    monkeypatch.setattr(module, 'SILENCE', 60.0)
+    server, navigator, reports, spin_until = robot
+    navigator.follow(1.0, plan(2.0))
+    spin_until(lambda: FollowerState.DRIVING in states(reports) and server.goals)
+    server.end()
+    spin_until(lambda: 'has no server' in reports[-1].reason)
+    assert reports[-1].state is FollowerState.WAITING
+    again = Server(server.kind)
+    spin_until(lambda: reports[-1].state is FollowerState.DRIVING)  # the plan has not changed
+    spin_until(lambda: len(again.goals) == 1)
+    again.release.set()
+    spin_until(lambda: reports[-1].state is FollowerState.ARRIVED)
+    again.end()
 
 
 def test_silence_of_nav2_is_blocked(robot):

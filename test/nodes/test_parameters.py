@@ -46,6 +46,16 @@ def test_start_poses_must_fit_the_names(names, values, words):
     assert starts == {'a': (1.0, 2.0, 0.5), 'b': (3.0, 4.0, 0.0)}
 
 
+@pytest.mark.parametrize(
+    'name', ['', 'a b', '1robot', '/robot1', 'fleet/robot1', 'robot.1', 'tb3-1', 'Röbot']
+)
+def test_names_of_vehicles_must_be_names_of_ros(name):
+    with pytest.raises(ConfigError, match=f'vehicles has the name {name!r}, expected letters'):
+        AgentNodeConfig(vehicles=(name,))
+    with pytest.raises(ConfigError, match='expected letters'):
+        with_values(AgentNodeConfig(), {'vehicles': ['robot1', name]})
+
+
 def test_frames_take_the_names_of_the_parameters():
     frames = DriverNodeConfig(odom_frame='o', laser_frame='front').frames('robot1')
     assert (frames.odom, frames.laser) == ('robot1/o', 'robot1/front')

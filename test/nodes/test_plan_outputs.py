@@ -47,6 +47,9 @@ class Obedient:
         if plan is not None:
             self.report('arrived')
 
+    def stop(self, stamp):
+        self.sent.append((stamp, 'stop'))
+
 
 def test_another_navigator_is_a_module_and_a_line(node, monkeypatch):
     module = type(sys)('obedient_navigator')
@@ -64,7 +67,13 @@ def test_another_navigator_is_a_module_and_a_line(node, monkeypatch):
     navigator = outputs._navigators['robot1']
     assert navigator.sent == [(0.0, first), (2.0, second), (3.0, None)]
     assert outputs._navigators['robot2'].sent == [(0.0, None)]
-    assert reports == [('robot1', 'arrived')] * 2
+    outputs.stop(5.0)
+    outputs.send(6.0, {'robot1': second})
+    outputs.stop(7.0)
+    outputs.send(8.0, {'robot1': second})  # after a stop it is news again
+    assert navigator.sent[3:] == [(5.0, 'stop'), (6.0, second), (7.0, 'stop'), (8.0, second)]
+    assert outputs._navigators['robot2'].sent[1:] == [(5.0, 'stop'), (7.0, 'stop')]
+    assert reports == [('robot1', 'arrived')] * 4
     assert navigator.map_frame == 'map'
 
 

@@ -41,5 +41,9 @@ class FollowerNavigator:
         points = np.empty((0, 2)) if plan is None else plan.waypoints
         self._plan.publish(path_message(MESSAGES, stamp, self._map_frame, points))
 
+    def stop(self, stamp: float) -> None:
+        """Publish an empty path."""
+        self.follow(stamp, None)
+
 
 make = FollowerNavigator

@@ -5,16 +5,20 @@ nothing. With FollowPath nav2's controller follows the path of the agent, and ke
 way that it was planned with.
 
 What an action says becomes a report: accepted and feedback are driving, succeeded is arrived;
-rejected, aborted and silence are blocked, so that the agent chooses another way or vehicle.
+rejected, aborted and silence are blocked, so that the agent chooses another way or vehicle. A
+goal that has ended is sent again if a newer plan still wants it, and one whose server has left is
+sent to the next server.
 """
 
 import time
+import uuid
 from collections.abc import Callable
 from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
-from action_msgs.msg import GoalStatus
+from action_msgs.msg import GoalInfo, GoalStatus
+from action_msgs.srv import CancelGoal
 from rclpy.action import ActionClient
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -29,6 +33,7 @@ from explore_slam.polyline import sample
 
 PERIOD = 0.1  # s between looks at the newest plan and at silence
 SILENCE = 10.0  # s of wall time without answer or feedback after which a goal is given up
+ABSENCE = 1.0  # s of wall time without server, answer and feedback after which the server has left
 SAME_GOAL = 0.1  # m and rad; nav2's default goal tolerance is 0.25
 PATH_SPACING = 0.05  # m between the poses of a path: nav2's planners make one per cell
 
@@ -68,12 +73,16 @@ class Nav2Navigator:
         self._vehicle = vehicle
         self._map_frame = map_frame
         self._report_to = report
-        self._client = ActionClient(node, self._type, f'{vehicle}/{kind.name}')
+        self._action = f'{vehicle}/{kind.name}'
+        self._client = ActionClient(node, self._type, self._action)
+        # cancels by the identifier of a goal, whose acceptance need not have been heard
+        self._canceling = node.create_client(CancelGoal, f'{self._action}/_action/cancel_goal')
         self._wanted: tuple[float, Plan] | None = None  # the newest plan, and its stamp (s)
         self._sent: Plan | None = None
         self._sent_stamp = 0.0
         self._number = 0  # of the goal in force; answers about older ones are ignored
-        self._handle: Any = None
+        self._goal_id = GoalInfo().goal_id
+        self._accepted = False
         self._busy = False  # a goal was sent and has not ended
         self._heard = 0.0  # monotonic s of the last answer or feedback
         self._state = FollowerReport(FollowerState.WAITING, 'no plan')
@@ -86,6 +95,12 @@ class Nav2Navigator:
         has_goal = plan is not None and len(plan.waypoints) > 0
         self._wanted = (stamp, plan) if plan is not None and has_goal else None
 
+    def stop(self, stamp: float) -> None:
+        """Cancel the goal in force at once."""
+        self.follow(stamp, None)
+        if self._sent is not None:
+            self._give_up(FollowerState.WAITING, 'no plan')
+
     # -- in the executor of the node -----------------------------------------------------------
 
     def _on_timer(self) -> None:
@@ -93,7 +108,10 @@ class Nav2Navigator:
         if wanted is None:
             if self._sent is not None:
                 self._give_up(FollowerState.WAITING, 'no plan')
-        elif self._sent is None or self._is_news(*wanted):
+        elif self._busy and self._has_no_server():
+            # it has forgotten the goal: the next one gets it
+            self._give_up(FollowerState.WAITING, f'{self._action} has no server')
+        elif self._is_news(*wanted):
             self._send(*wanted)
         elif self._busy and time.monotonic() - self._heard > SILENCE:
             sent = self._sent
@@ -101,29 +119,40 @@ class Nav2Navigator:
             self._sent = sent  # not again before the agent has another plan
 
     def _is_news(self, stamp: float, plan: Plan) -> bool:
-        """Return whether a plan differs from the one that was sent, or tries it once more."""
-        failed = self._state.state is FollowerState.BLOCKED and not self._busy
-        retry = failed and stamp > self._sent_stamp
-        return self._sent is None or retry or not self._kind.is_in_force(self._sent, plan)
+        """Return whether a plan differs from the one that was sent, or wants it once more.
+
+        nav2 is content at its own tolerance: a vehicle that the agent wants nearer is sent again.
+        """
+        again = not self._busy and stamp > self._sent_stamp
+        return self._sent is None or again or not self._kind.is_in_force(self._sent, plan)
+
+    def _has_no_server(self) -> bool:
+        silent = time.monotonic() - self._heard > ABSENCE
+        return silent and not self._client.server_is_ready()
 
     def _send(self, stamp: float, plan: Plan) -> None:
         if not self._client.server_is_ready():
-            self._report(FollowerState.WAITING, f'{self._vehicle}/{self._kind.name} has no server')
+            self._sent = None  # whoever comes next gets it
+            self._report(FollowerState.WAITING, f'{self._action} has no server')
             return
         self._number += 1
-        self._sent, self._handle, self._busy = plan, None, True
+        self._sent, self._accepted, self._busy = plan, False, True
+        self._goal_id = GoalInfo().goal_id
+        self._goal_id.uuid = np.frombuffer(uuid.uuid4().bytes, np.uint8)
         self._sent_stamp = stamp
         self._heard = time.monotonic()
         request = self._type.Goal()
         self._kind.request(request, stamp, self._map_frame, plan)
         number = self._number
         self._report(FollowerState.WAITING, 'goal sent')
-        future = self._client.send_goal_async(request, lambda _: self._on_feedback(number))
+        future = self._client.send_goal_async(
+            request, lambda _: self._on_feedback(number), self._goal_id
+        )
         future.add_done_callback(lambda done: self._on_answer(number, done.result()))
 
     def _on_answer(self, number: int, handle: Any) -> None:
         if number != self._number:
-            if handle.accepted:
+            if handle.accepted:  # given up or replaced before that was heard
                 handle.cancel_goal_async()
             return
         self._heard = time.monotonic()
@@ -131,20 +160,20 @@ class Nav2Navigator:
             self._busy = False
             self._report(FollowerState.BLOCKED, 'nav2 has rejected the goal')
             return
-        self._handle = handle
+        self._accepted = True
         self._report(FollowerState.DRIVING, '')
         handle.get_result_async().add_done_callback(
             lambda done: self._on_result(number, done.result())
         )
 
     def _on_feedback(self, number: int) -> None:
-        if number == self._number and self._handle is not None:
+        if number == self._number and self._accepted:
             self._heard = time.monotonic()
 
     def _on_result(self, number: int, answer: Any) -> None:
         if number != self._number:
             return
-        self._handle, self._busy = None, False
+        self._busy = False
         if answer.status == GoalStatus.STATUS_SUCCEEDED:
             self._report(FollowerState.ARRIVED, 'goal reached')
         elif answer.status == GoalStatus.STATUS_CANCELED:
@@ -157,10 +186,11 @@ class Nav2Navigator:
     def _give_up(self, state: FollowerState, reason: str) -> None:
         """Cancel the goal in force; its later feedback and result are ignored."""
         self._number += 1
+        if self._busy and self._canceling.service_is_ready():
+            request = CancelGoal.Request()
+            request.goal_info.goal_id = self._goal_id
+            self._canceling.call_async(request)
         self._sent, self._busy = None, False
-        if self._handle is not None:
-            self._handle.cancel_goal_async()
-            self._handle = None
         self._report(state, reason)
 
     def _report(self, state: FollowerState, reason: str) -> None:

@@ -15,7 +15,16 @@ class Navigator(Protocol):
     """Drives one vehicle along the plans of the agent."""
 
     def follow(self, stamp: float, plan: Plan | None) -> None:
-        """Replace the plan in force at a time (s); None: the vehicle stays where it is."""
+        """Replace the plan in force at a time (s); None: the vehicle stays where it is.
+
+        May be called from any thread, and may take effect a little later.
+        """
+
+    def stop(self, stamp: float) -> None:
+        """Stop the vehicle at a time (s), before this returns: the node may end next.
+
+        Called from the executor of the node.
+        """
 
 
 class MakeNavigator(Protocol):
