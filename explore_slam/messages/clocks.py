@@ -1,11 +1,14 @@
 """Stamps against the clock of the receiver and against those of other topics of a vehicle."""
 
 import math
+import re
 from collections import deque
+from collections.abc import Mapping
 from statistics import median
 
 CLOCKS_APART = 1.0  # s of difference that is named
 _SAMPLES = 20  # newest stamps per topic that are compared; one late message is no other clock
+_NUMBER = re.compile(r'[0-9]+(?:\.[0-9]+)?(?= s | messages)')  # amount (s) or count
 _MINIMUM = 5  # stamps before a topic is judged
 
 
@@ -56,6 +59,33 @@ class StampWatch:
             elif not abs(value) <= CLOCKS_APART:
                 found[topic] = f'stamps are {_amount(value)} the clock of this node'
         return found
+
+
+class NamedProblems:
+    """Which problems of stamps have been named; one that changes or returns is named again."""
+
+    def __init__(self) -> None:
+        self._named: dict[str, str] = {}
+
+    def news(self, problems: Mapping[str, str]) -> list[str]:
+        """Return 'topic: problem' of what has not been named yet; those that ended are forgotten.
+
+        A problem is another one in other words, or with twice or half the amount (s).
+        """
+        self._named = {topic: text for topic, text in self._named.items() if topic in problems}
+        found = []
+        for topic, text in sorted(problems.items()):
+            if not _is_same(self._named.get(topic, ''), text):
+                self._named[topic] = text
+                found.append(f'{topic}: {text}')
+        return found
+
+
+def _is_same(named: str, text: str) -> bool:
+    if _NUMBER.sub('', named) != _NUMBER.sub('', text):
+        return False
+    old, new = (float(_NUMBER.findall(words)[0]) for words in (named, text))
+    return text[0].isdigit() or 0.5 * old < new < 2.0 * old  # a count only grows
 
 
 def _amount(seconds: float) -> str:

@@ -135,6 +135,7 @@ class VehicleInputs:
         self._map_frame = map_frame
         self._reader = VehicleReader(MEASUREMENT_KINDS, mounts)
         self._stamps = StampWatch()
+        self._since = time.monotonic()
         self._held: deque[tuple[TopicKind, Any]] = deque(maxlen=_HELD)
         self._waiting_since: dict[str, float] = {}  # frame -> monotonic s
         self.malformed = 0
@@ -201,6 +202,8 @@ class VehicleInputs:
         if topic is TopicKind.INITIAL_POSE or not isinstance(topic, TopicKind):
             return
         now = now_seconds(self._node)
+        if now == 0.0:
+            return  # simulated time has not begun: there is nothing to compare with
         offset = float(getattr(self.config, KIND_OF_TOPIC[topic].clock))
         stamp = seconds(message.header.stamp)
         if not self._stamps.add(topic.value, stamp + offset if stamp else 0.0, now):
@@ -265,10 +268,20 @@ class VehicleInputs:
         """Return the numbers of messages that could not be used so far, by reason."""
         return {'malformed': self.malformed, **self._reader.losses()}
 
-    def clock_problems(self) -> list[str]:
-        """Return which topics have stamps of another clock, with the amounts."""
+    def clock_problems(self) -> dict[str, str]:
+        """Return topic -> what is wrong with its stamps, with the amount.
+
+        Before simulated time begins, stamps cannot be compared: that is the problem then.
+        """
+        if now_seconds(self._node) == 0.0:
+            if time.monotonic() - self._since < SILENCE:
+                return {}
+            return {
+                '/clock': 'use_sim_time is true, but no time has come; start what publishes it '
+                '(a simulator, ros2 bag play --clock), or set use_sim_time to false'
+            }
         problems = self._stamps.problems(TopicKind.ODOMETRY.value)
-        return [f'{self.vehicle}/{topic}: {text}' for topic, text in sorted(problems.items())]
+        return {f'{self.vehicle}/{topic}': text for topic, text in problems.items()}
 
     def silence(self) -> list[str]:
         """Return an explanation for every expected topic on which nothing has arrived."""

@@ -24,6 +24,7 @@ from explore_slam.data import FollowerReport
 from explore_slam.errors import DataError, ExploreSlamError
 from explore_slam.exploration import PlanningMode
 from explore_slam.geometry import Pose2
+from explore_slam.messages.clocks import NamedProblems
 from explore_slam.messages.frame_pairing import FRAME
 from explore_slam.messages.odometry import ODOMETRY
 from explore_slam.messages.sensor_mounts import SensorMounts
@@ -88,7 +89,7 @@ class AgentSession:
         self._due = dict.fromkeys(_PERIODIC, -np.inf)
         self._posed = dict.fromkeys(config.vehicles, -np.inf)
         self._reported = time.monotonic()
-        self._clocks_explained: set[str] = set()
+        self._named_problems = NamedProblems()
         self._silence_timer: Timer | None = None
         self._active = False
         self._publishing = threading.Lock()  # held while the worker publishes
@@ -426,16 +427,17 @@ class AgentSession:
             inputs.release_held()
 
     def _explain_clocks(self) -> None:
-        """Log once per topic that its stamps are of another clock."""
+        """Log which topics have stamps of another clock, again when that changes."""
+        problems: dict[str, str] = {}
         for inputs in self._inputs.values():
-            for text in inputs.clock_problems():
-                topic = text.partition(':')[0]
-                if topic not in self._clocks_explained:
-                    self._clocks_explained.add(topic)
-                    self._node.get_logger().warning(
-                        f'{text}; if the clocks differ by a constant, set {inputs.vehicle}.'
-                        'odom_time_offset, scan_time_offset or camera_time_offset'
-                    )
+            problems.update(inputs.clock_problems())
+        for text in self._named_problems.news(problems):
+            vehicle = text.partition('/')[0]
+            hint = (
+                f'; if the clocks differ by a constant, set {vehicle}.odom_time_offset, '
+                'scan_time_offset or camera_time_offset'
+            )
+            self._node.get_logger().warning(text + (hint if vehicle else ''))
 
     def _vehicle_figures(self) -> dict[str, dict[str, float]]:
         """Return counts and odometry calibration per vehicle."""

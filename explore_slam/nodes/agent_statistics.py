@@ -102,7 +102,8 @@ class AgentStatistics:
             values = self._vehicle(status, by_vehicle[name], inbox)
             values.update(figures.get(name, {}))
             bad = status.state in _WARNED
-            clocks = by_vehicle[name].clock_problems()
+            problems = sorted(by_vehicle[name].clock_problems().items())
+            clocks = [f'{topic}: {text}' for topic, text in problems]
             bad |= bool(clocks)
             waits = planning.waiting.get(name, '')
             if status.state is VehicleState.UNLOCALIZED:

@@ -1,6 +1,6 @@
 """Stamps of other clocks are named with the amount."""
 
-from explore_slam.messages.clocks import StampWatch
+from explore_slam.messages.clocks import NamedProblems, StampWatch
 
 
 def watch(**ahead):
@@ -43,3 +43,29 @@ def test_stamps_of_zero_are_counted_except_where_time_begins():
     simulated = StampWatch()
     assert simulated.add('scan', 0.0, 0.0)
     assert simulated.problems('odom') == {}
+
+
+def test_a_problem_is_named_again_when_it_changes_or_returns():
+    named = NamedProblems()
+    ahead = {'scan': 'stamps are 30.0 s ahead of those of odom'}
+    assert named.news(ahead) == ['scan: stamps are 30.0 s ahead of those of odom']
+    assert named.news(ahead) == []
+    assert named.news({'scan': 'stamps are 30.4 s ahead of those of odom'}) == []
+    behind = {'scan': 'stamps are 30.0 s behind those of odom'}
+    assert len(named.news(behind)) == 1
+    assert len(named.news({'scan': 'stamps are 300.0 s behind those of odom'})) == 1
+    assert named.news({}) == []
+    assert len(named.news(behind)) == 1
+    assert (
+        len(named.news({**behind, 'odom': 'stamps are 2.0 s behind the clock of this node'})) == 1
+    )
+
+
+def test_messages_without_stamp_are_named_once_however_many_come():
+    named = NamedProblems()
+    found = StampWatch()
+    news = []
+    for k in range(200):
+        found.add('scan', 0.0, 1e9 + k)
+        news += named.news(found.problems('odom'))
+    assert news == ['scan: 1 messages have the stamp zero; the time of receipt is used']
