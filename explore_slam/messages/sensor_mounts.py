@@ -61,6 +61,8 @@ class SensorMounts:
     tree: transforms, which may grow while messages arrive.
     config: settings of the vehicle.
     team: mounts that the settings of the team give explicitly.
+    mapping: the node draws a map, so that a mount that is missing or comes late is a warning; in
+    the nodes of a vehicle, which do not wait for transforms, it is information.
     used: frame -> mount of every sensor so far.
     """
 
@@ -70,11 +72,13 @@ class SensorMounts:
         tree: TransformTree,
         config: VehicleConfig | None = None,
         team: ExplicitMounts | None = None,
+        mapping: bool = True,
     ) -> None:
         self.vehicle = vehicle
         self.config = config or VehicleConfig()
         self.used: dict[str, Mount] = {}
         self._tree = tree
+        self._mapping = mapping
         self._team = team or ExplicitMounts()
         self._odometry_base = self._odometry_frame = ''
         self._warned: set[str] = set()
@@ -120,9 +124,8 @@ class SensorMounts:
         found = self._tree.lookup(self.base, frame)
         own, team = self.config.laser_pose, self._team.laser
         if found is None:
-            return self._use(
-                frame, self._from_settings(own or team, own is not None, 'laser_mount')
-            )
+            mount = self._from_settings(own or team, own is not None, 'laser_mount')
+            return self._use(frame, mount, 'laser_mount')
         rotation = found.rotation
         ahead = math.atan2(rotation[1, 0], rotation[0, 0])
         pose = Pose2(found.position[0], found.position[1], ahead)
@@ -141,15 +144,14 @@ class SensorMounts:
                 f'yaw {pose.theta:.3f}, the settings at x {expected.x:.3f}, '
                 f'y {expected.y:.3f}, yaw {expected.theta:.3f}; /tf_static is used',
             )
-        return self._use(frame, Mount('/tf_static', pose, vertical < 0.0))
+        return self._use(frame, Mount('/tf_static', pose, vertical < 0.0), 'laser_mount')
 
     def _camera(self, frame: str) -> Mount:
         found = self._tree.lookup(self.base, frame)
         own, team = self.config.optical_pose, self._team.camera
         if found is None:
-            return self._use(
-                frame, self._from_settings(own or team, own is not None, 'camera_mount')
-            )
+            mount = self._from_settings(own or team, own is not None, 'camera_mount')
+            return self._use(frame, mount, 'camera_mount')
         if abs(float(found.rotation[2, 2])) > _UPRIGHT and 'optical' not in frame:
             # the z axis of an optical frame looks forward: this is the body of the camera
             self._warn_once(
@@ -165,17 +167,34 @@ class SensorMounts:
                 f'/tf_static and the settings have the camera ({frame}) at different poses: '
                 f'{_text(found)} and {_text(expected)}; /tf_static is used',
             )
-        return self._use(frame, Mount('/tf_static', found))
+        return self._use(frame, Mount('/tf_static', found), 'camera_mount')
 
     def _from_settings(self, pose: Pose2 | Pose3 | None, own: bool, name: str) -> Mount:
         if pose is None:
             return Mount('the default settings', None)
         return Mount(f'{self.vehicle}.{name}' if own else 'the settings of the team', pose)
 
-    def _use(self, frame: str, mount: Mount) -> Mount:
-        if self.used.get(frame) != mount:
-            self.used[frame] = mount
-            logger.info('%s: mount of %s: %s', self.vehicle, frame or 'a sensor', mount)
+    def _use(self, frame: str, mount: Mount, setting: str) -> Mount:
+        last = self.used.get(frame)
+        if last == mount:
+            return mount
+        self.used[frame] = mount
+        name = frame or 'a sensor'
+        if self._mapping and last is None and mount.pose is None:
+            logger.warning(
+                '%s: no transform leads from %s to %s, and %s.%s is not set: the default mount '
+                'is used, and the map is wrong if the sensor sits elsewhere; publish the '
+                'transform on /tf_static (robot_state_publisher), or set it',
+                self.vehicle, self.base, name, self.vehicle, setting,
+            )  # fmt: skip
+        elif self._mapping and last is not None and last.source != mount.source:
+            logger.warning(
+                '%s: the mount of %s is now %s; until now it was %s, with which the map so far '
+                'was drawn: call the service reset unless they are the same',
+                self.vehicle, name, mount, last,
+            )  # fmt: skip
+        else:
+            logger.info('%s: mount of %s: %s', self.vehicle, name, mount)
         return mount
 
     def _warn_once(self, key: str, text: str) -> None:

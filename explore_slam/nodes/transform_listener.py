@@ -80,4 +80,4 @@ def own_mounts(
     """
     transforms = TransformListener(node, [vehicle], namespaced=False)
     given = ExplicitMounts(laser.pose if laser != LaserMountConfig() else None)
-    return SensorMounts(vehicle, transforms.trees[vehicle], config, given)
+    return SensorMounts(vehicle, transforms.trees[vehicle], config, given, mapping=False)

@@ -39,15 +39,18 @@ def turn(roll=0.0, pitch=0.0, yaw=0.0):
 def tree_of(*links):
     """A tree of (parent, child, position, quaternion)."""
     tree = TransformTree()
-    tree.add(
-        SimpleNamespace(
-            transforms=[
-                messages.transform_message(MESSAGES, 0.0, parent, child, place, rotation)
-                for parent, child, place, rotation in links
-            ]
-        )
-    )
+    tree.add(message_of(*links))
     return tree
+
+
+def message_of(*links):
+    """A tf2_msgs/TFMessage of (parent, child, position, quaternion)."""
+    return SimpleNamespace(
+        transforms=[
+            messages.transform_message(MESSAGES, 0.0, parent, child, place, rotation)
+            for parent, child, place, rotation in links
+        ]
+    )
 
 
 def odometry(base='base_link', frame='odom'):
@@ -130,12 +133,52 @@ def test_settings_apply_without_transforms_and_contradictions_are_named_once(cap
     assert default.place_scan(SCAN, 'laser').mount is None
     both = SensorMounts('r', tree_of(('base_link', 'laser', (0.1, 0.0, 0.0), turn())), own)
     both.add_odometry(odometry())
+    caplog.clear()
     with caplog.at_level(logging.WARNING, 'explore_slam'):
         placed = [both.place_scan(SCAN, 'laser') for _ in range(3)]
     assert placed[0].mount == Pose2(0.1, 0.0, 0.0)
     assert len(caplog.records) == 1
     assert 'x 0.100' in caplog.text
     assert 'x 0.300' in caplog.text
+
+
+def test_a_mount_that_nobody_gives_is_a_warning_and_so_is_one_that_comes_late(caplog):
+    caplog.set_level(logging.INFO, 'explore_slam')
+    tree = TransformTree()
+    mounts = SensorMounts('r', tree)
+    mounts.add_odometry(odometry())
+    for _ in range(3):
+        mounts.place_scan(SCAN, 'laser')
+    (record,) = caplog.records
+    assert record.levelname == 'WARNING'
+    assert (
+        'no transform leads from base_link to laser, and r.laser_mount is not set' in caplog.text
+    )
+    caplog.clear()
+    tree.add(message_of(('base_link', 'laser', (0.1, 0.0, 0.0), turn(yaw=math.pi / 2))))
+    for _ in range(3):
+        mounts.place_scan(SCAN, 'laser')
+    (record,) = caplog.records
+    assert record.levelname == 'WARNING'
+    assert 'yaw 90.0°, from /tf_static; until now it was the default settings' in caplog.text
+    assert 'call the service reset' in caplog.text
+
+
+def test_mounts_that_are_known_from_the_beginning_are_information(caplog):
+    caplog.set_level(logging.INFO, 'explore_slam')
+    mounts = SensorMounts('r', tree_of(('base_link', 'laser', (0.1, 0.0, 0.0), turn())))
+    mounts.add_odometry(odometry())
+    mounts.place_scan(SCAN, 'laser')
+    given = ExplicitMounts(Pose2(0.2, 0.0, 0.0))
+    SensorMounts('r', TransformTree(), team=given).place_scan(SCAN, 'laser')
+    # a node of the vehicle reads scans before the transforms have come: it draws no map with them
+    tree = TransformTree()
+    follower = SensorMounts('r', tree, mapping=False)
+    follower.add_odometry(odometry())
+    follower.place_scan(SCAN, 'laser')
+    tree.add(message_of(('base_link', 'laser', (0.1, 0.0, 0.0), turn())))
+    follower.place_scan(SCAN, 'laser')
+    assert [record.levelname for record in caplog.records] == ['INFO'] * 4
 
 
 def test_cameras_by_optical_frame_by_body_frame_and_by_setting(caplog):
