@@ -36,8 +36,7 @@ def make_inputs():
             ['robot1'],
             Inbox(LIMITS),
             sink=None,
-            set_pose=lambda _: None,
-            set_goal=lambda _: None,
+            operator=None,
             transforms=TransformListener(node, ['robot1']),
             map_frame='map',
         )
