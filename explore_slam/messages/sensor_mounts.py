@@ -7,7 +7,7 @@ comes from the settings.
 
 import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -96,6 +96,11 @@ class SensorMounts:
     def odom(self) -> str:
         """Odometry frame: as set, as the odometry messages name it, or '<vehicle>/odom'."""
         return frame_name(self.config.odom_frame or self._odometry_frame) or f'{self.vehicle}/odom'
+
+    @property
+    def has_odometry(self) -> bool:
+        """Whether an odometry message has come, or the frame is set."""
+        return bool(self.config.odom_frame or self._odometry_frame)
 
     def add_odometry(self, message: Any) -> None:
         """Take the names of base and odometry frame from an odometry message."""
@@ -205,6 +210,38 @@ class SensorMounts:
     def report(self) -> Mapping[str, str]:
         """Return frame -> mount and its source, in words."""
         return {frame: str(mount) for frame, mount in sorted(self.used.items())}
+
+
+def shared_frames(mounts: Iterable[SensorMounts], own_transforms: Container[str]) -> list[str]:
+    """Return a sentence for every frame that several vehicles of a team share.
+
+    own_transforms: vehicles whose transforms are in their namespace, where they mix with none.
+    """
+    odometry: dict[str, list[str]] = {}
+    sensors: dict[str, list[str]] = {}
+    for one in mounts:
+        if one.vehicle in own_transforms:
+            continue
+        if one.has_odometry:
+            odometry.setdefault(one.odom, []).append(one.vehicle)
+        for frame, mount in one.used.items():
+            if mount.source == '/tf_static':
+                sensors.setdefault(frame, []).append(one.vehicle)
+    advice = (
+        "give each vehicle's nodes a frame prefix, or remap /tf and /tf_static to tf and "
+        'tf_static in its namespace'
+    )
+    return [
+        f'{" and ".join(names)} have the same odometry frame {frame!r}: the transform from the '
+        f'map to it on /tf jumps between them; {advice}'
+        for frame, names in odometry.items()
+        if len(names) > 1
+    ] + [
+        f'{" and ".join(names)} have the same sensor frame {frame!r}: all use the mount that was '
+        f'published last on /tf_static, which is wrong unless their sensors sit alike; {advice}'
+        for frame, names in sensors.items()
+        if len(names) > 1
+    ]
 
 
 def _differ(a: Pose2, b: Pose2) -> bool:

@@ -27,7 +27,7 @@ from explore_slam.geometry import Pose2
 from explore_slam.messages.clocks import NamedProblems
 from explore_slam.messages.frame_pairing import FRAME
 from explore_slam.messages.odometry import ODOMETRY
-from explore_slam.messages.sensor_mounts import SensorMounts
+from explore_slam.messages.sensor_mounts import SensorMounts, shared_frames
 from explore_slam.messages.topics import (
     GlobalTopic,
     TeamTopic,
@@ -90,6 +90,7 @@ class AgentSession:
         self._posed = dict.fromkeys(config.vehicles, -np.inf)
         self._reported = time.monotonic()
         self._named_problems = NamedProblems()
+        self._shared_frames: set[str] = set()
         self._silence_timer: Timer | None = None
         self._active = False
         self._publishing = threading.Lock()  # held while the worker publishes
@@ -439,6 +440,20 @@ class AgentSession:
             )
             self._node.get_logger().warning(text + (hint if vehicle else ''))
 
+    def _explain_shared_frames(self) -> None:
+        """Log once which frames several vehicles share."""
+        own = {name for name in self._inputs if self._has_own_transforms(name)}
+        mounts = [inputs.mounts for inputs in self._inputs.values()]
+        for text in shared_frames(mounts, own):
+            if text not in self._shared_frames:
+                self._shared_frames.add(text)
+                self._node.get_logger().warning(text)
+
+    def _has_own_transforms(self, vehicle: str) -> bool:
+        """Return whether nodes publish transforms in the namespace of the vehicle."""
+        topics = (GlobalTopic.TF, GlobalTopic.TF_STATIC)
+        return any(self._node.count_publishers(f'{vehicle}{topic.value}') for topic in topics)
+
     def _vehicle_figures(self) -> dict[str, dict[str, float]]:
         """Return counts and odometry calibration per vehicle."""
         counts = self.agent.summary()
@@ -455,6 +470,7 @@ class AgentSession:
             return
         self._reported = time.monotonic()
         self._explain_clocks()
+        self._explain_shared_frames()
         behind = explain_delay(self.inbox)
         if behind:
             self._node.get_logger().warning(behind, throttle_duration_sec=_BEHIND_PERIOD)

@@ -18,7 +18,7 @@ from explore_slam.geometry import (
     rotation_matrix,
 )
 from explore_slam.messages.base import OPTICAL
-from explore_slam.messages.sensor_mounts import SensorMounts
+from explore_slam.messages.sensor_mounts import SensorMounts, shared_frames
 from explore_slam.messages.transforms import TransformTree
 from explore_slam.messages.vehicle_settings import (
     VehicleConfig,
@@ -179,6 +179,25 @@ def test_mounts_that_are_known_from_the_beginning_are_information(caplog):
     tree.add(message_of(('base_link', 'laser', (0.1, 0.0, 0.0), turn())))
     follower.place_scan(SCAN, 'laser')
     assert [record.levelname for record in caplog.records] == ['INFO'] * 4
+
+
+def test_frames_that_vehicles_share_are_named_with_the_vehicles():
+    def vehicle(name, base, odom, laser):
+        mounts = SensorMounts(name, tree_of((base, laser, (0.1, 0.0, 0.0), turn())))
+        mounts.add_odometry(odometry(base, odom))
+        mounts.place_scan(SCAN, laser)
+        return mounts
+
+    stock = [vehicle(name, 'base_link', 'odom', 'laser') for name in ('robot1', 'robot2')]
+    odom, laser = shared_frames(stock, ())
+    assert odom.startswith("robot1 and robot2 have the same odometry frame 'odom'")
+    assert laser.startswith("robot1 and robot2 have the same sensor frame 'laser'")
+    assert shared_frames(stock, {'robot1', 'robot2'}) == []
+    assert shared_frames(stock[:1], ()) == []
+    prefixed = [vehicle(n, f'{n}/base_link', f'{n}/odom', f'{n}/laser') for n in ('a', 'b')]
+    assert shared_frames(prefixed, ()) == []
+    silent = [SensorMounts(name, TransformTree()) for name in ('a', 'b')]
+    assert shared_frames(silent, ()) == []
 
 
 def test_cameras_by_optical_frame_by_body_frame_and_by_setting(caplog):
