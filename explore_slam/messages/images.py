@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from explore_slam.data import Intrinsics
+from explore_slam.data import DISTORTION_LENGTHS, Intrinsics
 from explore_slam.errors import DataError
 from explore_slam.messages.base import MessageFactory, header
 
@@ -107,6 +107,14 @@ def _distortion(name: str, values: tuple[float, ...]) -> tuple[str, tuple[float,
         )
     if model == 'equidistant':
         values = values[:4]  # librealsense fills up with a zero
+    longest = DISTORTION_LENGTHS[model][-1]
+    if any(values[longest:]):
+        raise DataError(
+            f'camera info: {len(values)} coefficients of {name!r} (thin prism, tilted sensor) '
+            f'cannot be undone, expected at most {longest}; publish rectified images '
+            '(image_proc) instead'
+        )
+    values = values[:longest]
     return model, values
 
 

@@ -75,6 +75,11 @@ class VehicleConfig(Section):
                 raise ConfigError(f'{name} is {list(values)}, expected {count} finite numbers')
 
     @property
+    def has_sensor(self) -> bool:
+        """Whether the vehicle has a sensor that maps: a laser or a camera."""
+        return self.use_laser or self.vision != 'none'
+
+    @property
     def laser_pose(self) -> Pose2 | None:
         """Pose of the laser, None where it is not set."""
         return Pose2.from_array(self.laser_mount) if len(self.laser_mount) == 3 else None

@@ -56,6 +56,12 @@ class AgentNode(ManagedNode):
         others = {*values_of(DriverNodeConfig()), *values_of(PathFollowerConfig())}
         own = {f'{vehicle}.{name}' for vehicle in self.config.vehicles for name in others}
         warn_of_unknown_parameters(self, others | own)
+        for name, vehicle in self.vehicle_configs.items():
+            if not vehicle.has_sensor:
+                self.get_logger().warning(
+                    f'{name} has no sensor: use_laser is false and vision is none; it maps '
+                    f'nothing and drifts with its odometry; set {name}.use_laser or {name}.vision'
+                )
         self.session: AgentSession | None = None
         self.add_on_set_parameters_callback(self._on_parameters)
         self.start(self.config.lifecycle.autostart)

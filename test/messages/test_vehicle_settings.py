@@ -4,7 +4,7 @@ import pytest
 
 from explore_slam.data import VehicleBody
 from explore_slam.errors import ConfigError
-from explore_slam.messages.vehicle_settings import settings_of_vehicles
+from explore_slam.messages.vehicle_settings import VehicleConfig, settings_of_vehicles
 
 
 def test_size_and_speed_are_those_of_the_team_unless_a_vehicle_has_its_own():
@@ -26,3 +26,16 @@ def test_size_and_speed_are_those_of_the_team_unless_a_vehicle_has_its_own():
 def test_a_value_that_cannot_be_is_named_with_its_vehicle(name, value, words):
     with pytest.raises(ConfigError, match=words):
         settings_of_vehicles({name: value}, ('robot1', 'robot2'))
+
+
+@pytest.mark.parametrize(
+    ('values', 'has_sensor'),
+    [
+        ({}, True),
+        ({'use_laser': False}, True),
+        ({'vision': 'none'}, True),
+        ({'use_laser': False, 'vision': 'none'}, False),
+    ],
+)
+def test_a_vehicle_without_laser_and_camera_has_no_sensor(values, has_sensor):
+    assert VehicleConfig(**values).has_sensor is has_sensor

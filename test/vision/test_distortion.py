@@ -93,3 +93,14 @@ def test_names_of_librealsense_are_known_and_other_models_are_refused_with_the_w
         Intrinsics(*SIZE, (0.1, 0.2), 'equidistant')
     with pytest.raises(DataError, match="distortion_model is 'magic'"):
         Intrinsics(*SIZE, (), 'magic')
+
+
+def test_coefficients_of_a_longer_model_are_refused_with_the_way_out():
+    eight = COEFFICIENTS['rational_polynomial']
+    camera = Intrinsics(*SIZE, eight, 'rational_polynomial')
+    message = camera_info_message(MESSAGES, 1.0, 'optical', camera)
+    message.d = np.array([*eight, 0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
+    with pytest.raises(DataError, match=r'14 coefficients of .*publish rectified images'):
+        intrinsics_record(message)
+    message.d = np.array([*eight, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])  # as some calibrators fill up
+    assert intrinsics_record(message).distortion == eight

@@ -45,7 +45,7 @@ def symmetric(what: str, values: ArrayLike, size: int) -> Array:
         raise SlamError(f'{what} is {found.tolist()}, expected a symmetric matrix')
     found = 0.5 * (found + found.T)
     least = float(np.linalg.eigvalsh(found)[0])
-    if least < -ROUNDING * scale:
+    if least < -max(ROUNDING * scale, EXACT_DEVIATION**2):  # below both it is rounding
         raise SlamError(f'{what} has the eigenvalue {least:.3g}, expected none below 0')
     return found
 

@@ -5,6 +5,7 @@ import pytest
 
 from explore_slam.errors import SlamError
 from explore_slam.slam.graph import JointGraph
+from explore_slam.slam.graph.checks import symmetric
 
 OBSERVATION = np.array([0.05**2, 0.0004, 0.0003, 0.03**2, 0.0, 0.03**2])
 NOISE = 1e-4 * np.eye(3)
@@ -248,3 +249,10 @@ def test_motion_between_keyframes_is_as_uncertain_as_the_posterior_of_a_chain():
     assert not graph.motion_covariance(8, 8).any()
     np.testing.assert_array_equal(graph.vehicles_of([8, 1, 3, 0]), [0, 1, 1, 0])
     assert (graph.newest_keyframe(0), graph.newest_keyframe(1)) == (8, 7)
+
+
+def test_what_rounding_leaves_below_zero_is_no_error():
+    white = np.diag([1e-7, 1e-7, -1.92e-15])
+    assert np.array_equal(symmetric('white', white, 3), white)
+    with pytest.raises(SlamError, match='white has the eigenvalue -2e-12'):
+        symmetric('white', np.diag([1e-7, 1e-7, -2e-12]), 3)
