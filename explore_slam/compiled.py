@@ -1,5 +1,6 @@
 """The one decorator of compiled functions: numba, cached on disk, types kept."""
 
+import pickle
 from collections.abc import Callable
 from typing import Any, Literal, overload
 
@@ -39,12 +40,36 @@ def kernel(
     """
 
     def compile_it(function: Callable[..., Any]) -> Any:
-        return numba.njit(
+        compiled = numba.njit(
             cache=True,
             nogil=nogil,
             error_model='numpy',
             inline=inline,
             fastmath=_REASSOCIATION if reassociate else False,
         )(function)
+        _ignore_unreadable_cache(compiled)
+        return compiled
 
     return compile_it if function is None else compile_it(function)
+
+
+def _ignore_unreadable_cache(compiled: Any) -> None:
+    """Let a cache whose index cannot be read count as empty.
+
+    An index names the types of arguments. When one of them has been renamed since, Numba raises
+    AttributeError before it looks whether the source has changed: an update of the package would
+    end in a traceback. The attributes are not part of Numba's interface; without them, nothing is
+    changed.
+    """
+    cache_file = getattr(getattr(compiled, '_cache', None), '_cache_file', None)
+    load = getattr(cache_file, '_load_index', None)
+    if load is None:
+        return
+
+    def load_index() -> Any:
+        try:
+            return load()
+        except (AttributeError, ImportError, EOFError, pickle.UnpicklingError):
+            return {}
+
+    cache_file._load_index = load_index
