@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from nav_msgs.srv import GetMap
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
@@ -93,6 +94,7 @@ class AgentSession:
         self._shared_frames: set[str] = set()
         self._silence_timer: Timer | None = None
         self._active = False
+        self._asked: set[Future] = set()  # by services, and not answered yet
         self._publishing = threading.Lock()  # held while the worker publishes
         self._offer_services()
         self._worker = threading.Thread(target=self._work, name='agent', daemon=True)
@@ -121,9 +123,12 @@ class AgentSession:
         self.outputs.status('exploration_paused')
 
     def close(self) -> None:
-        """End the worker."""
+        """End the worker; requests that it has not begun are refused."""
         self.inbox.close()
         self._worker.join(timeout=_JOIN_TIMEOUT)
+        for future in list(self._asked):
+            if not future.done():
+                future.set_result((False, 'the agent was cleaned up before it could answer'))
 
     def configure(self, config: AgentNodeConfig) -> None:
         """Replace the settings; planning and publishing change at once, filter and grid later."""
@@ -251,10 +256,18 @@ class AgentSession:
             self._due['plan'] = -np.inf
             return 'the vehicles return to their start poses'
 
-        for action in (save_map, save_state, load_state, reset, return_home):
-            self._node.create_service(Trigger, action.__name__, self._answer_with(action))
-        self._node.create_service(SetBool, 'pause_new_measurements', self._on_pause)
-        self._node.create_service(GetMap, 'get_map', self._on_get_map)
+        # a request that waits for the worker must not keep the node from other callbacks
+        group = ReentrantCallbackGroup()
+        offered = [
+            (Trigger, action.__name__, self._answer_with(action))
+            for action in (save_map, save_state, load_state, reset, return_home)
+        ]
+        offered += [
+            (SetBool, 'pause_new_measurements', self._on_pause),
+            (GetMap, 'get_map', self._on_get_map),
+        ]
+        for kind, name, answer in offered:
+            self._node.create_service(kind, name, answer, callback_group=group)
 
     def _answer_with(self, action: Any) -> Any:
         async def answer(_request: Any, response: Any) -> Any:
@@ -283,6 +296,8 @@ class AgentSession:
     def _ask(self, action: Any) -> Future:
         """Have the worker run an action; the future holds (success, message)."""
         future = Future(executor=self._node.executor)
+        self._asked.add(future)
+        future.add_done_callback(self._asked.discard)
 
         def run(_: Any) -> None:
             try:

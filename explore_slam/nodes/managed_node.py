@@ -5,7 +5,7 @@ What a node creates while it is configured ends with `cleanup`, what it creates 
 activated ends with `deactivate`: an inactive node has no subscription that could change it.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Generator, Iterable
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
@@ -182,7 +182,13 @@ class ManagedNode(LifecycleNode):
         try:
             self.clean_up()
         finally:
-            _destroy(self, _entities(self) - self._before)
+            later = _entities(self) - self._before
+            services = {item for item in later if isinstance(item, Service)}
+            _destroy(self, later - services)
+            if self.executor is None:
+                _destroy(self, services)
+            else:
+                self.executor.create_task(_destroy_after_answers, self, services)
 
     def _tear_down(self) -> None:
         try:
@@ -207,6 +213,19 @@ def _entities(node: Node) -> set[Any]:
     actions = (item for item in node.waitables if isinstance(item, ActionClient))
     others = (node.publishers, node.services, node.clients, node.timers)
     return {*subscriptions, *actions, *(item for kind in others for item in kind)}
+
+
+class _NextTurn:
+    """Awaitable that lets an executor run its other tasks once."""
+
+    def __await__(self) -> Generator[None]:
+        yield
+
+
+async def _destroy_after_answers(node: Node, services: Iterable[Any]) -> None:
+    """Destroy services once the executor has sent the answers that are settled."""
+    await _NextTurn()
+    _destroy(node, services)
 
 
 def _destroy(node: Node, entities: Iterable[Any]) -> None:

@@ -6,7 +6,10 @@ import time
 import numpy as np
 import pytest
 import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.lifecycle import TransitionCallbackReturn
 from ros_domain import own_domain
+from std_srvs.srv import Trigger
 from synthetic import SyntheticVehicle, SyntheticWorld
 
 from explore_slam.exploration import PlanningMode
@@ -15,10 +18,17 @@ from explore_slam.messages.vehicle_settings import VehicleConfig
 from explore_slam.nodes.agent_inputs import OperatorPose
 from explore_slam.nodes.agent_parameters import AgentNodeConfig
 from explore_slam.nodes.agent_session import AgentSession
+from explore_slam.nodes.managed_node import ManagedNode
 from explore_slam.settings import with_values
 
 DOMAIN = own_domain(99)
 START = Pose2(-1.0, -1.5, 0.0)
+
+
+def new_session(node):
+    values = {'particles': 20, 'vehicles': ['robot1'], 'start_poses': [float(v) for v in START]}
+    config = with_values(AgentNodeConfig(), values)
+    return AgentSession(node, config, {'robot1': VehicleConfig(vision='none')})
 
 
 @pytest.fixture
@@ -26,10 +36,7 @@ def session():
     context = rclpy.Context()
     context.init(domain_id=DOMAIN)
     node = rclpy.create_node('agent', context=context)
-    values = {'particles': 20, 'vehicles': ['robot1'], 'start_poses': [float(v) for v in START]}
-    made = AgentSession(
-        node, with_values(AgentNodeConfig(), values), {'robot1': VehicleConfig(vision='none')}
-    )
+    made = new_session(node)
     yield made
     made.close()
     node.destroy_node()
@@ -80,6 +87,62 @@ def test_a_pause_is_not_behind_measurements(session):
     assert session.planner.mode is PlanningMode.PAUSED
     assert len(session.agent.track('robot1').odometry) == 5
     assert session.agent.grid.known().any()
+
+
+class Managed(ManagedNode):
+    """A node that holds a session as the agent's node does."""
+
+    def __init__(self, context):
+        super().__init__('agent', context=context)
+        self.session = None
+
+    def configure(self):
+        self.session = new_session(self)
+
+    def activate(self):
+        self.session.activate()
+
+    def deactivate(self):
+        self.session.deactivate()
+
+    def clean_up(self):
+        self.session.close()
+
+
+def test_requests_that_wait_are_refused_at_the_clean_up():
+    context = rclpy.Context()
+    context.init(domain_id=DOMAIN)
+    node, other = Managed(context), rclpy.create_node('operator', context=context)
+    executor = SingleThreadedExecutor(context=context)
+    for part in (node, other):
+        executor.add_node(part)
+
+    def spin_until(condition):
+        end = time.monotonic() + 60.0
+        while not condition():
+            assert time.monotonic() < end
+            executor.spin_once(timeout_sec=0.02)
+
+    assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+    client = other.create_client(Trigger, 'return_home')
+    spin_until(client.service_is_ready)
+    hold = threading.Event()
+    node.session.inbox.put('request', 'busy', lambda _: hold.wait(60.0), None)
+    answers = [client.call_async(Trigger.Request()) for _ in range(3)]
+    # all of them are taken while the worker is busy: none keeps the node from the others
+    spin_until(lambda: node.session.inbox.waiting().get(('request', 'return_home')) == 3)
+    node.session.inbox.close()
+    hold.set()
+    assert node.trigger_cleanup() == TransitionCallbackReturn.SUCCESS
+    spin_until(lambda: all(answer.done() for answer in answers))
+    for answer in answers:
+        assert not answer.result().success
+        assert 'cleaned up before it could answer' in answer.result().message
+    spin_until(lambda: not client.service_is_ready())
+    node.stop()
+    for part in (node, other):
+        part.destroy_node()
+    context.try_shutdown()
 
 
 def test_a_vehicle_is_placed_where_it_is_now_and_its_earlier_scans_are_left_out(session):
