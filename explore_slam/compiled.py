@@ -63,7 +63,7 @@ def _ignore_unreadable_cache(compiled: Any) -> None:
     """
     cache_file = getattr(getattr(compiled, '_cache', None), '_cache_file', None)
     load = getattr(cache_file, '_load_index', None)
-    if load is None:
+    if cache_file is None or load is None:
         return
 
     def load_index() -> Any:
