@@ -26,23 +26,36 @@ def transform_pose(transform: Any) -> Pose3 | None:
 
 
 class TransformTree:
-    """The newest pose of every frame in its parent."""
+    """The newest pose of every frame in its parent.
+
+    What a vehicle's own topics say goes before what is on those that all vehicles share, where
+    others may have frames of the same names.
+    """
 
     def __init__(self) -> None:
         self._parents: dict[str, tuple[str, Pose3]] = {}
+        self._own: set[str] = set()
 
     def __contains__(self, frame: str) -> bool:
         """Return whether a frame is part of the tree."""
         name = frame_name(frame)
         return name in self._parents or any(p == name for p, _ in self._parents.values())
 
-    def add(self, message: Any) -> None:
-        """Add the transforms of a tf2_msgs/TFMessage; those that are not finite are omitted."""
+    def add(self, message: Any, shared: bool = False) -> None:
+        """Add the transforms of a tf2_msgs/TFMessage; those that are not finite are omitted.
+
+        shared: it came on a topic of all vehicles.
+        """
         for stamped in message.transforms:
             child, parent = frame_name(stamped.child_frame_id), frame_name(stamped.header.frame_id)
             pose = transform_pose(stamped.transform)
-            if pose is not None and child and parent and child != parent:
-                self._parents[child] = (parent, pose)
+            if pose is None or not child or not parent or child == parent:
+                continue
+            if not shared:
+                self._own.add(child)
+            elif child in self._own:
+                continue
+            self._parents[child] = (parent, pose)
 
     def lookup(self, base: str, frame: str) -> Pose3 | None:
         """Return the pose of a frame in a base frame; None where the tree does not join them."""

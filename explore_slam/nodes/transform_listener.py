@@ -67,7 +67,7 @@ class TransformListener:
 
     def _add_to_all(self, message: Any) -> None:
         for tree in self.trees.values():
-            tree.add(message)
+            tree.add(message, shared=True)
 
 
 def own_mounts(

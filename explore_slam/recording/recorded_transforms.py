@@ -31,7 +31,7 @@ def _tree(bag: BagReader, vehicle: str) -> TransformTree:
         ]
         for message in itertools.islice(bag.messages(names) if names else (), most):
             try:
-                tree.add(bag.decode(message))
+                tree.add(bag.decode(message), shared=message.topic == topic.value)
             except RecordingError as error:
                 bag.warn(str(error))
     return tree

@@ -74,6 +74,18 @@ def test_a_frame_is_found_through_its_ancestors():
     assert 'camera' not in tree
 
 
+def test_a_frame_of_the_vehicle_goes_before_one_of_that_name_on_a_shared_topic():
+    own = message_of(('base_link', 'laser', (0.1, 0.0, 0.0), turn()))
+    other = message_of(('base_link', 'laser', (-0.2, 0.0, 0.0), turn()))
+    for order in ((own, other), (other, own)):
+        tree = TransformTree()
+        for message in order:
+            tree.add(message, shared=message is other)
+        assert tree.lookup('base_link', 'laser').position == (0.1, 0.0, 0.0)
+    tree.add(other)  # but the vehicle may move its own
+    assert tree.lookup('base_link', 'laser').position == (-0.2, 0.0, 0.0)
+
+
 def test_transforms_that_are_none_and_circles_are_harmless():
     tree = tree_of(
         ('base_link', 'laser', (math.nan, 0.0, 0.0), turn()),

@@ -12,7 +12,8 @@ from explore_slam.cli.main import main
 from explore_slam.data import LaserScan, OdometryReading
 from explore_slam.geometry import Pose2, quaternion_from_rotation, rotation_matrix
 from explore_slam.messages.topics import TopicKind
-from explore_slam.recording import BagWriter
+from explore_slam.recording import BagReader, BagWriter
+from explore_slam.recording.recorded_transforms import recorded_transforms
 from explore_slam.recording.rosbags_types import MESSAGES
 from explore_slam.results.replay_run import replay_bag
 
@@ -85,6 +86,21 @@ def test_a_turned_lidar_maps_right_by_its_static_transform(tmp_path):
     assert data.metrics['unusable'] == []
     assert 'from /tf_static' in data.metrics['mounts']['robot1']['rplidar_link']
     assert any('yaw 90.0°, from /tf_static' in note for note in data.notes)
+
+
+def test_a_frame_in_the_namespace_of_a_vehicle_goes_before_a_shared_one_of_that_name(tmp_path):
+    def link(x):
+        pose = (x, 0.0, 0.0), quaternion_from_rotation(rotation_matrix(0.0, 0.0, 0.0))
+        made = messages.transform_message(MESSAGES, 3.0, 'base_link', 'laser', *pose)
+        return MESSAGES.make(TF, transforms=[made])
+
+    with BagWriter(tmp_path / 'bag') as writer:
+        writer.write_message('/robot1/tf_static', TF, 1000.0, link(0.1))
+        writer.write_message('/tf_static', TF, 1000.1, link(-0.2))
+    with BagReader(tmp_path / 'bag') as bag:
+        trees = recorded_transforms(bag, ['robot1', 'robot2'])
+    found = {name: tree.lookup('base_link', 'laser').position[0] for name, tree in trees.items()}
+    assert found == {'robot1': 0.1, 'robot2': -0.2}
 
 
 def test_without_transforms_the_setting_of_the_vehicle_serves(tmp_path):
