@@ -84,8 +84,10 @@ class NamedProblems:
 def _is_same(named: str, text: str) -> bool:
     if _NUMBER.sub('', named) != _NUMBER.sub('', text):
         return False
-    old, new = (float(_NUMBER.findall(words)[0]) for words in (named, text))
-    return text[0].isdigit() or 0.5 * old < new < 2.0 * old  # a count only grows
+    old, new = _NUMBER.findall(named), _NUMBER.findall(text)
+    if not new or text[0].isdigit():
+        return True  # no amount, or a count, which only grows
+    return 0.5 * float(old[0]) < float(new[0]) < 2.0 * float(old[0])
 
 
 def _amount(seconds: float) -> str:

@@ -69,3 +69,9 @@ def test_messages_without_stamp_are_named_once_however_many_come():
         found.add('scan', 0.0, 1e9 + k)
         news += named.news(found.problems('odom'))
     assert news == ['scan: 1 messages have the stamp zero; the time of receipt is used']
+
+
+def test_a_problem_without_an_amount_is_named_once():
+    named = NamedProblems()
+    problem = {'/clock': 'use_sim_time is true, but no time has come'}
+    assert [len(named.news(problem)) for _ in range(3)] == [1, 0, 0]
