@@ -29,6 +29,7 @@ class StampWatch:
         """
         if stamp == 0.0 and now > CLOCKS_APART:
             self.unstamped[topic] = self.unstamped.get(topic, 0) + 1
+            self._ahead.pop(topic, None)  # what was wrong before is not what is wrong now
             return False
         self._ahead.setdefault(topic, deque(maxlen=_SAMPLES)).append(stamp - now)
         return True

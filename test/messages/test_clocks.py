@@ -75,3 +75,10 @@ def test_a_problem_without_an_amount_is_named_once():
     named = NamedProblems()
     problem = {'/clock': 'use_sim_time is true, but no time has come'}
     assert [len(named.news(problem)) for _ in range(3)] == [1, 0, 0]
+
+
+def test_stamps_that_become_zero_are_named_instead_of_what_was_wrong_before():
+    found = watch(odom=20.0)
+    assert 'ahead' in found.problems('odom')['odom']
+    found.add('odom', 0.0, 102.0)
+    assert 'have the stamp zero' in found.problems('odom')['odom']
