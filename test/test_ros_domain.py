@@ -10,10 +10,10 @@ TESTS = Path(__file__).parent
 
 
 def test_every_module_has_a_number_of_its_own():
-    numbers = {}
+    numbers = {}  # of each, the modules that have it
     for path in {*TESTS.rglob('test_*.py')} - {Path(__file__)}:
         for number in re.findall(r'own_domain\((\d+)\)', path.read_text(encoding='utf-8')):
-            numbers.setdefault(int(number), []).append(path.name)
+            numbers.setdefault(int(number), set()).add(path.relative_to(TESTS))
     assert len(numbers) > 15
     assert all(16 <= number < 100 for number in numbers)
     assert {n: names for n, names in numbers.items() if len(names) > 1} == {}
