@@ -51,24 +51,23 @@ def retire_older(storage: Storage, vehicle: int, config: GraphConfig) -> None:
     older = own[: -config.graph_recent_keyframes]
     if not len(older):
         return
-    begin = np.searchsorted(table['keyframe'], older[0])
-    frames, owners = table['keyframe'][begin:], table['landmark'][begin:]
-    seen = (owners >= 0) & (keyframes['vehicle'][frames] == vehicle)
+    # the rows of keyframes do not ascend: a vehicle at rest observes from its newest one again
+    frames, owners = table['keyframe'], table['landmark']
+    seen = (owners >= 0) & (frames >= older[0]) & (keyframes['vehicle'][frames] == vehicle)
     frames, owners = frames[seen], owners[seen]
     counts = np.bincount(frames, minlength=own[-1] + 1)[own]
     newer = counts.sum() - np.cumsum(counts)
-    waits = config.graph_recent_observations > 0 and len(own) <= _MOST_RECENT
+    # from the first one that has to wait on, all have to: there is even less after them
+    may_wait = config.graph_recent_observations > 0 and len(own) <= _MOST_RECENT
+    waits = False
     for row, count, later in zip(older.tolist(), counts, newer, strict=False):
-        if (
-            waits
-            and count
-            and (
+        if count and may_wait and not waits:
+            waits = (
                 later < config.graph_recent_observations
                 or len(np.unique(owners[frames > row])) < _LEAST_LANDMARKS
             )
-        ):
-            continue
-        _retire(storage, row, config)
+        if not (count and waits):
+            _retire(storage, row, config)
 
 
 def _retire(storage: Storage, row: int, config: GraphConfig) -> None:

@@ -168,16 +168,28 @@ def robust_cost(robust: int, scale: float, q: float) -> float:
 
 
 @kernel
+def _linearize(
+    factors: Factors, f: int, x: Array, e: Array, A: Array, B: Array
+) -> tuple[int, int]:
+    """Write error e (3,) and Jacobians A, B (3, 3) of a factor; returns its nodes a and b.
+
+    For a prior, a is b. Calibrated motion is corrected by the calibration at x (N, 3).
+    """
+    b = factors.b[f]
+    a = factors.a[f] if factors.a[f] >= 0 else b
+    linearize_factor(factors.kind[f], x[a], x[b], factors.z[f], e, A, B)
+    _calibrate(factors.c[f], factors.C[f], x, e)
+    return a, b
+
+
+@kernel
 def squared_norms(factors: Factors, x: Array) -> Array:
     """Return eᵀ W e (F,) of all factors with the nodes at x (N, 3)."""
     n = len(factors.kind)
     norms = np.empty(n)
     e, A, B = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     for f in range(n):
-        b = factors.b[f]
-        a = factors.a[f] if factors.a[f] >= 0 else b
-        linearize_factor(factors.kind[f], x[a], x[b], factors.z[f], e, A, B)
-        _calibrate(factors.c[f], factors.C[f], x, e)
+        _linearize(factors, f, x, e, A, B)
         norms[f] = squared_norm(e, factors.W[f])
     return norms
 
@@ -243,11 +255,8 @@ def assemble(
     WA, WB = np.empty((3, 3)), np.empty((3, 3))
     C, WC = np.empty((3, 3)), np.empty((3, 3))
     for f in range(len(factors.kind)):
-        b = factors.b[f]
-        a = factors.a[f] if factors.a[f] >= 0 else b
+        a, b = _linearize(factors, f, x, e, A, B)
         W = factors.W[f]
-        linearize_factor(factors.kind[f], x[a], x[b], factors.z[f], e, A, B)
-        _calibrate(factors.c[f], factors.C[f], x, e)
         q = squared_norm(e, W)
         cost += robust_cost(factors.robust[f], factors.scale[f], q)
         weight = robust_weight(factors.robust[f], factors.scale[f], q)
@@ -305,11 +314,8 @@ def steepest_descent(factors: Factors, x: Array, place: Integers, out: Array) ->
     e, We = np.empty(3), np.empty(3)
     A, B = np.empty((3, 3)), np.empty((3, 3))
     for f in range(len(factors.kind)):
-        b = factors.b[f]
-        a = factors.a[f] if factors.a[f] >= 0 else b
+        a, b = _linearize(factors, f, x, e, A, B)
         W = factors.W[f]
-        linearize_factor(factors.kind[f], x[a], x[b], factors.z[f], e, A, B)
-        _calibrate(factors.c[f], factors.C[f], x, e)
         q = squared_norm(e, W)
         cost += robust_cost(factors.robust[f], factors.scale[f], q)
         weight = robust_weight(factors.robust[f], factors.scale[f], q)
