@@ -1,6 +1,5 @@
 """Select the anchors of known places that may be removed, to bound their number by the area."""
 
-import math
 from collections.abc import Sequence
 from typing import Self
 
@@ -16,7 +15,11 @@ from explore_slam.slam.closures.loop_search import RelativeCovariance
 # `benchmarks/laser_yardstick.py` shows what a change does.
 _RECENT_DISTANCE = 15.0  # m of each vehicle that are kept: queries and the nearest loops need them
 _SAME_PLACE = 1.5  # m; older anchors nearer than this may show the same
-_MOST_OLDER = 8  # anchors of the same place that are compared, the nearest
+# Anchors of the same place that are compared: the most similar, where a difference of the heading
+# by 1 rad counts as much as one of the position by 1 m. A laser with a field of view of 180° shows
+# something else in every direction. `explore_slam benchmark endurance` shows what a change does.
+_MOST_OLDER = 16
+_HEADING_DISTANCE = 1.0  # m/rad
 _OVERLAP = 0.9  # share of the returns that older anchors show too
 _KNOWN = 0.1  # m, deviation of the pose relative to the older anchors
 _ON_SURFACE = 0.15  # m: a return this near one of an older anchor is the same
@@ -75,22 +78,23 @@ class Thinning:
     def _older(
         self, anchor: Anchor, poses: Array, removed: set[int], frames: Sequence[int] | None
     ) -> list[Anchor]:
-        """Return the nearest kept anchors of the same place from another visit."""
-        x, y, _ = poses[anchor.keyframe]
-        near: list[tuple[float, int, Anchor]] = []
-        for other in self.anchors:
-            if other.keyframe >= anchor.keyframe or other.keyframe in removed:
-                continue
-            if frames is not None and frames[other.vehicle] != frames[anchor.vehicle]:
-                continue
-            same_visit = (
-                other.vehicle == anchor.vehicle
-                and anchor.distance_driven - other.distance_driven < _RECENT_DISTANCE
-            )
-            distance = math.hypot(poses[other.keyframe, 0] - x, poses[other.keyframe, 1] - y)
-            if not same_visit and distance < _SAME_PLACE:
-                near.append((distance, other.keyframe, other))
-        return [other for _, _, other in sorted(near)[:_MOST_OLDER]]
+        """Return the most similar kept anchors of the same place from another visit."""
+        table, vehicle = self.anchors.table(), anchor.vehicle
+        offsets = between(poses[anchor.keyframe], poses[table.keyframes])
+        same_visit = (table.vehicles == vehicle) & (
+            anchor.distance_driven - table.distances_driven < _RECENT_DISTANCE
+        )
+        chosen = (np.hypot(*offsets[:, :2].T) < _SAME_PLACE) & ~same_visit
+        chosen &= table.keyframes < anchor.keyframe
+        chosen &= ~np.isin(table.keyframes, list(removed))
+        if frames is not None:
+            chosen &= np.asarray(frames)[table.vehicles] == frames[vehicle]
+        near = np.flatnonzero(chosen)
+        squared = (offsets[near, :2] ** 2).sum(axis=1) + (
+            _HEADING_DISTANCE * offsets[near, 2]
+        ) ** 2
+        most = near[np.lexsort((table.keyframes[near], squared))[:_MOST_OLDER]]
+        return [self.anchors.of_keyframe(keyframe) for keyframe in table.keyframes[most].tolist()]
 
     def _is_known(
         self, anchor: Anchor, older: list[Anchor], covariance: RelativeCovariance

@@ -84,15 +84,15 @@ def _is_needed(storage: Storage, row: int, config: GraphConfig) -> bool:
     """Return whether too little is kept of the landmarks that a keyframe observes.
 
     Too little of a landmark is kept if few observations of the present visit are, and few visits
-    before it have any that are. Only the landmarks count that this keyframe makes variables.
+    before it have any that are. Only the landmarks count that this keyframe makes variables. It is
+    not needed either if it observes as many that are known from earlier visits: these fix its
+    pose, and what a rich texture shows anew at every visit would let the graph grow without bound.
     """
     table, vehicle = storage.observations, storage.keyframes['vehicle']
     counts = storage.landmarks['observation_count']
     owners, frames = table['landmark'], table['keyframe']
     own = np.flatnonzero((owners >= 0) & (frames == row))
     own = own[counts[owners[own]] >= config.graph_minimum_observations]
-    most = np.argsort(-counts[owners[own]], kind='stable')
-    own = own[most[: config.graph_observations_per_keyframe]]
     visit_of = np.full(len(storage.landmarks) + 1, -1)  # the last entry is that of row −1
     visit_of[owners[own]] = table['visit'][own]
     kept = (visit_of[owners] >= 0) & (frames < row) & (vehicle[frames] == vehicle[row])
@@ -101,8 +101,13 @@ def _is_needed(storage: Storage, row: int, config: GraphConfig) -> bool:
     this_visit = np.bincount(landmarks[now], minlength=len(visit_of))
     earlier = np.unique(np.stack([landmarks, visits], axis=1)[~now], axis=0)
     earlier_visits = np.bincount(earlier[:, 0], minlength=len(visit_of))
-    few = (this_visit < config.graph_visit_observations) & (earlier_visits < config.graph_visits)
-    return int(few[owners[own]].sum()) > config.graph_needed_share * len(own)
+    known = earlier_visits >= config.graph_visits
+    if known[owners[own]].sum() >= config.graph_observations_per_keyframe:
+        return False
+    few = (this_visit < config.graph_visit_observations) & ~known
+    most = own[np.argsort(-counts[owners[own]], kind='stable')]
+    most = most[: config.graph_observations_per_keyframe]
+    return int(few[owners[most]].sum()) > config.graph_needed_share * len(most)
 
 
 def _reference_of(storage: Storage, row: int) -> int:
