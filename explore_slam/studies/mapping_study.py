@@ -13,14 +13,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from explore_slam.agent import Agent, Join, warm_up
+from explore_slam.agent.config import explicit_mounts
 from explore_slam.errors import EvaluationError
 from explore_slam.files import write_text
 from explore_slam.geometry import Array, Pose2, compose
+from explore_slam.messages.vehicle_settings import split_vehicle_values
 from explore_slam.recording import BagReader, Replay
 from explore_slam.results import tables
 from explore_slam.results.plots import save_map_picture
 from explore_slam.results.relations import LoggedOdometry, poses_at, relation_errors
-from explore_slam.results.replay_run import configuration
+from explore_slam.results.replay_run import bag_settings, configuration
 from explore_slam.results.run_data import RunData, VehicleRun
 from explore_slam.results.trajectory import Trajectory, align, position_errors
 from explore_slam.studies.mapping_log import MappingTask, VehicleLog, odometry_of
@@ -121,7 +123,12 @@ def run_mapping(task: MappingTask, seed: int) -> dict[str, Any]:
 def _replay(task: MappingTask, seed: int) -> _Replayed:
     config = configuration(task.bag, None, task.settings)
     with BagReader(task.bag) as bag:
-        replay = Replay(bag, starts=dict.fromkeys(task.unknown_starts))
+        replay = Replay(
+            bag,
+            starts=dict.fromkeys(task.unknown_starts),
+            settings=split_vehicle_values(bag_settings(task.bag))[0],
+            team_mounts=explicit_mounts(config),
+        )
         agent = Agent(config, replay.start_poses(), seed)
         timed = _TimedAgent(agent)
         begin = time.perf_counter()
