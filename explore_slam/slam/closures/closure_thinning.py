@@ -14,13 +14,16 @@ from numpy.typing import NDArray
 
 from explore_slam.geometry import Array
 from explore_slam.slam.checkpoint import State
-from explore_slam.slam.closures.anchors import QUERY_LENGTH, Anchors
+from explore_slam.slam.closures.anchors import Anchors
 from explore_slam.slam.closures.closure import Closure, ClosureEnds
 
 # Visits of a place by a vehicle whose closures are kept, as of landmarks (`graph_visits`).
 _VISITS = 2
 _SAME_PLACE = 1.5  # m between two poses of a vehicle in the same place
 _SAME_VISIT = 15.0  # m driven; nearer closures of a place belong to the same visit of it
+# Closures that are kept between two kept anchors, at either end: where anchors are close together,
+# more of them would let the graph grow with every visit (`explore_slam benchmark endurance`).
+_AT_EITHER_END = 2
 
 Key = tuple[int, int]  # of a closure: the keyframes a and b
 
@@ -124,15 +127,16 @@ class ClosureThinning:
 def _bridges(driven: Array, fixed: Array, frontier: float) -> NDArray[np.bool_]:
     """Return (n,) which closures fix a kept part of the path, or may come to fix one.
 
-    These are, between two fixed keyframes, the first and the last within QUERY_LENGTH, the
-    distance at which closures are independent. driven (n,), fixed (m,): distances driven (m),
-    ascending; frontier (m): from there on, it is not known which keyframes will be fixed.
+    These are, between two fixed keyframes, the first and the last few. driven (n,), fixed (m,):
+    distances driven (m), ascending; frontier (m): from there on, it is not known which keyframes
+    will be fixed.
     """
     stops = np.concatenate([[-np.inf], fixed[fixed < frontier], [frontier]])
     after = np.searchsorted(stops, driven, 'left')
-    first = driven[np.searchsorted(driven, stops[after - 1], 'left')]
-    last = driven[np.searchsorted(driven, stops[np.minimum(after, len(stops) - 1)], 'right') - 1]
-    held: NDArray[np.bool_] = (driven - first < QUERY_LENGTH) | (last - driven < QUERY_LENGTH)
+    first = np.searchsorted(driven, stops[after - 1], 'right')
+    end = np.searchsorted(driven, stops[np.minimum(after, len(stops) - 1)], 'right')
+    own = np.arange(len(driven))
+    held: NDArray[np.bool_] = (own < first + _AT_EITHER_END) | (own >= end - _AT_EITHER_END)
     held |= driven >= frontier
     return held
 
