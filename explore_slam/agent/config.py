@@ -25,7 +25,6 @@ class InputConfig(Section):
         unit='m/s',
         low=0.1,
         high=100.0,
-        tier='basic',
     )
     clock_jump_threshold: float = setting(
         1.0,
@@ -43,7 +42,6 @@ class InputConfig(Section):
         unit='s',
         low=0.1,
         high=3600.0,
-        tier='basic',
     )
     lost_deviation: float = setting(
         1.0,
@@ -52,7 +50,6 @@ class InputConfig(Section):
         unit='m',
         low=0.05,
         high=100.0,
-        tier='basic',
     )
 
 

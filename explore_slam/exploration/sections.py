@@ -26,7 +26,6 @@ class PathConfig(Section):
         unit='m',
         low=0.0,
         high=LARGEST_PLANNING_RADIUS,
-        tier='basic',
     )
     occ_max: float = setting(
         0.6,
@@ -208,7 +207,6 @@ class BlacklistConfig(Section):
         unit='s',
         low=1.0,
         high=3600.0,
-        tier='basic',
     )
 
 

@@ -63,7 +63,6 @@ class GridConfig(Section):
         unit='m',
         low=5.0,
         high=5000.0,
-        tier='basic',
     )
     snapshot_memory: float = setting(
         256.0,

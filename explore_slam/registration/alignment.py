@@ -12,7 +12,7 @@ from explore_slam.registration.angles import wrapped
 from explore_slam.registration.surface_map import SurfaceMap, nearest_element
 
 # Where no other source is given, values were chosen on the Intel, ACES and Belgioioso logs;
-# `benchmarks/laser_yardstick.py` shows what a change does.
+# `benchmarks/laser_graph_slam.py` shows what a change does.
 _ITERATIONS = 25  # at most; usually below ten
 _FINEST = 1e-4  # m and rad (summed): a step below this ends the search
 _REACH_SHRINKS = 0.7  # per iteration

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from explore_slam.compiled import kernel
 from explore_slam.geometry import Array
 
-# Chosen on the Intel, ACES and Belgioioso logs; `benchmarks/laser_yardstick.py` shows what another
-# value does.
+# Chosen on the Intel, ACES and Belgioioso logs; `benchmarks/laser_graph_slam.py` shows what a
+# change does.
 RESOLUTION = 0.05  # m, side of a cell
 _DEVIATION = 0.07  # m, of a return from its surface, grid and drift in the map included
 _HALF_KERNEL = 3  # cells; the Gaussian is 0.1 there

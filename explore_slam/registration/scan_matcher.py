@@ -23,7 +23,7 @@ from explore_slam.registration.correlation import SearchWindow
 from explore_slam.registration.local_map import LocalMap
 
 # Where no other source is given, values were chosen on the Intel, ACES and Belgioioso logs;
-# `benchmarks/laser_yardstick.py` shows what a change does.
+# `benchmarks/laser_graph_slam.py` shows what a change does.
 _LEAST_DEVIATIONS = np.array([1e-4, 1e-4, 1e-4])  # m, m, rad, of any motion
 _FEWEST_POINTS = 15
 # Variance of the step of the window's frame when a scan is kept, as a share of that of the scan's

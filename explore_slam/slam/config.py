@@ -16,9 +16,7 @@ from explore_slam.slam.particles.motion import OdometryNoise
 class AssociationConfig(Section):
     """Data association: which landmark an observation is."""
 
-    descriptor_kind: str = setting(
-        'sift', f'Kind of the landmark descriptors: {", ".join(KINDS)}', tier='basic'
-    )
+    descriptor_kind: str = setting('sift', f'Kind of the landmark descriptors: {", ".join(KINDS)}')
     maximum_descriptor_distance: float = setting(
         0.4,
         'Largest squared descriptor distance of a match (E0 of the paper), of unit vectors; for '
@@ -104,7 +102,6 @@ class RelocalizationConfig(Section):
     relocalization: bool = setting(
         True,
         'Search for the pose of a vehicle whose matches contradict it in nearly all particles',
-        tier='basic',
     )
     relocalization_matches: int = setting(
         5, 'Least number of matches that must agree on the new pose', low=3, high=100
@@ -124,7 +121,6 @@ class CorrelationConfig(Section):
     correlated_observations: bool = setting(
         True,
         'Count repeated observations of a landmark from about the same place as correlated',
-        tier='basic',
     )
     correlation_distance: float = setting(
         0.3,
@@ -199,7 +195,6 @@ class CalibrationConfig(Section):
     odometry_calibration: bool = setting(
         True,
         'Estimate scale errors and heading drift of the wheel odometry of every vehicle',
-        tier='basic',
     )
     turn_scale_deviation: float = setting(
         0.1, 'Prior deviation of the scale error of turning', low=1e-6, high=1.0

@@ -28,7 +28,6 @@ class FeatureConfig(Section):
         'Minimum contrast of a SIFT feature; lower finds more and weaker ones',
         low=0.0,
         high=1.0,
-        tier='basic',
     )
     sift_edge_threshold: float = setting(
         10.0,

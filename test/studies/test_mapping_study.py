@@ -206,7 +206,7 @@ def test_the_table_shows_what_is_missing():
 
 
 def test_the_evaluation_of_the_slam_benchmark(recordings):
-    """Figures of the log's own poses as published with the yardstick: 0.053 and 0.057 m, 2.0°."""
+    """Figures of the log's own poses as published with the relations: 0.053 and 0.057 m, 2.0°."""
     folder = recordings('carmen')
     log = read_carmen(folder / 'intel.log')
     relations = Relations.load(folder / 'intel.relations')

@@ -13,7 +13,7 @@ from explore_slam.slam.closures.config import ClosureConfig
 
 # m, m, rad: relative pose errors within the scans of a query and a region where no covariance is
 # given: the drift of the front end over half their length (Intel, against the optimized path;
-# benchmarks/laser_yardstick.py).
+# benchmarks/laser_graph_slam.py).
 _INTERNAL_DEVIATIONS = (0.02, 0.02, 0.003)
 _PROFILE: Array = np.linspace(-2.0, 2.0, 81)  # m along the weakest direction
 # m from the best score within which the width of the profile is that of the likelihood of a single

@@ -9,7 +9,7 @@ from explore_slam.settings import Section, setting
 class ClosureConfig(Section):
     """Loop closing by laser.
 
-    Values were chosen on the logs Intel, ACES and Belgioioso; `benchmarks/laser_yardstick.py`
+    Values were chosen on the logs Intel, ACES and Belgioioso; `benchmarks/laser_graph_slam.py`
     shows what a change does.
     """
 

@@ -34,7 +34,7 @@ from explore_slam.slam.closures.config import ClosureConfig
 from explore_slam.slam.closures.uniqueness import Fit, fit_of, trail_of
 
 # Where no other source is given, values were chosen on the Intel, ACES and Belgioioso logs;
-# `benchmarks/laser_yardstick.py` shows what a change does.
+# `benchmarks/laser_graph_slam.py` shows what a change does.
 QUERY_LENGTH = 8.0  # m driven, whose scans are searched together
 _MINIMUM_QUERY_LENGTH = 6.0  # m; less does not distinguish rooms
 _WINDOW = 0.5 * 2.0 * REGION_SPACING + 1.0  # m: half the distance of the centres used, and 1 m

@@ -46,7 +46,7 @@ from explore_slam.slam.closures.config import ClosureConfig
 RelativeCovariance = Callable[[int, Integers], Array]
 
 # Where no other source is given, values were chosen on the Intel, ACES and Belgioioso logs;
-# `benchmarks/laser_yardstick.py` shows what a change does.
+# `benchmarks/laser_graph_slam.py` shows what a change does.
 # m/m and rad/m: growth of the errors of position and heading where no covariance is given
 _DRIFT: Array = np.array([0.012, 0.0015])
 _SIGMAS = 3.0  # of the relative pose, that the search window covers

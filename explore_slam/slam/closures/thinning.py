@@ -12,7 +12,7 @@ from explore_slam.slam.closures.anchors import Anchor, Anchors
 from explore_slam.slam.closures.loop_search import RelativeCovariance
 
 # Where no other source is given, values were chosen on the Intel, ACES and Belgioioso logs;
-# `benchmarks/laser_yardstick.py` shows what a change does.
+# `benchmarks/laser_graph_slam.py` shows what a change does.
 _RECENT_DISTANCE = 15.0  # m of each vehicle that are kept: queries and the nearest loops need them
 _SAME_PLACE = 1.5  # m; older anchors nearer than this may show the same
 # Anchors of the same place that are compared: the most similar, where a difference of the heading

@@ -95,6 +95,7 @@ def compound(
 
     mean and covariance (3, 3) are in the vehicle frame before the motion; increment and its noise
     (3, 3) in that after it. Returns mean and covariance of the whole, in the first frame.
+    `explore_slam.slam.graph.se2` has the kernel of it.
     """
     c, s = math.cos(mean.theta), math.sin(mean.theta)
     dx = c * increment.x - s * increment.y

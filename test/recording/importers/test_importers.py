@@ -122,6 +122,13 @@ def test_the_delay_of_the_odometry_is_found_from_bearings(delay):
     assert mrclam.odometry_delay(robots) == pytest.approx(delay, abs=0.04)
 
 
+@pytest.mark.parametrize(('gap', 'found'), [(0.95, 0.2), (1.05, 0.0)])
+def test_only_bearings_within_a_second_of_each_other_are_compared(gap, found):
+    robots = [turning_robot(0.2, count=1 + int(36.0 / gap), seed=seed) for seed in range(3)]
+    assert min(np.diff(rows[:, 0]).min() for _, rows in robots) == pytest.approx(gap, abs=0.04)
+    assert mrclam.odometry_delay(robots) == pytest.approx(found, abs=0.04)
+
+
 def test_without_bearings_of_landmarks_there_is_no_delay():
     odometry, rows = turning_robot(0.3, count=20)
     assert mrclam.odometry_delay([(odometry, rows)]) == 0.0  # too few

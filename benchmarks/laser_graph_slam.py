@@ -1,6 +1,6 @@
-"""Laser front end, loop closing and pose graph on a CARMEN log, evaluated by relations.
+"""Graph SLAM by laser on a CARMEN log: front end, loop closing and pose graph, no particle filter.
 
-python benchmarks/laser_yardstick.py LOG [RELATIONS] [--offset S] [--corrupt SEED] [--map PNG]
+python benchmarks/laser_graph_slam.py LOG [RELATIONS] [--offset S] [--corrupt SEED] [--map PNG]
                                      [--cut FRACTION]
 
 One vehicle without a filter: every scan is a keyframe of the joint graph. RELATIONS: see
