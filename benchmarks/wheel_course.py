@@ -16,7 +16,7 @@ import numpy as np
 from explore_slam.geometry import Array, between, wrap_angles
 from explore_slam.recording.carmen_log import read_carmen
 
-LEAST_MOTION = 0.2  # m between two scans, so that the noise of the poses does not count
+MINIMUM_MOTION = 0.2  # m between two scans, so that the noise of the poses does not count
 OUTLIER = 0.5  # rad
 
 
@@ -29,7 +29,7 @@ def course_errors(path: Path) -> Array:
     errors, last = [], 0
     for n in range(1, len(reference)):
         true = between(reference[last], reference[n])
-        if np.hypot(true[0], true[1]) < LEAST_MOTION:
+        if np.hypot(true[0], true[1]) < MINIMUM_MOTION:
             continue
         measured = between(odometry[last], odometry[n])
         errors.append(np.arctan2(measured[1], measured[0]) - np.arctan2(true[1], true[0]))

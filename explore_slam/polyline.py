@@ -40,7 +40,7 @@ def truncated(points: Array, limit: float) -> Array:
 def project(points: Array, position: Array) -> tuple[int, float, float]:
     """Project a position (2,) m onto a polyline (W, 2) m with at least two vertices.
 
-    Returns the index of the nearest segment (the first of equally near ones), the share 0..1 of
+    Returns the index of the nearest segment (the first of equally near ones), the fraction 0..1 of
     that segment before the nearest point, and the distance (m) to it.
     """
     first, step = points[:-1], np.diff(points, axis=0)

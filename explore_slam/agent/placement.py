@@ -19,18 +19,18 @@ logger = logging.getLogger(__name__)
 
 # Beyond these a vehicle is not at the expected pose: more than odometry drifts on a drive home.
 # Chosen by hand, as are the values below; test_placement shows what they decide.
-_AWAY = 0.5  # m
-_TURNED = 0.35  # rad, 20 degrees
+_DISPLACED_DISTANCE = 0.5  # m
+_DISPLACED_TURN = 0.35  # rad, 20 degrees
 # (3, 3) m², rad²: a driver restarts in seconds, in which a person pushes or turns a vehicle
 DISPLACED = np.diag([1.0, 1.0, 1.0])
-# landmarks of one frame, and their share, whose association confirms the pose of a vehicle
-_CONFIRMING, _CONFIRMING_SHARE = 10, 0.5
+# number and fraction of the landmarks of one frame whose association confirms a pose
+_CONFIRMING, _CONFIRMING_FRACTION = 10, 0.5
 
 
 def away(pose: Pose2, expected: Pose2) -> bool:
     """Return whether a vehicle is too far from the expected pose to be there."""
     turn = abs(wrap_angle(pose.theta - expected.theta))
-    return math.dist(pose[:2], expected[:2]) > _AWAY or turn > _TURNED
+    return math.dist(pose[:2], expected[:2]) > _DISPLACED_DISTANCE or turn > _DISPLACED_TURN
 
 
 def doubt(track: VehicleTrack, reason: str) -> None:
@@ -98,7 +98,7 @@ def check_update(track: VehicleTrack, summary: UpdateSummary) -> None:
         first
         and not summary.lost
         and summary.associated >= _CONFIRMING
-        and summary.associated >= _CONFIRMING_SHARE * summary.observed
+        and summary.associated >= _CONFIRMING_FRACTION * summary.observed
     )
     if track.displaced and (summary.relocated or summary.joined or confirmed):
         track.displaced = False

@@ -29,14 +29,14 @@ class PathConfig(Section):
     )
     occ_max: float = setting(
         0.6,
-        'Largest probability of occupation of a cell that vehicles may enter (occmax of the '
+        'Maximum probability of occupation of a cell that vehicles may enter (occmax of the '
         'paper, section V-A)',
         low=0.05,
         high=0.99,
     )
     cost_floor: float = setting(
         0.4,
-        'Smallest probability charged for a cell, so that distance counts (not by strategy paper)',
+        'Minimum probability charged for a cell, so that distance counts (not by strategy paper)',
         low=0.001,
         high=0.9,
     )
@@ -89,7 +89,7 @@ class FrontierConfig(Section):
     )
     viewpoint_distance: float = setting(
         1.0,
-        'Largest distance between a frontier and the viewpoint from which it is seen',
+        'Maximum distance between a frontier and the viewpoint from which it is seen',
         unit='m',
         low=0.0,
         high=10.0,

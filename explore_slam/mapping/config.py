@@ -59,7 +59,7 @@ class GridConfig(Section):
     )
     maximum_map_side: float = setting(
         500.0,
-        'Largest side of the grid; scans beyond it are refused',
+        'Maximum side of the grid; scans beyond it are refused',
         unit='m',
         low=5.0,
         high=5000.0,

@@ -71,7 +71,7 @@ class AgentNodeConfig(Section):
         high=1000,
     )
     published_particles: int = setting(
-        100, 'Largest number of particles published per vehicle; 0 publishes none',
+        100, 'Maximum number of particles published per vehicle; 0 publishes none',
         low=0, high=20000,
     )  # fmt: skip
     map_frame: str = shared_parameters.map_frame()

@@ -26,7 +26,7 @@ class PaceConfig(Section):
     )
     pose_lead: float = setting(
         0.6,
-        'Largest lead of simulated time over the newest pose of the slowest vehicle '
+        'Maximum lead of simulated time over the newest pose of the slowest vehicle '
         '(real_time_factor 0)',
         unit='s',
         low=0.1,
@@ -42,7 +42,7 @@ class PaceConfig(Section):
     )
     command_lead: float = setting(
         0.15,
-        'Largest lead of simulated time over the newest velocity command of a moving vehicle '
+        'Maximum lead of simulated time over the newest velocity command of a moving vehicle '
         '(real_time_factor 0)',
         unit='s',
         low=0.02,

@@ -34,7 +34,7 @@ from explore_slam.recording.carmen_stamps import NAMED_LINES, regular_stamps
 
 DEFAULT_RANGE_MAX = 80.0  # m; what the SICK drivers of CARMEN write where nothing returned
 RANGE_MIN = 0.02  # m
-RESTART_SHARE = 0.9  # of the scans must be followed by a restart in a corrected log
+RESTART_FRACTION = 0.9  # of the scans must be followed by a restart in a corrected log
 SAME_POSE = 1e-6  # m, rad: a restart repeats the digits of the scan's pose
 MOUNT_SPREAD = 0.01  # m, rad: between scans; larger differences are no mount
 
@@ -345,7 +345,7 @@ def _is_corrected(entries: list[OdometryLine | LaserLine], has_neff: bool) -> bo
         if isinstance(scan, LaserLine) and isinstance(reading, OdometryLine)
     ]
     restarts = sum(_is_same(scan.robot, reading.robot) for scan, reading in after)
-    if not after or restarts < RESTART_SHARE * len(after):
+    if not after or restarts < RESTART_FRACTION * len(after):
         return False
     if has_neff or 2 * sum(reading.time < scan.time for scan, reading in after) > len(after):
         return True  # a restart was written by a program: its time is none

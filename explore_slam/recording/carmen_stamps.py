@@ -19,8 +19,8 @@ NEIGHBOURS = 5  # lines whose median gives the time
 NAMED_LINES = 5  # lines that notes name; the others are counted
 OUTLIER = 5.0  # s from that median
 CLOCK_JUMP = 2.0  # s back; less is jitter
-USABLE_SHARE = 0.5  # of the times must be usable
-DISTINCT_SHARE = 0.1  # of the times must differ from each other
+USABLE_FRACTION = 0.5  # of the times must be usable
+DISTINCT_FRACTION = 0.1  # of the times must differ from each other
 # where the times cannot be used: a nominal speed
 NOMINAL_SPEED, NOMINAL_TURN, NOMINAL_STEP = 0.5, 0.8, 0.05  # m/s, rad/s, s
 FIRST_STAMP = 1.0  # s
@@ -71,11 +71,11 @@ def regular_stamps(written: Array, odometry: Array, lines: NDArray[np.int64]) ->
 def _usable(times: Array, shortest: float) -> bool:
     """Return whether most times are numbers, differ, and leave time for the motion."""
     known = times[np.isfinite(times)]
-    if len(known) < max(USABLE_SHARE * len(times), 1.0):
+    if len(known) < max(USABLE_FRACTION * len(times), 1.0):
         return False
     low, high = np.quantile(known, [0.05, 0.95])
     enough = high - low >= 0.5 * shortest or len(times) < NEIGHBOURS
-    return bool(enough and len(np.unique(known)) >= DISTINCT_SHARE * len(known))
+    return bool(enough and len(np.unique(known)) >= DISTINCT_FRACTION * len(known))
 
 
 def _without_outliers(times: Array, lines: NDArray[np.int64], notes: list[str]) -> Array:

@@ -14,18 +14,18 @@ from explore_slam.registration.surface_map import SurfaceMap, nearest_element
 # Where no other source is given, values were chosen on the Intel, ACES and Belgioioso logs;
 # `benchmarks/laser_graph_slam.py` shows what a change does.
 _ITERATIONS = 25  # at most; usually below ten
-_FINEST = 1e-4  # m and rad (summed): a step below this ends the search
+_CONVERGED_STEP = 1e-4  # m and rad (summed): a step below this ends the search
 _REACH_SHRINKS = 0.7  # per iteration
-_LEAST_REACH = 0.15  # m
+_MINIMUM_REACH = 0.15  # m
 _CAUCHY = 0.05  # m, scale of the robust weight
-_MOST_RESIDUAL = 0.2  # m, in the root mean square
-_AGREEMENT = 0.7  # least cosine between the normals of a return and of its surface
-_FEWEST = 15  # returns with a partner: five times the unknowns
-LEAST_DEVIATION = 0.005  # m, of a return; above it, that of the residuals
+_MAXIMUM_RESIDUAL = 0.2  # m, in the root mean square
+_MINIMUM_COSINE = 0.7  # minimum cosine between the normals of a return and of its surface
+_MINIMUM_RETURNS = 15  # returns with a partner: five times the unknowns
+MINIMUM_DEVIATION = 0.005  # m, of a return; above it, that of the residuals
 # Beams over which errors of neighbours are correlated: those of real walls, which are uneven, up
 # to 15 beams (autocorrelation of the residuals on the Intel log), simulated ones hardly.
 _CORRELATED_BEAMS = 20
-_LEAST_SHARE = 0.05  # of the returns that is independent
+_MINIMUM_INDEPENDENT_FRACTION = 0.05  # of the returns that is independent
 # rad, standard deviation of a fitted normal: without it a featureless corridor seems to hold
 # information along its axis, which is nothing but noise of the normals.
 NORMAL_DEVIATION = 0.05
@@ -44,13 +44,13 @@ class Alignment:
     """Result of an alignment.
 
     information (3, 3): of the geometry alone (no prior), in the vehicle frame at the pose;
-    share: part of the returns that have a surface within reach; rms (m): of their distances;
+    overlap: fraction of the returns that have a surface within reach; rms (m): of their distances;
     matched: their number.
     """
 
     pose: Pose2
     information: Array
-    share: float
+    overlap: float
     rms: float
     matched: int
 
@@ -89,7 +89,7 @@ def align(
     """
     if not start.is_finite() or not reach > 0.0:
         raise RegistrationError(f'start is {tuple(start)} and reach {reach}, expected finite > 0')
-    if len(points) < _FEWEST or not len(surface.points):
+    if len(points) < _MINIMUM_RETURNS or not len(surface.points):
         return None
     at, information = start if prior is None else prior.pose, np.zeros((3, 3))
     if prior is not None:
@@ -105,7 +105,7 @@ def align(
         (at.x, at.y, at.theta),
         information,
     )
-    if matched < _FEWEST:
+    if matched < _MINIMUM_RETURNS:
         return None
     return Alignment(Pose2.from_array(pose), hessian, matched / len(points), rms, int(matched))
 
@@ -126,11 +126,11 @@ def _iterate(
     for _ in range(_ITERATIONS):
         A, b, rms, residuals = _normal_equations(surface, points, normals, pose, reach)
         matched = len(residuals)
-        if matched < _FEWEST:
+        if matched < _MINIMUM_RETURNS:
             break
         # the returns are as noisy as their residuals, and as independent
-        deviation, share = _noise(residuals)
-        certainty = share / max(deviation, LEAST_DEVIATION) ** 2
+        deviation, independent = _noise(residuals)
+        certainty = independent / max(deviation, MINIMUM_DEVIATION) ** 2
         information, b = _without_normal_noise(certainty * A, certainty * b)
         # error of the prior in the vehicle frame
         c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -144,9 +144,9 @@ def _iterate(
         pose[0] += c * step[0] - s * step[1]
         pose[1] += s * step[0] + c * step[1]
         pose[2] += step[2]
-        settled = reach <= _LEAST_REACH
-        reach = max(reach * _REACH_SHRINKS, _LEAST_REACH)
-        if settled and np.abs(step).sum() < _FINEST:
+        settled = reach <= _MINIMUM_REACH
+        reach = max(reach * _REACH_SHRINKS, _MINIMUM_REACH)
+        if settled and np.abs(step).sum() < _CONVERGED_STEP:
             break
     return pose, information, matched, rms
 
@@ -173,11 +173,11 @@ def _without_normal_noise(A: Array, b: Array) -> tuple[Array, Array]:
 
 @kernel
 def _noise(residuals: Array) -> tuple[float, float]:
-    """Return standard deviation (m) and independent share of residuals (n,) in order of the beams.
+    """Return standard deviation (m) and independent fraction f of residuals (n,).
 
-    The sum of n equally correlated errors has the variance of n / share independent ones with
-    1 / share = 1 + 2 Σ ρ(k): the autocorrelation ρ, with the weights of Bartlett's window (Newey
-    and West, 1987).
+    They are in the order of the beams. The sum of n equally correlated errors has the variance of
+    n / f independent ones with 1 / f = 1 + 2 Σ ρ(k): the autocorrelation ρ, with the weights of
+    Bartlett's window (Newey and West, 1987).
     """
     count = len(residuals)
     variance = np.dot(residuals, residuals) / count
@@ -186,8 +186,8 @@ def _noise(residuals: Array) -> tuple[float, float]:
         product = np.dot(residuals[k:], residuals[:-k]) / count
         taper = 1.0 - k / (_CORRELATED_BEAMS + 1.0)
         inflation += 2.0 * taper * product / max(variance, 1e-12)
-    share = 1.0 / max(inflation, 1.0)
-    return math.sqrt(variance), max(share, _LEAST_SHARE)
+    fraction = 1.0 / max(inflation, 1.0)
+    return math.sqrt(variance), max(fraction, _MINIMUM_INDEPENDENT_FRACTION)
 
 
 @kernel
@@ -206,12 +206,12 @@ def _normal_equations(
         px, py = points[n, 0], points[n, 1]
         x, y = pose[0] + c * px - s * py, pose[1] + s * px + c * py
         nx, ny = c * normals[n, 0] - s * normals[n, 1], s * normals[n, 0] + c * normals[n, 1]
-        k = nearest_element(surface, x, y, nx, ny, reach, _AGREEMENT)
+        k = nearest_element(surface, x, y, nx, ny, reach, _MINIMUM_COSINE)
         if k < 0:
             continue
         nx, ny = surface.normals[k, 0], surface.normals[k, 1]
         residual = nx * (surface.points[k, 0] - x) + ny * (surface.points[k, 1] - y)
-        squares += min(residual * residual, _MOST_RESIDUAL**2)
+        squares += min(residual * residual, _MAXIMUM_RESIDUAL**2)
         weight = 1.0 / (1.0 + (residual / _CAUCHY) ** 2)
         residuals[matched] = math.sqrt(weight) * residual
         matched += 1

@@ -18,14 +18,13 @@ from explore_slam.data import LaserScan
 from explore_slam.errors import RegistrationError
 from explore_slam.geometry import IDENTITY, Array, Pose2
 
-_LEAST_RANGE = 0.05  # m; nearer returns are the vehicle itself or dust on the window
-_BEAMS_EITHER_SIDE = (
-    2  # neighbours on one side that a line is fitted through (least drift on three logs)
-)
+_MINIMUM_RANGE = 0.05  # m; nearer returns are the vehicle itself or dust on the window
+# neighbours on one side that a line is fitted through (smallest drift on three logs)
+_BEAMS_EITHER_SIDE = 2
 _LINE_REACH = 0.4  # m from a return to the neighbours of its line, at close range
 _LINE_REACH_GROWTH = 0.09  # m per m of range: five beams of 1 degree
-_FEWEST_ON_A_LINE = 3
-_STRAIGHTNESS = 0.1  # largest variance across a line, as a share of that along and across
+_MINIMUM_LINE_POINTS = 3
+_STRAIGHTNESS = 0.1  # largest variance across a line, as a fraction of that along and across
 _MAP_SPACING = 0.1  # m; two cells of the likelihood grid
 _QUERY_SPACING = 0.2  # m; half the points find the same peak
 
@@ -207,7 +206,7 @@ def scan_cloud(
         raise RegistrationError(
             f'beam_times has shape {beam_times.shape}, expected {ranges.shape} as the ranges'
         )
-    valid = np.isfinite(ranges) & (ranges >= max(scan.range_min, _LEAST_RANGE))
+    valid = np.isfinite(ranges) & (ranges >= max(scan.range_min, _MINIMUM_RANGE))
     valid &= ranges <= min(scan.range_max, farthest)
     ranges, angles = ranges[valid], scan.angles[valid]
     points = np.stack([np.cos(angles), np.sin(angles)], axis=1) * ranges[:, None]
@@ -243,7 +242,7 @@ def _line_normals(points: Array, ranges: Array) -> Array:
                 xx += dx * dx
                 xy += dx * dy
                 yy += dy * dy
-        if on_line < _FEWEST_ON_A_LINE:
+        if on_line < _MINIMUM_LINE_POINTS:
             continue
         x, y = x / on_line, y / on_line
         xx, xy, yy = xx / on_line - x * x, xy / on_line - x * y, yy / on_line - y * y

@@ -33,7 +33,7 @@ class ScanMatchingConfig(Section):
     )
     scan_wait_timeout: float = setting(
         0.3,
-        'Longest wait of a frame for the next scan, which refines the motion up to it',
+        'Maximum time that a frame waits for the next scan, which refines the motion up to it',
         unit='s',
         low=0.0,
         high=10.0,

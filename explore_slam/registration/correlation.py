@@ -18,7 +18,7 @@ from explore_slam.registration.angles import wrapped
 from explore_slam.registration.likelihood_grid import FULL, RESOLUTION, Levels, LikelihoodGrid
 
 ANGLE_STEP = math.radians(1.0)  # half a step moves a return at 6 m by one cell of 0.05 m
-_MOST_LEVELS = 7  # squares of 64 cells, 3.2 m
+_MAXIMUM_LEVELS = 7  # squares of 64 cells, 3.2 m
 _BLOCKS_ACROSS = 6  # of the coarsest level over the window: fewer bounds say nothing
 _CHUNK = 32  # points summed before it is asked whether the bound can still be reached
 
@@ -61,7 +61,7 @@ class SearchWindow:
     def pyramid_levels(self) -> int:
         """Levels with which the search is fast."""
         across = max((2 * self.cells + 1) / _BLOCKS_ACROSS, 1.0)
-        return min(1 + int(math.log2(across)), _MOST_LEVELS)
+        return min(1 + int(math.log2(across)), _MAXIMUM_LEVELS)
 
 
 class _Offsets(NamedTuple):
@@ -89,9 +89,9 @@ class Peak:
 def find_peak(
     grid: LikelihoodGrid, points: Array, window: SearchWindow, least_score: float
 ) -> Peak | None:
-    """Return the best pose of points (n, 2) in the window, None if no score is above the least.
+    """Return the best pose of points (n, 2) in the window, None if no score is above the minimum.
 
-    Penalties decide which pose is best and whether it is above the least score; they are not
+    Penalties decide which pose is best and whether it is above the minimum score; they are not
     part of the score that is returned.
     """
     return _search(grid, points, window, least_score, None, 0.0, 0.0)
@@ -105,7 +105,7 @@ def find_other_mode(
     apart: tuple[float, float],
     least_score: float,
 ) -> Peak | None:
-    """Return the best pose that differs from a known one, None if no score is above the least.
+    """Return the best pose that differs from a known one, None if no score is above the minimum.
 
     apart: distance (m) and turn (rad); a pose nearer than both is the same mode.
     """
@@ -201,7 +201,7 @@ def _score(level: Levels, cells: NDArray[np.int32], dx: int, dy: int, needed: fl
 
 @kernel
 def _penalty(dx: int, dy: int, size: int, extent: int, weight: float) -> float:
-    """Return the least penalty of the offsets from (dx, dy) over size cells upwards."""
+    """Return the smallest penalty of the offsets from (dx, dy) over size cells upwards."""
     if weight == 0.0:
         return 0.0
     x = max(dx, 0) if dx > 0 else min(dx + size - 1, extent, 0)
@@ -298,7 +298,7 @@ def _branch_and_bound(
     offsets: _Offsets,
     least: float,
 ) -> tuple[bool, float, int, int, int]:
-    """Return whether a pose above the least score exists, its score, cells (x, y) and turns."""
+    """Return whether a pose above the minimum score exists, its score, cells (x, y) and turns."""
     extent, step, penalties, _ = offsets
     top = len(levels) - 1
     size, turns = 1 << top, len(cells) // 2

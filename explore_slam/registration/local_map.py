@@ -67,7 +67,7 @@ class LocalMap:
         apart: tuple[float, float],
         least_score: float,
     ) -> Peak | None:
-        """Return the best pose in the window apart from a known one, if above the least score."""
+        """Return the best other pose in the window, if it is above the minimum score."""
         return find_other_mode(self.grid, points, window, best, apart, least_score)
 
     def score_profile(

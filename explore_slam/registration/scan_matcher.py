@@ -24,30 +24,31 @@ from explore_slam.registration.local_map import LocalMap
 
 # Where no other source is given, values were chosen on the Intel, ACES and Belgioioso logs;
 # `benchmarks/laser_graph_slam.py` shows what a change does.
-_LEAST_DEVIATIONS = np.array([1e-4, 1e-4, 1e-4])  # m, m, rad, of any motion
-_FEWEST_POINTS = 15
-# Variance of the step of the window's frame when a scan is kept, as a share of that of the scan's
-# own error. Were all kept scans equal, it would be (2 / (n + 1))², 0.004; but the last few share
-# most surfaces with the next one. `benchmarks/scan_matching_noise.py --window-drift` chose it: on
-# Intel, against the final path of a replay, the squared Mahalanobis distances over 100 scans are
-# 6.5 with 0.2, 4.0 with 0.35 and 2.9 with 0.5; in the simulated office they are half as large.
+_MINIMUM_DEVIATIONS = np.array([1e-4, 1e-4, 1e-4])  # m, m, rad, of any motion
+_MINIMUM_POINTS = 15
+# Variance of the step of the window's frame when a scan is kept, as a fraction of that of the
+# scan's own error. Were all kept scans equal, it would be (2 / (n + 1))², 0.004; but the last few
+# share most surfaces with the next one. `benchmarks/scan_matching_noise.py --window-drift` chose
+# it: on Intel, against the final path of a replay, the squared Mahalanobis distances over 100
+# scans are 6.5 with 0.2, 4.0 with 0.35 and 2.9 with 0.5; in the simulated office they are half as
+# large.
 WINDOW_DRIFT = 0.35
 # rad; at 6 m half a step is one cell of 0.05 m off, which the alignment corrects.
 _ANGLE_STEP = math.radians(1.5)
 _SIGMAS = 3.0  # the window covers the odometry's error
-_LEAST_WINDOW = (0.1, 0.03)  # m, rad
-_MOST_WINDOW = (0.6, 0.5)  # m, rad
-_LEAST_SCORE = 0.1
+_MINIMUM_WINDOW = (0.1, 0.03)  # m, rad
+_MAXIMUM_WINDOW = (0.6, 0.5)  # m, rad
+_MINIMUM_SCORE = 0.1
 # The score falls by this at two standard deviations of the odometry from the prediction.
 _PENALTY = 0.025
 _REACH = 0.4  # m, of the alignment at first
 _LAST_REACH = 0.15  # m, of one that begins at an alignment
 # A pose this far (m, rad) from the odometry's is accepted only if the match is unique.
 _WIDE_OVERLAP = 0.6
-_DOOR = 0.7  # of the least overlap: enough near the odometry's pose if nothing else fits
+_REDUCED_OVERLAP = 0.7  # of matching_overlap: enough near the odometry's pose if nothing else fits
 _MODES_APART = (0.5, math.radians(10.0))
-_OTHER_MODE = 0.92  # share of the best score at which another mode makes a match ambiguous
-_SURPRISE = 5.0  # Mahalanobis distance from the odometry above which a match is looked at twice
+_OTHER_MODE = 0.92  # fraction of the best score at which another mode makes a match ambiguous
+_UNLIKELY = 5.0  # Mahalanobis distance from the odometry above which a match is looked at twice
 _REFUSALS_UNTIL_RESTART = 3
 
 
@@ -59,7 +60,7 @@ class ScanMatch:
     white: of this match alone, not shared with the matches before and after. drift: growth of
     the error since the last match, a random walk: what the scan left open of the odometry's
     error, and the slow drift of the window of scans.
-    information (3, 3): of the scan's geometry alone; overlap: share of the returns on known
+    information (3, 3): of the scan's geometry alone; overlap: fraction of the returns on known
     surfaces; rms (m) of their distances.
     """
 
@@ -144,7 +145,7 @@ class ScanMatcher:
     ) -> ScanMatch | RefusedScan:
         """Return the pose of the vehicle at a cloud of its frame; see match."""
         _check_prior(prior, covariance)
-        if len(cloud) < _FEWEST_POINTS:
+        if len(cloud) < _MINIMUM_POINTS:
             return RefusedScan(Refusal.FEW_RETURNS, prior)
         if not self._kept:
             self._keep(cloud, prior)
@@ -196,18 +197,22 @@ class ScanMatcher:
         self, local_map: LocalMap, cloud: PointCloud, prior: Pose2, covariance: Array
     ) -> ScanMatch | RefusedScan:
         """Search near the odometry first, and in the widest window where nothing fits there."""
-        covariance = covariance + np.diag(_LEAST_DEVIATIONS**2)
+        covariance = covariance + np.diag(_MINIMUM_DEVIATIONS**2)
         near = _register(local_map, cloud, prior, covariance, _window(prior, covariance))
-        likely = near is not None and _distance(near.pose, prior, covariance) < _SURPRISE
-        acceptable = near is not None and (likely or near.share >= _WIDE_OVERLAP)
-        if near is not None and acceptable and near.share >= self.config.matching_overlap:
+        likely = near is not None and _distance(near.pose, prior, covariance) < _UNLIKELY
+        acceptable = near is not None and (likely or near.overlap >= _WIDE_OVERLAP)
+        if near is not None and acceptable and near.overlap >= self.config.matching_overlap:
             return self._inflate_prior(local_map, cloud, near, prior, covariance)
-        window = SearchWindow(prior, *_MOST_WINDOW)
-        slipped = np.diag([*_MOST_WINDOW[:1] * 2, _MOST_WINDOW[1]]) ** 2
+        window = SearchWindow(prior, *_MAXIMUM_WINDOW)
+        slipped = np.diag([*_MAXIMUM_WINDOW[:1] * 2, _MAXIMUM_WINDOW[1]]) ** 2
         found = _register(local_map, cloud, prior, slipped, window)
-        if found is None or found.share < _WIDE_OVERLAP:
+        if found is None or found.overlap < _WIDE_OVERLAP:
             # Through a door, little of the map remains in sight, but wheel odometry is reliable.
-            if near is not None and likely and near.share >= _DOOR * self.config.matching_overlap:
+            if (
+                near is not None
+                and likely
+                and near.overlap >= _REDUCED_OVERLAP * self.config.matching_overlap
+            ):
                 return self._inflate_prior(local_map, cloud, near, prior, covariance)
             return RefusedScan(Refusal.LITTLE_OVERLAP, prior)
         if _is_ambiguous(local_map, cloud, window, found.pose):
@@ -255,8 +260,8 @@ def _window(prior: Pose2, covariance: Array) -> SearchWindow:
     heading = math.sqrt(covariance[2, 2])
     return SearchWindow(
         prior,
-        min(_SIGMAS * position + _LEAST_WINDOW[0], _MOST_WINDOW[0]),
-        min(_SIGMAS * heading + _LEAST_WINDOW[1], _MOST_WINDOW[1]),
+        min(_SIGMAS * position + _MINIMUM_WINDOW[0], _MAXIMUM_WINDOW[0]),
+        min(_SIGMAS * heading + _MINIMUM_WINDOW[1], _MAXIMUM_WINDOW[1]),
         _ANGLE_STEP,
         position_penalty=_PENALTY / (2.0 * position) ** 2,
         heading_penalty=_PENALTY / (2.0 * heading) ** 2,
@@ -271,7 +276,7 @@ def _register(
     window: SearchWindow,
 ) -> Alignment | None:
     """Correlate, then align from the peak with the odometry as prior."""
-    peak = local_map.find_peak(cloud.query_points, window, _LEAST_SCORE)
+    peak = local_map.find_peak(cloud.query_points, window, _MINIMUM_SCORE)
     start = prior if peak is None else peak.pose
     return local_map.align(cloud, start, _REACH, Prior(prior, np.linalg.inv(covariance)))
 
@@ -302,4 +307,4 @@ def _scan_match(found: Alignment, covariance: Array, window_moved: bool) -> Scan
     drift = left @ certainty @ left
     if window_moved:
         drift = drift + WINDOW_DRIFT * white
-    return ScanMatch(found.pose, white, drift, information, found.share, found.rms)
+    return ScanMatch(found.pose, white, drift, information, found.overlap, found.rms)

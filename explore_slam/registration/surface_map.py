@@ -10,7 +10,7 @@ from explore_slam.compiled import kernel
 from explore_slam.geometry import Array
 
 _ELEMENT = 0.05  # m, side of the square whose points of one orientation become one element
-_ALIKE = 0.7  # least cosine between the normals of elements of one surface
+_MINIMUM_COSINE = 0.7  # minimum cosine between the normals of elements of one surface
 _ORIENTATIONS = 8  # sectors of normals; the two faces of a thin wall stay apart
 _CELL = 0.2  # m, side of the squares in which elements are looked up
 # m, standard deviation of the kernel over which a surface is averaged. Without it the nearest of
@@ -120,7 +120,7 @@ def nearest_element(
 ) -> int:
     """Return the nearest element within reach (m) of like orientation, -1 if there is none.
 
-    agreement: least cosine between the normals.
+    agreement: minimum cosine between the normals.
     """
     left, right = (x - reach - surface.x) / _CELL, (x + reach - surface.x) / _CELL
     low, high = (y - reach - surface.y) / _CELL, (y + reach - surface.y) / _CELL
@@ -164,7 +164,7 @@ def _smoothed(surface: SurfaceMap, counts: Array) -> tuple[Array, Array]:
                 square = dx * dx + dy * dy
                 if square > reach * reach:
                     continue
-                if nx * surface.normals[j, 0] + ny * surface.normals[j, 1] < _ALIKE:
+                if nx * surface.normals[j, 0] + ny * surface.normals[j, 1] < _MINIMUM_COSINE:
                     continue
                 weight = counts[j] * math.exp(-0.5 * square / _SMOOTHING**2)
                 total += weight

@@ -24,7 +24,7 @@ MAX_GAP = 6.0  # s; relations farther from the nearest pose are left out
 COLUMNS = 8  # t1 t2 x y z roll pitch yaw
 VOTE_WIDTH = 0.002  # s
 NEARLY_AS_MANY = 0.8  # of the most votes: candidates between which odometry decides
-LEAST_VOTES = 0.3  # of the times of the relations must coincide with odometry at their offset
+MINIMUM_VOTES = 0.3  # of the times of the relations must coincide with odometry at their offset
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ def _coincidences(wanted: Array, times: Array, low: float, high: float) -> list[
     ends = np.searchsorted(differences, differences + VOTE_WIDTH, 'right')
     votes = ends - np.arange(len(differences))
     found: list[float] = []
-    enough = max(LEAST_VOTES * len(wanted), NEARLY_AS_MANY * votes.max(initial=0))
+    enough = max(MINIMUM_VOTES * len(wanted), NEARLY_AS_MANY * votes.max(initial=0))
     for index in np.argsort(-votes, kind='stable').tolist():
         if votes[index] < enough:
             break

@@ -11,8 +11,8 @@ from explore_slam.slam.descriptors.kinds import DescriptorKind
 
 # Relative to the largest entry of a matrix: beyond rounding, so that it is a mistake.
 _ASYMMETRY = 1e-6
-_NEGATIVE = 1e-9  # least eigenvalue of a covariance that may be singular
-# least eigenvalue, to the largest, of a covariance that is inverted; the joint graph takes half
+_NEGATIVE = 1e-9  # smallest eigenvalue of a covariance that may be singular
+# smallest eigenvalue, to the largest, of a covariance that is inverted; the joint graph takes half
 _SINGULAR = 2e-10
 _TINY = 1e-300
 
@@ -68,8 +68,8 @@ def check_observations(
     bad = np.flatnonzero(least <= _SINGULAR * np.maximum(largest, _TINY))
     if len(bad):
         raise SlamError(
-            f'observations: covariance {bad[0]} is {R[bad[0]].tolist()} with the least eigenvalue '
-            f'{least[bad[0]]:.3g}, expected a positive definite matrix'
+            f'observations: covariance {bad[0]} is {R[bad[0]].tolist()} with the smallest '
+            f'eigenvalue {least[bad[0]]:.3g}, expected a positive definite matrix'
         )
     kind.check(observations.descriptors)
 
@@ -86,7 +86,7 @@ def check_inter_robot(observer: str, observation: InterRobotObservation) -> None
     if least <= _SINGULAR * max(most, _TINY):
         raise SlamError(
             f'observation of {observation.vehicle!r}: covariance {covariance.tolist()} has the '
-            f'least eigenvalue {least:.3g}, expected a positive definite matrix'
+            f'smallest eigenvalue {least:.3g}, expected a positive definite matrix'
         )
     if observation.vehicle == observer:
         raise SlamError(f'vehicle {observer!r} cannot observe itself')

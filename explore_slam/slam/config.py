@@ -26,7 +26,7 @@ class AssociationConfig(Section):
     )
     minimum_association_probability: float = setting(
         0.9,
-        'Engine paper: least association probability exp(-d²/2) of a match (P0 of the paper)',
+        'Engine paper: minimum association probability exp(-d²/2) of a match (P0 of the paper)',
         low=0.0,
         high=1.0,
     )
@@ -54,7 +54,7 @@ class AssociationConfig(Section):
         high=100_000,
     )
     maximum_observations: int = setting(
-        1000, 'Largest number of observations in one update', low=1, high=10_000
+        1000, 'Maximum number of observations in one update', low=1, high=10_000
     )
 
     def __post_init__(self) -> None:
@@ -104,7 +104,7 @@ class RelocalizationConfig(Section):
         'Search for the pose of a vehicle whose matches contradict it in nearly all particles',
     )
     relocalization_matches: int = setting(
-        5, 'Least number of matches that must agree on the new pose', low=3, high=100
+        5, 'Minimum number of matches that must agree on the new pose', low=3, high=100
     )
     relocalization_window: int = setting(
         12, 'Updates of a vehicle whose matches are used together', low=1, high=200
@@ -295,7 +295,7 @@ class FastSlamConfig(Section):
         'Draw the paths of all particles anew from the joint posterior when few ancestors are '
         'left (engine fastslam2)',
     )
-    redraw_part: float = setting(
+    redraw_fraction: float = setting(
         0.1,
         'Redraw when the particles descend from less than this fraction of the latest samples',
         low=0.0,

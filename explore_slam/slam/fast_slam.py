@@ -526,7 +526,7 @@ class FastSlam(Checkpointed):
         return self._group(vehicle).weights()
 
     def effective_particles(self) -> float:
-        """Return the effective sample size, 1 to M: the least of all groups of vehicles."""
+        """Return the effective sample size, 1 to M: the smallest of all groups of vehicles."""
         return min(group.effective_particles() for group in self.groups.all)
 
     def landmarks(self) -> Landmarks:

@@ -115,7 +115,7 @@ class TeamBelief(Checkpointed):
         return self.filter_of(name).best_particle(name)
 
     def effective_particles(self) -> float:
-        """Return the effective sample size, 1 to M: the least of all filters."""
+        """Return the effective sample size, 1 to M: the smallest of all filters."""
         return min(item.effective_particles() for item in self.filters)
 
     def landmarks(self, vehicle: str | None = None) -> Landmarks:

@@ -241,6 +241,6 @@ class CounterOdometry:
 
 
 def counter_difference(value: int, last: int, bits: int = COUNTER_BITS) -> int:
-    """Return value - last modulo 2^bits, as a signed number of least magnitude."""
+    """Return value - last modulo 2^bits, as a signed number of smallest magnitude."""
     half = 1 << (bits - 1)
     return ((value - last + half) & ((1 << bits) - 1)) - half

@@ -43,7 +43,7 @@ from explore_slam.vehicle.lms200_telegrams import (
 from explore_slam.vehicle.serial_port import SerialPort
 
 _log = logging.getLogger(__name__)
-RANGE_MIN = 0.01  # m, least range in a scan
+RANGE_MIN = 0.01  # m, minimum range in a scan
 DEFAULT_BITS = 13  # bits of a distance until the configuration is read (8 m in mm)
 _WRITE_MODES = {13: 0, 14: 4, 15: 6}  # bits of a distance -> measuring mode to write
 _RATES = (9600, 38400, 19200)  # Bd, tried in this order: power-on, usual, other

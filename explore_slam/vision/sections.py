@@ -58,10 +58,10 @@ class DepthConfig(Section):
     """Which depth measurements are valid, and how accurate they are."""
 
     min_depth: float = setting(
-        0.8, 'Nearest valid depth', unit='m', low=0.0, high=100.0, tier='basic'
+        0.8, 'Minimum valid depth', unit='m', low=0.0, high=100.0, tier='basic'
     )
     max_depth: float = setting(
-        3.5, 'Farthest valid depth', unit='m', low=0.0, high=100.0, tier='basic'
+        3.5, 'Maximum valid depth', unit='m', low=0.0, high=100.0, tier='basic'
     )
     pixel_noise: float = setting(
         0.8,

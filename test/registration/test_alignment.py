@@ -33,7 +33,7 @@ def test_a_wrong_start_is_put_right(start):
     off = np.abs(true.between(found.pose))
     assert off[:2].max() < 0.008
     assert off[2] < 0.003
-    assert found.share > 0.95
+    assert found.overlap > 0.95
     assert found.rms < 0.02
 
 

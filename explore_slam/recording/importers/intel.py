@@ -32,7 +32,7 @@ LOG, REFERENCE = 'intel_raw_odom_scans.npz', 'reference_pose_flirt.csv'
 VEHICLE = 'robot1'
 SPEED = 0.5  # m/s; nominal, for the stamps
 TURN_RATE = 0.8  # rad/s
-SCAN_PERIOD = 0.1  # s; the least time between scans
+SCAN_PERIOD = 0.1  # s; the minimum time between scans
 FIRST_STAMP = 1.0  # s
 RANGE_MIN, RANGE_MAX = 0.05, 80.0  # m; larger readings mean no return
 # the log does not say where the laser is mounted; corridors are long

@@ -37,7 +37,7 @@ ROBOTS = range(1, 6)
 # Distance (m) = DISTANCE_SCALE · depth + DISTANCE_OFFSET; depth = logged range / cos(bearing).
 DISTANCE_SCALE = 0.973
 DISTANCE_OFFSET = -0.04
-LEAST_DISTANCE = 0.05  # m; closer, a code does not fit into the image
+MINIMUM_DISTANCE = 0.05  # m; closer, a code does not fit into the image
 RANGE_SIGMA = 0.02  # m
 RANGE_SIGMA_PER_METRE = 0.015
 BEARING_SIGMA = 0.0125  # rad
@@ -62,7 +62,7 @@ SETTINGS: dict[str, float | str] = {
 # Delays (s) that are compared, and the most time between two bearings of one landmark that are.
 DELAYS = np.arange(0.0, 0.501, 0.01)
 BEARING_GAP = 1.0
-LEAST_BEARINGS = 50  # pairs of bearings below which no delay is estimated
+MINIMUM_BEARINGS = 50  # pairs of bearings below which no delay is estimated
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def _read_robot(folder: Path, number: int, subjects: dict[int, int]) -> _Robot:
 def distances(ranges: Array, bearings: Array) -> Array:
     """Return the distances (N,) m of codes, by their logged ranges (m) and bearings (rad)."""
     depths = ranges / np.cos(bearings)
-    return np.maximum(DISTANCE_SCALE * depths + DISTANCE_OFFSET, LEAST_DISTANCE)
+    return np.maximum(DISTANCE_SCALE * depths + DISTANCE_OFFSET, MINIMUM_DISTANCE)
 
 
 def _in_order(table: Array) -> Array:
@@ -166,7 +166,7 @@ def odometry_delay(robots: Sequence[tuple[Array, Array]]) -> float:
             square = logged @ logged
             scale = (logged @ turned) / square if square > 0.0 else 0.0
             unexplained[number] += np.sum((turned - scale * logged) ** 2)
-    return float(DELAYS[np.argmin(unexplained)]) if count >= LEAST_BEARINGS else 0.0
+    return float(DELAYS[np.argmin(unexplained)]) if count >= MINIMUM_BEARINGS else 0.0
 
 
 def _streams(robot: _Robot, begin: float, end: float, delay: float) -> list[Iterator[Event]]:

@@ -20,7 +20,7 @@ from explore_slam.simulation.records import WALL, Collision
 from explore_slam.simulation.worlds.grid_world import FREE, GridWorld
 
 MAX_VEHICLES = 31  # each has a bit in the 32-bit mask of who has seen a cell
-RANGE_MIN = 0.02  # m, least range in a scan
+RANGE_MIN = 0.02  # m, minimum range in a scan
 
 # Path following and collision avoidance: chosen so that teams in narrow buildings neither collide
 # nor block each other for good (test_grid_world.py, benchmarks/grid_world_speed.py).
@@ -198,11 +198,11 @@ class GridSimulator:
         return 0.0 if self.is_idle(vehicle) else self.time - drive.progress_time
 
     def team_coverage(self) -> float:
-        """Return the share of the reachable cells that any vehicle's beams have crossed."""
+        """Return the fraction of the reachable cells that any vehicle's beams have crossed."""
         return self._team_cells / self.reachable_cells
 
     def own_coverage(self, vehicle: str) -> float:
-        """Return the share of the reachable cells that this vehicle's beams have crossed."""
+        """Return the fraction of the reachable cells that this vehicle's beams have crossed."""
         return self._own_cells[self._index[vehicle]] / self.reachable_cells
 
     def seen(self, vehicle: str) -> NDArray[np.bool_]:

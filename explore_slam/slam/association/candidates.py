@@ -21,9 +21,9 @@ from explore_slam.slam.descriptors.kinds import Vectors
 from explore_slam.slam.landmarks.landmark_map import LandmarkMap
 from explore_slam.slam.storage.row_format import Places, packed
 
-# Least search radius (m). Reference positions of landmarks lag behind their estimates, and the
+# Minimum search radius (m). Reference positions of landmarks lag behind their estimates, and the
 # particles spread around the mean pose.
-_LEAST_RADIUS = 0.5
+_MINIMUM_RADIUS = 0.5
 
 
 class _Nearby(NamedTuple):
@@ -251,7 +251,7 @@ def find_candidates(
     R = packed(observations.covariances)
     variance = covariance[0, 0] + covariance[1, 1] + (z[:, :2] ** 2).sum(1) * covariance[2, 2]
     variance = variance + R[:, 0] + R[:, 3] + R[:, 5]
-    radius = _LEAST_RADIUS + config.association_gate * np.sqrt(variance)
+    radius = _MINIMUM_RADIUS + config.association_gate * np.sqrt(variance)
     search = _Search(landmarks, config, to_world(pose, z), radius, vectors, hidden)
     numbers, distances, similar_ids, distinctive = search.run(beyond)
     entries, places = np.unique(numbers, return_inverse=True)

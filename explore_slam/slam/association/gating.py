@@ -1,7 +1,7 @@
 """Association of engine paper: steps 2.2.2 to 2.5 of the paper's algorithm, per particle.
 
 Each particle chooses, among the candidates whose association probability exp(-d²/2) is at least
-P0, the one of least descriptor distance E.
+P0, the one of smallest descriptor distance E.
 """
 
 import math
@@ -37,8 +37,8 @@ def associate(
 ) -> None:  # pragma: no cover - compiled
     """Fill choice and mahalanobis_squared (K, M) for particles at sampled poses (M, 3).
 
-    gate: largest d². Of equal descriptors the candidate of least d² is chosen. If none passes, d²
-    is that of the nearest candidate, inf if there is none.
+    gate: largest d². Of equal descriptors the candidate of smallest d² is chosen. If none
+    passes, d² is that of the nearest candidate, inf if there is none.
     """
     candidates, z, R = rows.candidates, observed.z, observed.R
     choice, mahalanobis_squared = chosen.choice, chosen.mahalanobis_squared

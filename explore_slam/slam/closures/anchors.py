@@ -18,7 +18,7 @@ Integers = NDArray[np.int64]
 
 REGION_SPACING = 3.0  # m driven between the centres of regions; neighbours overlap
 REGION_HALF = 5.0  # m driven on either side of the centre that a region's map is made of
-_MOST_IN_REGION = 40  # anchors; more of them are taken in turn
+_MAXIMUM_ANCHORS_IN_REGION = 40  # anchors; more of them are taken in turn
 _QUERY_ANCHORS = 12  # spread over the query
 QUERY_LENGTH = 6.0  # m; one scan is ambiguous, 6 m of building hardly ever are
 # A region's map is used again until a pose in it has moved by this: a fifth of a grid cell.
@@ -93,7 +93,7 @@ class _Trail:
             )
         )
         found = self.anchors[first:last]
-        step = 1 + (len(found) - 1) // _MOST_IN_REGION
+        step = 1 + (len(found) - 1) // _MAXIMUM_ANCHORS_IN_REGION
         return found[::step]
 
 

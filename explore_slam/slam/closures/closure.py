@@ -20,7 +20,7 @@ _PROFILE: Array = np.linspace(-2.0, 2.0, 81)  # m along the weakest direction
 # return, and the alignment is more accurate
 _PEAK_HALF = 0.1
 _TEMPERATURE = 0.02  # of the scores: smaller differences are not significant
-_LEAST_INFORMATION = 1e-2  # 1/m², 1/rad²: a deviation of 10 m
+_MINIMUM_INFORMATION = 1e-2  # 1/m², 1/rad²: a deviation of 10 m
 
 
 class ClosureEnds(NamedTuple):
@@ -42,7 +42,8 @@ class Closure:
     """The pose of keyframe b in the frame of keyframe a, as measured with their scans.
 
     information (3, 3): of its components, in the axes of a. score: mean likelihood of the
-    returns; overlap: share of the returns on surfaces of a's region; rms (m) of their distances.
+    returns; overlap: fraction of the returns on surfaces of a's region; rms (m) of their
+    distances.
     """
 
     keyframe_a: int
@@ -77,7 +78,7 @@ def acceptable(found: Alignment | None, config: ClosureConfig) -> bool:
     """Return whether enough returns lie well enough on the surfaces."""
     return (
         found is not None
-        and found.share >= config.closure_overlap
+        and found.overlap >= config.closure_overlap
         and found.rms <= config.closure_rms
     )
 
@@ -91,7 +92,7 @@ def closure_information(
     errors within the scans of the query and map, in the axes of the map; and, along the weakest
     direction, that of the profile of the score, which shows how far the query can slide.
     """
-    information = found.information + _LEAST_INFORMATION * np.eye(3)
+    information = found.information + _MINIMUM_INFORMATION * np.eye(3)
     turn = planar_rotation(found.pose.theta)
     weakest, _ = found.weakest_direction()
     u = turn[:2, :2] @ weakest

@@ -32,17 +32,17 @@ class ClosureConfig(Section):
         high=3600.0,
     )
     closure_widest_window: float = setting(
-        25.0, 'Largest half width of the search window', unit='m', low=0.5, high=100.0
+        25.0, 'Maximum half width of the search window', unit='m', low=0.5, high=100.0
     )
     closure_score: float = setting(
-        0.45, 'Least mean likelihood of the returns of a closure', low=0.0, high=1.0
+        0.45, 'Minimum mean likelihood of the returns of a closure', low=0.0, high=1.0
     )
     closure_overlap: float = setting(
-        0.75, 'Least share of the returns that must lie on known surfaces', low=0.0, high=1.0
+        0.75, 'Minimum fraction of the returns that must lie on known surfaces', low=0.0, high=1.0
     )
     closure_rms: float = setting(
         0.05,
-        'Largest root mean square distance of the returns from the surfaces',
+        'Maximum root mean square distance of the returns from the surfaces',
         unit='m',
         low=0.001,
         high=1.0,

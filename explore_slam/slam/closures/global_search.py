@@ -44,9 +44,9 @@ _REACH = 0.4  # m, of the alignment at first
 _MODES_APART = (0.5, 0.17)  # m, rad: nearer poses are the same mode
 # Share of the returns that must lie on known surfaces: around the path that the vehicle has in
 # common with the map, part of what it has seen may not have been mapped yet (Intel: 0.5 to 0.65).
-_LEAST_OVERLAP = 0.5
+_MINIMUM_OVERLAP = 0.5
 _SURROUNDINGS = 8.0  # m around a match: all that is known there
-_MOST_AROUND = 40  # anchors; more of them are taken in turn
+_MAXIMUM_ANCHORS_AROUND = 40  # anchors; more of them are taken in turn
 _AGREEMENTS = 4  # candidates from different scans
 _AGREEMENT_SPAN = 6.0  # m driven
 _PENDING_DISTANCE = 30.0  # m
@@ -176,7 +176,7 @@ class GlobalSearch:
         alignment = surroundings.align(query.surfaces, best.peak.pose, _REACH)
         if (
             alignment is None
-            or alignment.share < _LEAST_OVERLAP
+            or alignment.overlap < _MINIMUM_OVERLAP
             or alignment.rms > self.config.closure_rms
         ):
             return None
@@ -186,7 +186,7 @@ class GlobalSearch:
             alignment.pose,
             closure_information(surroundings, query, alignment),
             best.peak.score,
-            alignment.share,
+            alignment.overlap,
             alignment.rms,
         )
         return Candidate(region.centre, query.anchor, closure)
@@ -200,7 +200,7 @@ class GlobalSearch:
         keyframes = table.keyframes[wanted]
         off = poses[keyframes, :2] - pose[:2]
         near = keyframes[(off**2).sum(axis=1) < _SURROUNDINGS**2]
-        near = near[:: 1 + len(near) // _MOST_AROUND]
+        near = near[:: 1 + len(near) // _MAXIMUM_ANCHORS_AROUND]
         offsets = between(poses[region.centre.keyframe], poses[near])
         around = [self.anchors.of_keyframe(int(keyframe)) for keyframe in near]
         clouds = [anchor.cloud for anchor in (*around, *region.anchors)]

@@ -50,7 +50,7 @@ RelativeCovariance = Callable[[int, Integers], Array]
 # m/m and rad/m: growth of the errors of position and heading where no covariance is given
 _DRIFT: Array = np.array([0.012, 0.0015])
 _SIGMAS = 3.0  # of the relative pose, that the search window covers
-_LEAST_WINDOW = (0.5, 0.08)  # m, rad
+_MINIMUM_WINDOW = (0.5, 0.08)  # m, rad
 _WIDEST_TURN = 0.7  # rad
 _NEAR = 2.5  # m beyond the window at which a region still overlaps
 _WIDE = 3.0  # m; a wider window is searched more coarsely, in more regions and less often
@@ -63,7 +63,7 @@ _REGIONS_DISAGREE = (0.5, 0.15)  # m, rad
 _OTHER_MODES_WITHIN = 2.0  # m; other modes are searched at least this far
 _SMALL_WINDOW, _SMALL_CORRECTION = 1.0, 0.5  # m; a closure within both needs no agreement
 _AGREEMENT_SPAN = 1.5  # m driven
-_LEAST_SPACING = 0.1  # m driven between closures that add information
+_MINIMUM_SPACING = 0.1  # m driven between closures that add information
 _PENDING_DISTANCE = 12.0  # m; older candidates are forgotten
 _BODY = 3.0  # m; nearer than this another vehicle may be in the scans
 # A closure is retracted when its squared Mahalanobis distance stays above this (chi-square with
@@ -184,9 +184,9 @@ class LoopSearch:
             position = np.linalg.eigvalsh(P[:, :2, :2])[:, 1]
             deviations = np.sqrt(np.maximum(np.stack([position, P[:, 2, 2]], axis=1), 0.0))
         reaches = np.minimum(
-            _LEAST_WINDOW[0] + _SIGMAS * deviations[:, 0], self.config.closure_widest_window
+            _MINIMUM_WINDOW[0] + _SIGMAS * deviations[:, 0], self.config.closure_widest_window
         )
-        turns = np.minimum(_LEAST_WINDOW[1] + _SIGMAS * deviations[:, 1], _WIDEST_TURN)
+        turns = np.minimum(_MINIMUM_WINDOW[1] + _SIGMAS * deviations[:, 1], _WIDEST_TURN)
         chosen: list[tuple[Region, SearchWindow]] = []
         distances_driven: list[tuple[int, float]] = []
         for k, (distance, region_number, other) in enumerate(nearest):
@@ -337,7 +337,7 @@ class LoopSearch:
             Pose2.from_array(pose),
             information,
             match.score,
-            alignment.share,
+            alignment.overlap,
             alignment.rms,
         )
         return Candidate(a, query.anchor, closure), match.window
@@ -379,7 +379,7 @@ class LoopSearch:
             and abs(a.distance_driven - other.distance_a) < QUERY_LENGTH
         ]
         self._accepted.append(ClosureEnds.of(a, b))
-        spacing = min(max(min(spacings, default=QUERY_LENGTH), _LEAST_SPACING), QUERY_LENGTH)
+        spacing = min(max(min(spacings, default=QUERY_LENGTH), _MINIMUM_SPACING), QUERY_LENGTH)
         information = spacing / QUERY_LENGTH * candidate.closure.information
         return replace(candidate.closure, information=information)
 

@@ -18,10 +18,10 @@ _SAME_PLACE = 1.5  # m; older anchors nearer than this may show the same
 # Anchors of the same place that are compared: the most similar, where a difference of the heading
 # by 1 rad counts as much as one of the position by 1 m. A laser with a field of view of 180° shows
 # something else in every direction. `explore_slam benchmark endurance` shows what a change does.
-_MOST_OLDER = 16
+_MAXIMUM_OLDER_ANCHORS = 16
 _HEADING_DISTANCE = 1.0  # m/rad
-_OVERLAP = 0.9  # share of the returns that older anchors show too
-_KNOWN = 0.1  # m, deviation of the pose relative to the older anchors
+_OVERLAP = 0.9  # fraction of the returns that older anchors show too
+_KNOWN_DEVIATION = 0.1  # m, deviation of the pose relative to the older anchors
 _ON_SURFACE = 0.15  # m: a return this near one of an older anchor is the same
 
 
@@ -93,7 +93,7 @@ class Thinning:
         squared = (offsets[near, :2] ** 2).sum(axis=1) + (
             _HEADING_DISTANCE * offsets[near, 2]
         ) ** 2
-        most = near[np.lexsort((table.keyframes[near], squared))[:_MOST_OLDER]]
+        most = near[np.lexsort((table.keyframes[near], squared))[:_MAXIMUM_OLDER_ANCHORS]]
         return [self.anchors.of_keyframe(keyframe) for keyframe in table.keyframes[most].tolist()]
 
     def _is_known(
@@ -101,11 +101,11 @@ class Thinning:
     ) -> bool:
         keyframes = np.array([other.keyframe for other in older], np.int64)
         P = covariance(anchor.keyframe, keyframes)
-        return bool(np.linalg.eigvalsh(P[:, :2, :2])[:, 1].min() < _KNOWN**2)
+        return bool(np.linalg.eigvalsh(P[:, :2, :2])[:, 1].min() < _KNOWN_DEVIATION**2)
 
 
 def _share_shown(anchor: Anchor, older: list[Anchor], poses: Array) -> float:
-    """Return the share of an anchor's returns that lie on returns of older anchors."""
+    """Return the fraction of an anchor's returns that lie on returns of older anchors."""
     offsets = between(poses[anchor.keyframe], np.array([poses[other.keyframe] for other in older]))
     known = np.concatenate(
         [

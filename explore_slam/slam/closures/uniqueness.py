@@ -3,7 +3,7 @@
 A search prefers poses at which the map shows all that the vehicle has seen. Where the map is still
 growing, the right pose may lie beyond its edge, and a wrong one wins because it is covered: the
 next of equal rooms. Here every pose is evaluated only by the returns in the mapped area: if at
-another pose a fair part of them lies there and fits as well, the join must wait.
+another pose a fair number of them lie there and fit as well, the join must wait.
 """
 
 import math
@@ -22,17 +22,19 @@ from explore_slam.slam.closures.anchors import Anchor, Integers
 TRAIL_LENGTH = 20.0  # m driven by the vehicle that are compared with the map
 _SPACING = 0.8  # m driven between the anchors that are compared
 _CELL = 0.2  # m
-_SHIFT = 12.0  # m; poses farther away from the join are rivals that the search itself finds
-_SIGHT = 8.0  # m; returns farther away are left out
+# m; poses farther away from the join are rivals that the search itself finds
+_MAXIMUM_SHIFT = 12.0
+_MAXIMUM_RANGE = 8.0  # m; returns farther away are left out
 _DEVIATION = 0.2  # m, of a return from a surface of the map
 _ROTATIONS = tuple(
     math.radians(quarter + small) for quarter in (0, 180, 90, 270) for small in (0, -2, 2)
 )
 _JOIN_SLACK = 0.4  # m, by which the pose of the join itself may be off
-_APART = 0.8  # m, rad as below: rivals are at least this far from the join
-_TURNED = math.radians(10.0)
-_LEAST_PART = 0.5  # of the returns that count at the join must count at a rival
-_LEAST_RETURNS = 100  # that count: 20 m of wall in cells of _CELL
+# Rivals of a join are poses that are off by more than this (m), or by more than this turn (rad).
+_RIVAL_DISTANCE = 0.8
+_RIVAL_TURN = math.radians(10.0)
+_MINIMUM_FRACTION = 0.5  # of the returns that count at the join must count at a rival
+_MINIMUM_RETURNS = 100  # that count: 20 m of wall in cells of _CELL
 
 
 class Fit(NamedTuple):
@@ -48,7 +50,7 @@ class Fit(NamedTuple):
 
     def is_unique(self, other_mode: float) -> bool:
         """Return whether enough returns count and no other pose scores this fraction."""
-        return self.returns >= _LEAST_RETURNS and self.rival < other_mode * self.score
+        return self.returns >= _MINIMUM_RETURNS and self.rival < other_mode * self.score
 
 
 class _Map(NamedTuple):
@@ -84,7 +86,7 @@ def fit_of(
     centre = placed[:, :2].mean(axis=0)
     near = [_near_returns(anchor, pose) for anchor, pose in zip(trail, placed, strict=True)]
     returns = np.concatenate(near)
-    reach = float(np.hypot(*(returns - centre).T).max(initial=0.0)) + _SHIFT + 2.0 * _CELL
+    reach = float(np.hypot(*(returns - centre).T).max(initial=0.0)) + _MAXIMUM_SHIFT + 2.0 * _CELL
     area = _seen_map(known, poses, centre - reach, centre + reach)
     yield None
     score, count, rival = 0.0, 0, 0.0
@@ -96,9 +98,9 @@ def fit_of(
             here = np.where(shifts <= _JOIN_SLACK, fitting, -1.0)
             at = np.unravel_index(int(np.argmax(here)), here.shape)
             score, count = float(mean[at]), int(seen[at])
-        others = seen >= max(_LEAST_PART * count, _LEAST_PART * _LEAST_RETURNS)
-        if abs(rotation) <= _TURNED:
-            others &= shifts > _APART
+        others = seen >= max(_MINIMUM_FRACTION * count, _MINIMUM_FRACTION * _MINIMUM_RETURNS)
+        if abs(rotation) <= _RIVAL_TURN:
+            others &= shifts > _RIVAL_DISTANCE
         rival = max(rival, float(mean[others].max(initial=0.0)))
         yield None
     yield Fit(score, count, rival)
@@ -107,20 +109,22 @@ def fit_of(
 def _near_returns(anchor: Anchor, pose: Array) -> Array:
     """Return the near returns (n, 2) of an anchor at a pose."""
     points = anchor.cloud.query_points
-    return to_world(pose, points[(points**2).sum(axis=1) < _SIGHT**2])
+    return to_world(pose, points[(points**2).sum(axis=1) < _MAXIMUM_RANGE**2])
 
 
 def _seen_map(known: Sequence[Anchor], poses: Array, low: Array, high: Array) -> _Map:
     """Return what anchors at poses (m, 3) have mapped of an area from low to high (2,)."""
     width, height = (np.ceil((high - low) / _CELL).astype(int) + 1).tolist()
     free, seen = np.ones((height, width), np.bool_), np.zeros((height, width), np.bool_)
-    steps = np.arange(0.0, _SIGHT, _CELL)
+    steps = np.arange(0.0, _MAXIMUM_RANGE, _CELL)
     outside = np.hypot(*np.maximum(np.maximum(low - poses[:, :2], poses[:, :2] - high), 0.0).T)
     for anchor, pose, off in zip(known, poses, outside, strict=True):
-        if off > _SIGHT:
+        if off > _MAXIMUM_RANGE:
             continue
         points = anchor.cloud.sparse_points
-        _mark(free, to_world(pose, points[(points**2).sum(axis=1) < _SIGHT**2]), low, False)
+        _mark(
+            free, to_world(pose, points[(points**2).sum(axis=1) < _MAXIMUM_RANGE**2]), low, False
+        )
         distance = np.hypot(points[:, 0], points[:, 1])
         along = np.minimum(steps[None, :], distance[:, None])
         rays = points[:, None] * (along / np.maximum(distance[:, None], _CELL))[:, :, None]
@@ -149,7 +153,7 @@ def _at_all_shifts(area: _Map, points: Array) -> tuple[Array, Array, Array]:
 
     The third result are the lengths (m) of the shifts.
     """
-    reach = round(_SHIFT / _CELL)
+    reach = round(_MAXIMUM_SHIFT / _CELL)
     side = 2 * reach + 1
     fitting: Array = np.zeros((side, side))
     seen: Array = np.zeros((side, side))

@@ -29,7 +29,7 @@ BUCKET = 16  # members per leaf
 _SPLIT_AMONG = 5  # dimensions of largest variance to draw from (as FLANN, Muja and Lowe, 2009)
 _HEAP = 4096  # branches remembered per query; far more than are visited
 _LINE = 64  # bytes of a cache line
-_LEAST_VARIANCE = 1e-12  # of a dimension to split at: above the rounding of float32
+_MINIMUM_VARIANCE = 1e-12  # of a dimension to split at: above the rounding of float32
 # Steps per unit of the rounded descriptors, and how far their squared distance may exceed the
 # exact one before a landmark is ruled out: several standard deviations of the rounding error.
 _STEPS = 127.0
@@ -125,7 +125,7 @@ def _split_dimension(
     top = np.empty(_SPLIT_AMONG, np.int64)
     for i in range(_SPLIT_AMONG):
         best = int(np.argmax(variance))
-        top[i] = best if variance[best] > _LEAST_VARIANCE else -1
+        top[i] = best if variance[best] > _MINIMUM_VARIANCE else -1
         variance[best] = 0.0
     usable = 0
     while usable < _SPLIT_AMONG and top[usable] >= 0:

@@ -9,7 +9,7 @@ from explore_slam.slam.descriptors.kinds import Vectors
 
 # The tree is rebuilt when this part of it, and at least so many vectors, have been added: the cost
 # of building, spread over the insertions, then stays in the order of a query.
-_REBUILD_PART = 0.25
+_REBUILD_FRACTION = 0.25
 _REBUILD_COUNT = 64
 
 
@@ -26,7 +26,7 @@ class KdTreeIndex(BruteForceIndex):
         """See DescriptorIndex."""
         self.store(ids, vectors)
         self.tail.update(dict.fromkeys(ids.tolist()))
-        if len(self.tail) > _REBUILD_PART * len(self.bulk) + _REBUILD_COUNT:
+        if len(self.tail) > _REBUILD_FRACTION * len(self.bulk) + _REBUILD_COUNT:
             self._build()
 
     def remove(self, ids: Ids) -> None:

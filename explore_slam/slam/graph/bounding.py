@@ -17,11 +17,11 @@ from explore_slam.slam.graph.storage import Storage
 
 # Landmarks that newer keyframes must have observed before an older one may go: two of them and
 # their bearings fix a pose, a third one where these are nearly in line.
-_LEAST_LANDMARKS = 3
+_MINIMUM_LANDMARKS = 3
 # Keyframes of a vehicle, at most, that are kept until newer ones have enough observations: where
 # a vehicle sees nothing, the graph must not grow without bound. Chosen by hand, far above the
 # `graph_recent_observations` of any place with landmarks.
-_MOST_RECENT = 100
+_MAXIMUM_RECENT = 100
 
 
 def count_visits(storage: Storage, row: int, landmarks: Integers, gap: int) -> Integers:
@@ -58,13 +58,13 @@ def retire_older(storage: Storage, vehicle: int, config: GraphConfig) -> None:
     counts = np.bincount(frames, minlength=own[-1] + 1)[own]
     newer = counts.sum() - np.cumsum(counts)
     # from the first one that has to wait on, all have to: there is even less after them
-    may_wait = config.graph_recent_observations > 0 and len(own) <= _MOST_RECENT
+    may_wait = config.graph_recent_observations > 0 and len(own) <= _MAXIMUM_RECENT
     waits = False
     for row, count, later in zip(older.tolist(), counts, newer, strict=False):
         if count and may_wait and not waits:
             waits = (
                 later < config.graph_recent_observations
-                or len(np.unique(owners[frames > row])) < _LEAST_LANDMARKS
+                or len(np.unique(owners[frames > row])) < _MINIMUM_LANDMARKS
             )
         if not (count and waits):
             _retire(storage, row, config)
@@ -107,7 +107,7 @@ def _is_needed(storage: Storage, row: int, config: GraphConfig) -> bool:
     few = (this_visit < config.graph_visit_observations) & ~known
     most = own[np.argsort(-counts[owners[own]], kind='stable')]
     most = most[: config.graph_observations_per_keyframe]
-    return int(few[owners[most]].sum()) > config.graph_needed_share * len(most)
+    return int(few[owners[most]].sum()) > config.graph_needed_fraction * len(most)
 
 
 def _reference_of(storage: Storage, row: int) -> int:

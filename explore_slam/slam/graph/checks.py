@@ -81,8 +81,8 @@ def packed_information(what: str, R: ArrayLike, count: int) -> Array:
     bad = np.flatnonzero(eigenvalues[:, 0] <= 1e-10 * np.maximum(eigenvalues[:, 2], 1e-300))
     if len(bad):
         raise SlamError(
-            f'{what}: covariance {bad[0]} is {packed[bad[0]].tolist()} with the least eigenvalue '
-            f'{eigenvalues[bad[0], 0]:.3g}, expected a positive definite matrix'
+            f'{what}: covariance {bad[0]} is {packed[bad[0]].tolist()} with the smallest '
+            f'eigenvalue {eigenvalues[bad[0], 0]:.3g}, expected a positive definite matrix'
         )
     full += EXACT_DEVIATION**2 * np.eye(3)
     inverse: Array = np.linalg.inv(full).reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]]

@@ -54,7 +54,7 @@ class GraphConfig(Section):
         'noise is known exactly, overconfident where ranges are biased',
     )
     graph_iterations: int = setting(
-        20, 'Most Gauss-Newton iterations of one optimization', low=1, high=1000
+        20, 'Maximum number of Gauss-Newton iterations of one optimization', low=1, high=1000
     )
     graph_tolerance: float = setting(
         1e-4,
@@ -88,9 +88,9 @@ class GraphConfig(Section):
     graph_visit_observations: int = setting(
         3, 'Observations of a landmark that are kept of each visit', low=1, high=100
     )
-    graph_needed_share: float = setting(
+    graph_needed_fraction: float = setting(
         0.125,
-        'A keyframe stays if it has more than this share of landmarks of which observations or '
+        'A keyframe stays if it has more than this fraction of landmarks of which observations or '
         'visits are missing',
         low=0.0,
         high=1.0,

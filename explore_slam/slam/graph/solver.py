@@ -28,7 +28,7 @@ from explore_slam.slam.graph.problem import Problem
 
 # Marquardt's λ, relative to the diagonal: after the first step that raised the cost; what it
 # changes by after each step; below the least it is zero
-FIRST_DAMPING, DAMPING_FACTOR, LEAST_DAMPING = 1e-4, 10.0, 1e-7
+FIRST_DAMPING, DAMPING_FACTOR, MINIMUM_DAMPING = 1e-4, 10.0, 1e-7
 LARGEST_DAMPING = 1e8
 # After a step of which no component (m, rad) is larger, the Jacobians are those from before to a
 # few percent: further steps are solved with the factor at hand, as long as each promises so much
@@ -298,7 +298,7 @@ def optimize(
                 x, cost, converged = _refined(problem, system, x, cost, promised, tolerance)
                 if converged:
                     break
-            damping = damping / DAMPING_FACTOR if damping > LEAST_DAMPING else 0.0
+            damping = damping / DAMPING_FACTOR if damping > MINIMUM_DAMPING else 0.0
         else:
             damping = max(FIRST_DAMPING, damping * DAMPING_FACTOR)
         system = Factorization(factors, x, structure)

@@ -20,7 +20,7 @@ from explore_slam.slam.storage.ancestry import AncestryTree
 from explore_slam.slam.storage.row_format import COVARIANCE, ROW_LENGTH, Places, exists, unpacked
 from explore_slam.slam.storage.row_store import ParticleOf, RowStore
 
-_LEAST_CAPACITY = 256  # landmarks by which the arrays grow at least
+_MINIMUM_CAPACITY = 256  # landmarks by which the arrays grow at least
 _TABLES = ('ids', 'counts', 'owners', 'evidence', 'reference', 'draw')
 
 
@@ -233,7 +233,7 @@ class LandmarkMap:
         have = len(self.ids)
         if size <= have:
             return
-        extra = max(size - have, have // 2 + _LEAST_CAPACITY)
+        extra = max(size - have, have // 2 + _MINIMUM_CAPACITY)
         self.ids = np.concatenate([self.ids, np.full(extra, -1, np.int64)])
         self.counts = np.concatenate([self.counts, np.zeros(extra, np.int64)])
         self.owners = np.concatenate([self.owners, np.zeros(extra, np.int64)])

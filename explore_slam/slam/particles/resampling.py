@@ -11,7 +11,7 @@ from explore_slam.geometry import Array, Pose2, wrap_angles
 # Consecutive particles that share the coarse strata: in the order of the number of copies that a
 # resampling makes of one particle.
 STRATUM_SIZE = 8
-_LEAST_PROBABILITY = 1e-12  # samples are cut at 7 sigma, so that none is infinite
+_MINIMUM_PROBABILITY = 1e-12  # samples are cut at 7 sigma, so that none is infinite
 
 
 def normalized(log_weights: Array) -> tuple[Array, Array]:
@@ -53,7 +53,7 @@ def stratified_normals(random: np.random.Generator, particles: int, dimensions: 
         uniform[:, dimension] = (coarse * groups + fine).ravel()
     uniform = (uniform + random.random(uniform.shape)) / len(uniform)
     normals: Array = ndtri(
-        np.clip(uniform[:particles], _LEAST_PROBABILITY, 1.0 - _LEAST_PROBABILITY)
+        np.clip(uniform[:particles], _MINIMUM_PROBABILITY, 1.0 - _MINIMUM_PROBABILITY)
     )
     return normals
 

@@ -30,7 +30,7 @@ from explore_slam.slam.storage.row_format import Places
 
 # Minimum standard deviation (m, m, rad) of a motion: without it the graph would be singular where
 # odometry claims to be exact. Far below the errors of any odometry.
-_LEAST_DEVIATIONS = np.array([1e-4, 1e-4, 1e-4])
+_MINIMUM_DEVIATIONS = np.array([1e-4, 1e-4, 1e-4])
 
 # Standard deviations (m, m, rad) of the prior of a frame that measurements tie to the map: wide
 # enough to be negligible beside a closure, narrow enough to keep the graph definite.
@@ -40,16 +40,16 @@ _LOOSE_DEVIATIONS = np.array([30.0, 30.0, 3.0])
 # each redraw optimizes the whole graph, and more of them hardly change the path. A change can be
 # judged by `explore_slam benchmark consistency`.
 _BATCH = 8
-_LEAST_INFORMATION = 1e-4  # 1/m², 1/rad²: of a closure in directions that it leaves free
+_MINIMUM_INFORMATION = 1e-4  # 1/m², 1/rad²: of a closure in directions that it leaves free
 _EXPECTED_D2 = 3.0  # expected squared Mahalanobis distance of a pose (chi-square, 3 dof)
 
 # Largest part of the particles for which own ancestors can be demanded, whatever the settings:
 # one resampling leaves about 60 % of them, and a threshold near that would call for a redraw after
 # every resampling.
-_MOST_ANCESTORS = 0.3
+_MAXIMUM_ANCESTOR_FRACTION = 0.3
 # Part of the samples that still have descendants as long as at most one resampling (about 60 %)
 # has taken place since the draw.
-_FRESH = 0.5
+_FRESH_FRACTION = 0.5
 
 
 @dataclass
@@ -169,7 +169,7 @@ class JointPosterior:
                 vehicle,
                 self._next,
                 np.asarray(motion.mean) - motion.offset,
-                motion.covariance + np.diag(_LEAST_DEVIATIONS**2),
+                motion.covariance + np.diag(_MINIMUM_DEVIATIONS**2),
                 self._white(since.motion.white),
                 estimate=np.asarray(estimate),
                 sensitivity=motion.sensitivity,
@@ -276,7 +276,7 @@ class JointPosterior:
         path = self.graph.path()
         for closure in closures:
             P = self.relative_covariance(closure.reference, np.array([closure.keyframe]))[0]
-            P = P + np.linalg.inv(closure.information + _LEAST_INFORMATION * np.eye(3))
+            P = P + np.linalg.inv(closure.information + _MINIMUM_INFORMATION * np.eye(3))
             expected = between(path[closure.reference], path[closure.keyframe])
             off = np.asarray(closure.pose) - expected
             off[2] = wrap_angle(off[2])
@@ -317,7 +317,7 @@ class JointPosterior:
     def is_fresh(self, group: Group) -> bool:
         """Return whether the particles of a group descend from most of the samples drawn last."""
         samples = min(samples.distinct() for samples in group.samples)
-        return samples > _FRESH * self.config.particles
+        return samples > _FRESH_FRACTION * self.config.particles
 
     def is_due(self, group: Group) -> bool:
         """Return whether the particles of a group no longer represent the posterior.
@@ -326,8 +326,8 @@ class JointPosterior:
         sample size is small because a loop was closed.
         """
         least = min(
-            max(self.config.redraw_ancestors, self.config.redraw_part * self.config.particles),
-            _MOST_ANCESTORS * self.config.particles,
+            max(self.config.redraw_ancestors, self.config.redraw_fraction * self.config.particles),
+            _MAXIMUM_ANCESTOR_FRACTION * self.config.particles,
         )
         if group.effective_particles() < self.config.redraw_effective * self.config.particles:
             return True

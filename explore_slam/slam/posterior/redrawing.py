@@ -27,7 +27,7 @@ from explore_slam.slam.update.engine import PoseProposal
 # Part of the observations with a distinctive descriptor that may lie outside of all gates before
 # the observations contradict the particles: well above the few percent of outliers in MR.CLAM 6
 # and TUM fr1_rpy.
-_CONTRADICTED = 0.3
+_CONTRADICTED_FRACTION = 0.3
 
 
 class _PendingRedraw(NamedTuple):
@@ -69,7 +69,7 @@ class PathRedrawer:
         associated = association.support(weights).sum(axis=1) > MAJORITY
         distinctive = association.found.is_distinctive
         missed = np.count_nonzero(distinctive & ~associated)
-        return bool(missed > _CONTRADICTED * np.count_nonzero(distinctive))
+        return bool(missed > _CONTRADICTED_FRACTION * np.count_nonzero(distinctive))
 
     def redraw_if_due(self, group: Group) -> bool:
         """Redraw the paths of a group if it no longer represents the posterior.

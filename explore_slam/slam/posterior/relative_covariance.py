@@ -17,7 +17,7 @@ from explore_slam.slam.storage.row_format import Places
 # Keyframes that a posterior may lack before it is computed anew. Chosen by hand: search windows
 # include the drift over as many keyframes, about 3 m driven with the default keyframe distance.
 # `benchmarks/graph_speed.py` measures what a new posterior takes.
-_MOST_MISSING = 16
+_MAXIMUM_MISSING = 16
 
 
 class _Posterior(NamedTuple):
@@ -78,10 +78,10 @@ class RelativeCovariances:
         return out
 
     def _posterior(self, vehicle: int) -> _Posterior:
-        """Return a posterior of a vehicle that lacks at most _MOST_MISSING keyframes."""
+        """Return a posterior of a vehicle that lacks at most _MAXIMUM_MISSING keyframes."""
         known = self._known.get(vehicle)
         newest = self._graph.newest_keyframe(vehicle)
-        if known is None or newest - known.solution.problem.keyframes[-1] > _MOST_MISSING:
+        if known is None or newest - known.solution.problem.keyframes[-1] > _MAXIMUM_MISSING:
             self.renew(vehicle)
             known = self._known[vehicle]
         return known

@@ -21,10 +21,10 @@ from explore_slam.slam.storage.row_format import Places
 # Chosen by hand; `test_landmark_loops` shows what a change does.
 # m driven: landmarks inserted since then are in sight or just behind the vehicle. The same as for
 # anchors (`closure_minimum_distance`).
-_RECENT = 10.0
+_RECENT_DISTANCE = 10.0
 _SPACING = 1.0  # m driven between two searches, since each compares with the whole map
 # Part of the observed landmarks that must be recent: where most are old, the loop is closed.
-_MOSTLY = 0.5
+_RECENT_FRACTION = 0.5
 
 
 class LandmarkLoops:
@@ -32,7 +32,7 @@ class LandmarkLoops:
 
     def __init__(self, config: RelocalizationConfig) -> None:
         self._join = LandmarkJoin(config)
-        # distance driven (m) and id of the next landmark, at updates from _RECENT ago on
+        # distance driven (m) and id of the next landmark, at updates from _RECENT_DISTANCE ago on
         self._marks = [(0.0, 0)]
         self._searched = 0.0  # distance driven (m) at the last search
 
@@ -52,10 +52,11 @@ class LandmarkLoops:
         """
         driven = self._join.matches.distance
         self._marks.append((driven, next_id))
-        while self._marks[1][0] <= driven - _RECENT:
+        while self._marks[1][0] <= driven - _RECENT_DISTANCE:
             del self._marks[0]
         known = observed[observed >= 0]
-        mostly_recent = np.count_nonzero(known >= self._first_recent) >= _MOSTLY * len(known)
+        recent = np.count_nonzero(known >= self._first_recent)
+        mostly_recent = recent >= _RECENT_FRACTION * len(known)
         if driven - self._searched < _SPACING or not mostly_recent:
             return False
         self._searched = driven

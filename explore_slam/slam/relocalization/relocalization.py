@@ -34,7 +34,8 @@ _PLAUSIBLE = 64.0
 # standard deviation: the joint graph weighs the pose against all other observations.
 _POSITION, _HEADING = 0.3, 0.1
 _GATE = 3.0  # sigma, within which an observation is associated with a landmark
-_LEAST_DEVIATION = 0.05  # m: errors that the covariances of observation and landmark do not model
+# m: errors that the covariances of observation and landmark do not model
+_MINIMUM_DEVIATION = 0.05
 
 
 class RelocalizationResult(NamedTuple):
@@ -254,7 +255,7 @@ def _associated_at(
     for k in np.flatnonzero(seen.is_distinctive).tolist():
         for similar in set(seen.similar_ids[k].tolist()) & known:
             x, y, deviation = positions[similar]
-            total = math.hypot(deviation, math.sqrt(0.5 * (R[k, 0] + R[k, 3])), _LEAST_DEVIATION)
+            total = math.hypot(deviation, math.sqrt(0.5 * (R[k, 0] + R[k, 3])), _MINIMUM_DEVIATION)
             distance = math.hypot(points[k, 0] - x, points[k, 1] - y) / total
             if distance < min(_GATE, nearest[k]):
                 ids[k], nearest[k] = similar, distance

@@ -32,7 +32,7 @@ from explore_slam.slam.storage.row_format import Places
 # with a probability below 1e-37; with a tenth right, 5 % of searches fail. The other values were
 # chosen by hand; `benchmarks/relocalization.py` shows what a change does.
 _TRIALS = 300
-_MOST_MATCHES = 400  # newest matches considered, which bounds the time of a search
+_MAXIMUM_MATCHES = 400  # newest matches considered, which bounds the time of a search
 # standard deviation of odometry (m/m; rad/rad), generous for wheeled robots
 _DRIFT_PER_METRE = 0.05
 _DRIFT_PER_RADIAN = 0.05
@@ -41,25 +41,26 @@ _DRIFT_PER_RADIAN = 0.05
 _BASE_REACH = 1.0
 _REACH_PER_METRE = 0.3
 _GATE = 3.0  # deviations (sigma) within which a match is an inlier
-_LEAST_DEVIATION = 0.03  # m: of a match, for errors not modelled by either covariance
-_LEAST_BASELINE = 0.3  # m between the landmarks of a hypothesis, so that its heading is determined
-_LEAST_LANDMARKS = 3  # different inlier landmarks: two can agree by chance
-# A vehicle is lost below this part of agreeing matches.
-_LOST_PART = 0.35
+_MINIMUM_DEVIATION = 0.03  # m: of a match, for errors not modelled by either covariance
+# m between the landmarks of a hypothesis, so that its heading is determined
+_MINIMUM_BASELINE = 0.3
+_MINIMUM_LANDMARKS = 3  # different inlier landmarks: two can agree by chance
+# A vehicle is lost if less than this fraction of its matches agrees with its pose.
+_LOST_FRACTION = 0.35
 # Its pose is confirmed by half of an update's matches and of those of the window, but at least
 # three of these, of two landmarks: a single agreement can be chance.
-_CONFIRMED_PART = 0.5
+_CONFIRMED_FRACTION = 0.5
 _CONFIRMING = 3
 _CONFIRMING_LANDMARKS = 2
 # Updates in succession in which nothing agrees, after which a pose is not trusted any more.
 _DISAGREEING_UPDATES = 4
 # A pose is accepted if at least half of the matches agree on it, and 1.5 times as many as on the
-# current one or on any other, which is one farther away than this (m, rad).
-_ACCEPTED_PART = 0.5
+# current pose or on any rival, a pose that is farther away than this (m, rad).
+_ACCEPTED_FRACTION = 0.5
 _ACCEPTED_GAIN = 1.5
 _RIVAL_DISTANCE = 1.0
 _RIVAL_TURN = 0.5
-_LEAST_EXTENT = 0.1  # m, of the inliers
+_MINIMUM_EXTENT = 0.1  # m, of the inliers
 # rad: landmarks close together or far away that leave the heading more uncertain do not decide
 _LARGEST_HEADING_DEVIATION = 0.15
 
@@ -111,7 +112,7 @@ def _evaluate_hypotheses(
         mx, my = landmarks[b, 0] - landmarks[a, 0], landmarks[b, 1] - landmarks[a, 1]
         length, wanted = math.hypot(px, py), math.hypot(mx, my)
         tolerance = _GATE * math.hypot(deviations[a], deviations[b])
-        near = min(length, wanted) < max(_LEAST_BASELINE, tolerance)
+        near = min(length, wanted) < max(_MINIMUM_BASELINE, tolerance)
         if ids[a] == ids[b] or near or abs(length - wanted) > tolerance:
             continue
         frame[2] = math.atan2(my, mx) - math.atan2(py, px)
@@ -240,10 +241,10 @@ class Relocalizer:
     def _is_confirmed(self) -> bool:
         """Return whether the newest update and most of the window agree with the pose."""
         newest = self.updates[-1].agreed
-        if np.count_nonzero(newest) < max(1.0, _CONFIRMED_PART * len(newest)):
+        if np.count_nonzero(newest) < max(1.0, _CONFIRMED_FRACTION * len(newest)):
             return False
         agreed = np.concatenate([update.agreed for update in self.updates])
-        if np.count_nonzero(agreed) < max(_CONFIRMING, _CONFIRMED_PART * len(agreed)):
+        if np.count_nonzero(agreed) < max(_CONFIRMING, _CONFIRMED_FRACTION * len(agreed)):
             return False
         nearest = np.concatenate([update.similar_ids[:, 0] for update in self.updates])
         return len(np.unique(nearest[agreed])) >= _CONFIRMING_LANDMARKS
@@ -253,7 +254,7 @@ class Relocalizer:
         """Whether most of the recent matches contradict the pose."""
         count = sum(len(update.points) for update in self.updates)
         agreed = sum(int(np.count_nonzero(update.agreed)) for update in self.updates)
-        return count >= self.config.relocalization_matches and agreed < _LOST_PART * count
+        return count >= self.config.relocalization_matches and agreed < _LOST_FRACTION * count
 
     def similar_ids(self) -> Places:
         """Return the ids of all landmarks that recent observations are similar to."""
@@ -279,7 +280,7 @@ class Relocalizer:
         best = int(np.argmax(votes))
         observations = int(pairs.owners.max()) + 1
         rivals = max(current_votes, self._most_votes_elsewhere(votes, frames, frames[best]))
-        if votes[best] < max(least, _ACCEPTED_PART * observations, _ACCEPTED_GAIN * rivals):
+        if votes[best] < max(least, _ACCEPTED_FRACTION * observations, _ACCEPTED_GAIN * rivals):
             return None
         return self._refine(Pose2.from_array(frames[best]), pairs)
 
@@ -310,13 +311,13 @@ class Relocalizer:
                     landmarks.append(positions[i][:2])
                     deviations.append(
                         math.hypot(
-                            update.deviations[n], positions[i][2], drifts[n], _LEAST_DEVIATION
+                            update.deviations[n], positions[i][2], drifts[n], _MINIMUM_DEVIATION
                         )
                     )
                     owners.append(owner)
                     ids.append(i)
                 owner += bool(known)
-            if len(points) > _MOST_MATCHES:
+            if len(points) > _MAXIMUM_MATCHES:
                 break
         return _Pairs(
             np.array(points).reshape(-1, 2),
@@ -334,7 +335,7 @@ class Relocalizer:
         y = frame.y + s * points[:, 0] + c * points[:, 1] - landmarks[:, 1]
         inside = np.hypot(x, y) < _GATE * deviations
         ids = np.unique(pairs.ids[inside])
-        if len(ids) < _LEAST_LANDMARKS:
+        if len(ids) < _MINIMUM_LANDMARKS:
             return None
         weights = 1.0 / deviations[inside] ** 2
         weights /= weights.sum()
@@ -345,7 +346,7 @@ class Relocalizer:
         fitted = self._pose_of_vehicle(math.atan2(cross, dot), centre, goal)
         deviation = float(np.sqrt(np.mean(deviations[inside] ** 2)))
         extent = math.sqrt(float(weights @ (p**2).sum(axis=1)))
-        heading = deviation / max(extent, _LEAST_EXTENT)
+        heading = deviation / max(extent, _MINIMUM_EXTENT)
         if heading > _LARGEST_HEADING_DEVIATION:
             return None
         away = math.hypot(fitted.x - goal[0], fitted.y - goal[1])

@@ -19,7 +19,7 @@ and the landmark rows of a block stay in the cache from the association to the a
     PRODUCT, WEIGHTS  Π |S| / |2R|, Π w: their powers of two go to COST       accumulate
     Q … + 5   posterior covariance of the pose error, packed                  solve
     WEIGHT    robust weight w of the observation                              reweight
-    BEST, PICK    least score so far and its candidate                        associate
+    BEST, PICK    lowest score so far and its candidate                        associate
 """
 
 from explore_slam.compiled import kernel

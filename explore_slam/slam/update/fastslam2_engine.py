@@ -24,21 +24,25 @@ from explore_slam.slam.update.proposal import ProposalInputs, ProposalParameters
 # does to accuracy and to vehicles that are lost.
 # Cost of the largest descriptor distance E0 beside d² + ln|S| of a candidate: that of 2 sigma.
 _DESCRIPTOR_COST = 4.0
-_LEAST_DISTANCE = 0.05  # smallest E0 that the cost is scaled by: none may outweigh the position
+_MINIMUM_DISTANCE = 0.05  # smallest E0 that the cost is scaled by: none may outweigh the position
 
 # New landmarks: an observation with a distinctive descriptor that matches a landmark elsewhere is
 # inserted only if others confirm the pose; nothing is inserted if nearly all contradict it.
-_CONFIRMING = 3  # least number of associated observations that confirm a pose, and their ...
-_CONFIRMING_PART = 0.5  # ... least fraction of those with a distinctive descriptor
-_CONTRADICTING_PART = 0.4  # fraction of the observations with a distinctive match from which ...
-_CONTRADICTED_PART = 0.25  # ... the pose is contradicted if less than this fraction is associated
+# A pose is confirmed by at least so many associated observations, and by this fraction of those
+# with a distinctive descriptor.
+_CONFIRMING = 3
+_CONFIRMING_FRACTION = 0.5
+# A pose is contradicted if at least the first fraction of the observations have a distinctive
+# match, and less than the second fraction of these are associated.
+_CONTRADICTING_FRACTION = 0.4
+_CONTRADICTED_FRACTION = 0.25
 
 
 def _parameters(found: CandidateSet, P: Array, config: FastSlamConfig) -> ProposalParameters:
     largest = config.association.maximum_descriptor_distance
     return ProposalParameters(
         gate=config.association.association_gate**2,
-        descriptor_weight=_DESCRIPTOR_COST / max(largest, _LEAST_DISTANCE),
+        descriptor_weight=_DESCRIPTOR_COST / max(largest, _MINIMUM_DISTANCE),
         t2=config.outlier_threshold * config.outlier_threshold,
         # features of one frame share errors: they count as that many independent ones at most
         information=min(1.0, config.independent_observations / len(found)),
@@ -130,10 +134,10 @@ class FastSlam2Engine:
         agreeing = np.count_nonzero(agreed)
         new = ~agreed
         distinctive = np.count_nonzero(found.is_distinctive)
-        if agreeing < max(_CONFIRMING, _CONFIRMING_PART * distinctive):
+        if agreeing < max(_CONFIRMING, _CONFIRMING_FRACTION * distinctive):
             new &= ~found.is_distinctive
-        contradicted = agreeing < _CONTRADICTED_PART * matched
-        if matched >= _CONTRADICTING_PART * len(agreed) and contradicted:
+        contradicted = agreeing < _CONTRADICTED_FRACTION * matched
+        if matched >= _CONTRADICTING_FRACTION * len(agreed) and contradicted:
             new[:] = False
         free &= new[:, None]
         return free

@@ -7,7 +7,7 @@ import numpy as np
 from explore_slam.compiled import kernel
 from explore_slam.geometry import Array
 
-_LEAST_DEVIATION = 1e-12  # m or rad: directions below it count as exactly known
+_MINIMUM_DEVIATION = 1e-12  # m or rad: directions below it count as exactly known
 
 
 @kernel
@@ -57,10 +57,10 @@ def sample_gaussian(
 ) -> None:  # pragma: no cover - compiled
     """Add a sample of N(0, posterior) to delta (3,), made of standard normals (3,)."""
     l00 = math.sqrt(max(posterior[0, 0], 0.0))
-    l10 = posterior[1, 0] / l00 if l00 > _LEAST_DEVIATION else 0.0
-    l20 = posterior[2, 0] / l00 if l00 > _LEAST_DEVIATION else 0.0
+    l10 = posterior[1, 0] / l00 if l00 > _MINIMUM_DEVIATION else 0.0
+    l20 = posterior[2, 0] / l00 if l00 > _MINIMUM_DEVIATION else 0.0
     l11 = math.sqrt(max(posterior[1, 1] - l10 * l10, 0.0))
-    l21 = (posterior[2, 1] - l20 * l10) / l11 if l11 > _LEAST_DEVIATION else 0.0
+    l21 = (posterior[2, 1] - l20 * l10) / l11 if l11 > _MINIMUM_DEVIATION else 0.0
     l22 = math.sqrt(max(posterior[2, 2] - l20 * l20 - l21 * l21, 0.0))
     delta[0] += l00 * normal[0]
     delta[1] += l10 * normal[0] + l11 * normal[1]

@@ -40,7 +40,7 @@ from explore_slam.slam.update.blocks import (
 from explore_slam.slam.update.parallel import over_particles
 
 _LARGEST_VARIANCE = 1e300  # m²: beyond it numbers have overflowed
-_LEAST_WEIGHT = 1e-12  # robust weights are not smaller, so that R / w stays finite
+_MINIMUM_WEIGHT = 1e-12  # robust weights are not smaller, so that R / w stays finite
 
 
 @kernel(inline='always')
@@ -134,7 +134,7 @@ def update_landmarks(
                 w[COS, i], w[SIN, i] = placed[2, m0 - begin + i], placed[3, m0 - begin + i]
             expect(w, observed, k)
             for i in range(n):
-                w[WEIGHT, i] = 1.0 / max(robust_weight[k, m0 + i], _LEAST_WEIGHT)
+                w[WEIGHT, i] = 1.0 / max(robust_weight[k, m0 + i], _MINIMUM_WEIGHT)
             for i in range(BLOCK):
                 more = w[WEIGHT, i] - 1.0
                 w[S, i] += more * r0

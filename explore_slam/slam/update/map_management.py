@@ -18,9 +18,9 @@ from explore_slam.slam.update.landmark_update import fill_absent, insert_landmar
 
 # Misses count only if this many observations show where the view is free, and if most of the
 # observations with similar landmarks (at least so many) are associated: then the pose is right.
-_LEAST_OBSERVATIONS = 8
+_MINIMUM_OBSERVATIONS = 8
 _CONFIRMING = 3
-_CONFIRMING_PART = 0.5
+_CONFIRMING_FRACTION = 0.5
 # Bin of azimuth and elevation (rad) in which views are compared: about the spacing of features of
 # an image with some hundred of them.
 _BIN = 0.1
@@ -258,8 +258,12 @@ class MapManager:
         gained = landmarks.evidence[observed] + _EVIDENCE_OF_MATCH
         landmarks.evidence[observed] = np.minimum(gained, existence.existence_limit)
         similar = np.count_nonzero(found.has_similar())
-        confirmed = np.count_nonzero(agreed) >= max(_CONFIRMING, _CONFIRMING_PART * similar)
-        if not self.engine.removes_landmarks or len(found) < _LEAST_OBSERVATIONS or not confirmed:
+        confirmed = np.count_nonzero(agreed) >= max(_CONFIRMING, _CONFIRMING_FRACTION * similar)
+        if (
+            not self.engine.removes_landmarks
+            or len(found) < _MINIMUM_OBSERVATIONS
+            or not confirmed
+        ):
             return np.empty(0, np.int64)
         size = landmarks.size
         known = landmarks.ids[:size]

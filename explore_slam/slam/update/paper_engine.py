@@ -2,13 +2,13 @@
 
 (Montemerlo et al., "FastSLAM: a factored solution to the simultaneous localization and mapping
 problem", 2002, is FastSLAM 1.0.) Poses are sampled from the motion model (2.1); candidates are
-gated by their association probability (2.4), and of these the one of least descriptor distance is
+gated by their association probability (2.4), and the one of smallest descriptor distance is
 associated (2.5); the weight is the product of the association probabilities (2.6.2). The particles
 are resampled (5) once all vehicles have weighted them, w = Π w(i) (Eq. 7).
 
 The text does not say what a particle weighs if an observation becomes a new landmark. Here it is
-the association probability of the candidate that was not gated, at least LEAST_PROBABILITY, and P0
-if there is no candidate.
+the association probability of the candidate that was not gated, at least MINIMUM_PROBABILITY, and
+P0 if there is no candidate.
 """
 
 from collections.abc import Sequence
@@ -26,8 +26,8 @@ from explore_slam.slam.update.engine import PoseProposal
 from explore_slam.slam.update.gaussian import sample_gaussian
 
 # Keeps one outlier from ruling out a particle: 5.3 sigma.
-LEAST_PROBABILITY = 1e-6
-_LARGEST_SQUARE = -2.0 * np.log(LEAST_PROBABILITY)
+MINIMUM_PROBABILITY = 1e-6
+_LARGEST_SQUARE = -2.0 * np.log(MINIMUM_PROBABILITY)
 
 
 def sample_motion(poses: Array, P: Array, normals: Array) -> None:

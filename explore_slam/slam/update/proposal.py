@@ -66,7 +66,7 @@ from explore_slam.slam.update.robust_weights import reweight, robust_cost
 # two whose logarithm goes to the cost: a single factor may then be as large or small as 1e±200.
 _SMALL, _LARGE = 2.0**-332, 2.0**332
 _LOG_LARGE = 332.0 * math.log(2.0)
-_LEAST_DETERMINANT = 1e-300  # of I + Λ P, 1 or more but for rounding
+_MINIMUM_DETERMINANT = 1e-300  # of I + Λ P, 1 or more but for rounding
 
 
 class ProposalParameters(NamedTuple):
@@ -119,7 +119,7 @@ def _associate(  # noqa: PLR0912, C901 - a kernel
     n: int,
     choice: Choice,
 ) -> None:  # pragma: no cover - compiled
-    """Each particle chooses the gated candidate of least d² + ln|S| + descriptor_weight · E.
+    """Each particle chooses the gated candidate of smallest d² + ln|S| + descriptor_weight · E.
 
     Each landmark is chosen for at most one observation.
     """
@@ -271,7 +271,7 @@ def _solve_block(
         eta *= information
         w[COST, i] *= information
         determinant, quad = solve(P, L, eta, delta, Qm)
-        w[COST, i] += math.log(max(determinant, _LEAST_DETERMINANT)) - quad
+        w[COST, i] += math.log(max(determinant, _MINIMUM_DETERMINANT)) - quad
         w[Q, i], w[Q + 1, i], w[Q + 2, i] = Qm[0, 0], Qm[0, 1], Qm[0, 2]
         w[Q + 3, i], w[Q + 4, i], w[Q + 5, i] = Qm[1, 1], Qm[1, 2], Qm[2, 2]
         _linearize(w, poses, delta, m0, i)

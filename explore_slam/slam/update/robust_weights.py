@@ -24,7 +24,7 @@ from explore_slam.slam.update.blocks import (
 
 # The posterior covariance seen from the observation may take up to this part of S, so that the
 # covariance of a studentized residual stays positive definite in spite of rounding.
-_LARGEST_PART = 0.999
+_LARGEST_FRACTION = 0.999
 
 
 @kernel
@@ -50,9 +50,9 @@ def reweight(w: Array, t2: float) -> None:  # pragma: no cover - compiled
         b0 = sd * q00 - cd * q01 - zx * q02
         b1 = sd * q01 - cd * q11 - zx * q12
         b2 = sd * q02 - cd * q12 - zx * q22
-        hxx = min(-cd * a0 - sd * a1 + zy * a2, _LARGEST_PART * w[S, i])
+        hxx = min(-cd * a0 - sd * a1 + zy * a2, _LARGEST_FRACTION * w[S, i])
         hxy = sd * a0 - cd * a1 - zx * a2
-        hyy = min(sd * b0 - cd * b1 - zx * b2, _LARGEST_PART * w[S + 3, i])
+        hyy = min(sd * b0 - cd * b1 - zx * b2, _LARGEST_FRACTION * w[S + 3, i])
         studentized, determinant = mahalanobis_squared(w, -hxx, -hxy, -hyy, i)
         plain, _ = mahalanobis_squared(w, 0.0, 0.0, 0.0, i)
         square = studentized if determinant > 0.0 and studentized > plain else plain

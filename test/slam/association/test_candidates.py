@@ -13,7 +13,7 @@ from explore_slam.slam.landmarks.landmark_map import LandmarkMap
 from explore_slam.slam.storage.ancestry import AncestryTree
 
 CONFIG = AssociationConfig(candidates_per_observation=3, association_gate=2.0)
-LEAST_RADIUS = 0.5  # m
+MINIMUM_RADIUS = 0.5  # m
 POSE = Pose2(4.0, 5.0, 0.8)
 FAR_ALONG_Y, FAR_ALONG_X = Pose2(4.0, 30.0, 0.8), Pose2(30.0, -5.0, 0.8)
 COVARIANCE = np.diag([0.02, 0.05, 0.01])
@@ -38,7 +38,7 @@ def expected(landmarks, observations, distances, pose):
     z, R = observations.positions, observations.covariances
     variance = COVARIANCE[0, 0] + COVARIANCE[1, 1] + np.trace(R, axis1=1, axis2=2)
     variance = variance + (z[:, 0] ** 2 + z[:, 1] ** 2) * COVARIANCE[2, 2]
-    radius = LEAST_RADIUS + CONFIG.association_gate * np.sqrt(variance)
+    radius = MINIMUM_RADIUS + CONFIG.association_gate * np.sqrt(variance)
     points = to_world(pose, z)
     off = np.linalg.norm(landmarks.reference[: landmarks.size] - points[:, None], axis=2)
     fits = (off <= radius[:, None]) & (distances <= CONFIG.maximum_descriptor_distance)

@@ -36,7 +36,7 @@ def moments(poses):
 
 def test_every_measurement_is_recorded_once_and_raw(make_world, make_slam):
     world = make_world()
-    slam = make_slam(world.start(**STARTS), **UNBOUNDED, redraw_part=0.0, redraw_ancestors=0)
+    slam = make_slam(world.start(**STARTS), **UNBOUNDED, redraw_fraction=0.0, redraw_ancestors=0)
     recorded, steps, seen_by = 0, 0, {}
     for step in range(6):
         for vehicle in 'ab':
@@ -213,7 +213,7 @@ def test_lineage_follows_resampling(make_slam):
 
 
 def test_a_redraw_is_due_when_few_ancestors_or_few_effective_particles_are_left(make_slam):
-    values = {'redraw_part': 0.1, 'redraw_ancestors': 50, 'redraw_effective': 0.05}
+    values = {'redraw_fraction': 0.1, 'redraw_ancestors': 50, 'redraw_effective': 0.05}
     slam = make_slam({'a': STARTS['a']}, particles=400, **values)
     group, _ = drawn(slam)
     assert slam.joint.is_fresh(group)
@@ -460,7 +460,7 @@ def test_contradicted_particles_are_redrawn_before_the_update(make_world, make_s
     """The particles agree on a wrong pose with certainty, the graph knows better."""
     world = make_world(0, deviation=0.05)
     path = ring(world, 6.0)
-    slam = make_slam(world.start(a=path[0]), redraw_part=0.0, redraw_ancestors=0)
+    slam = make_slam(world.start(a=path[0]), redraw_fraction=0.0, redraw_ancestors=0)
     drive_ring(slam, world, path, len(path))
     group = slam.groups.of(0)
     group.resample(np.zeros(200, np.int32))  # one ancestor, all alike

@@ -11,7 +11,7 @@ from explore_slam.slam import FastSlam
 from explore_slam.slam.posterior import redrawing
 
 STARTS = {'a': Pose2(1.0, 1.0, 0.0), 'b': Pose2(5.0, 4.0, 1.0)}
-BESIDE = {'async_redraw_threshold': 0, 'redraw_ancestors': 120, 'redraw_part': 0.6}
+BESIDE = {'async_redraw_threshold': 0, 'redraw_ancestors': 120, 'redraw_fraction': 0.6}
 
 
 class Late:
