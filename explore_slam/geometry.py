@@ -95,6 +95,19 @@ def between(poses: ArrayLike, others: ArrayLike) -> Array:
     return np.stack([c * dx + s * dy, c * dy - s * dx, wrap_angles(b[..., 2] - a[..., 2])], -1)
 
 
+def interpolated(poses: ArrayLike, others: ArrayLike, fractions: ArrayLike) -> Array:
+    """Return the poses (T, 3) at fractions (T,), 0 to 1, from poses (T, 3) to others (T, 3).
+
+    Positions are interpolated along a straight line, headings along the shorter turn.
+    """
+    a, b = np.asarray(poses, dtype=np.float64), np.asarray(others, dtype=np.float64)
+    step = b - a
+    step[:, 2] = wrap_angles(step[:, 2])
+    found: Array = a + np.asarray(fractions, dtype=np.float64)[:, None] * step
+    found[:, 2] = wrap_angles(found[:, 2])
+    return found
+
+
 def planar_rotation(angle: float) -> Array:
     """Return the rotation (3, 3) by an angle (rad) about z.
 

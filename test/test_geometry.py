@@ -111,3 +111,12 @@ def test_products_of_quaternions_are_products_of_rotations(a, b, c, d):
     )
     found = Rotation.from_quat(product).as_matrix()
     np.testing.assert_allclose(found, first @ second, atol=1e-9)
+
+
+def test_poses_are_interpolated_along_the_shorter_turn():
+    found = geometry.interpolated(
+        [[0.0, 0.0, 3.0], [1.0, 1.0, 0.5]], [[2.0, 4.0, -3.0], [1.0, 3.0, 0.5]], [0.5, 0.25]
+    )
+    assert found[0, :2] == pytest.approx([1.0, 2.0])
+    assert abs(found[0, 2]) == pytest.approx(np.pi)
+    assert found[1] == pytest.approx([1.0, 1.5, 0.5])

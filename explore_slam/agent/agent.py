@@ -20,11 +20,12 @@ from typing import Any
 
 import numpy as np
 
-from explore_slam.agent import checkpoint, placement
+from explore_slam.agent import checkpoint
 from explore_slam.agent.config import AgentConfig
 from explore_slam.agent.loop_closing import Join, LoopClosing
 from explore_slam.agent.measurement_queue import Stamped
 from explore_slam.agent.measurements import kind_of
+from explore_slam.agent.placement import DISPLACED
 from explore_slam.agent.scan_odometry import refine_by_scan
 from explore_slam.agent.team import KeyframeEvent, Team
 from explore_slam.agent.vehicle_track import VehicleTrack
@@ -97,8 +98,6 @@ class Agent:
         if self.paused:
             track.count('ignored_while_paused')
             return
-        if not placement.is_usable(track, record):
-            return
         kind.enqueue(self._team, track, record)
         self._process(track)
 
@@ -119,18 +118,18 @@ class Agent:
         check_motion_covariance('covariance', covariance)
         self._add_keyframe_here(track)  # else its motion since the newest one would follow
         self.belief.set_pose(vehicle, pose, covariance)
-        placement.place(track)
+        track.placement.set_by_operator()
 
     def _add_odometry(self, track: VehicleTrack, reading: OdometryReading) -> None:
         before, restarts = track.odometry.last, track.odometry.restarts
         if not len(track.odometry):
-            placement.check_first_reading(track, reading.pose)
+            track.placement.check_first_reading(reading.pose)
         if not track.odometry.add(reading):
             track.count('late_odometry')
             return
         if track.odometry.restarts != restarts:
-            placement.displace(track)
-            self.belief.displace(track.name, placement.DISPLACED)
+            track.placement.displace()
+            self.belief.displace(track.name, DISPLACED)
         if reading.stamp < before:
             self._restart_clock(track)
         self.now = max(self.now, reading.stamp)
@@ -265,7 +264,7 @@ class Agent:
             state = VehicleState.SILENT
         elif not self.belief.is_in_map(track.name):
             state = VehicleState.UNLOCALIZED
-        elif track.displaced or deviation > self.config.inputs.lost_deviation:
+        elif track.placement.displaced or deviation > self.config.inputs.lost_deviation:
             state = VehicleState.LOST
         goal = track.plan.goal if track.plan is not None and len(track.plan.waypoints) else None
         return VehicleStatus(self.now, track.name, state, pose, covariance, goal)
@@ -301,7 +300,7 @@ class Agent:
         for vehicle in self.tracks:
             belief.restart_clock(vehicle)
             loaded = belief.estimate(vehicle)[0]
-            placement.check_loaded_pose(self.tracks[vehicle], known.get(vehicle), loaded)
+            self.track(vehicle).placement.check_loaded_pose(known.get(vehicle), loaded)
 
     def save_map(self, base: Path) -> Path:
         """Write base.pgm and base.yaml for nav2's map_server; return the path of the YAML file."""

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from explore_slam.agent.config import AgentConfig
 from explore_slam.agent.loop_closing import LoopClosing
 from explore_slam.agent.odometry import OdometryBuffer
-from explore_slam.agent.placement import check_update
 from explore_slam.agent.vehicle_track import Keyframe, VehicleTrack, merged_steps
 from explore_slam.data import LandmarkObservations, VehicleBody
 from explore_slam.errors import AgentError
@@ -156,8 +155,8 @@ class Team:
             summary = self.belief.update(track.name, observations)
             if summary.joined:
                 logger.info('%s joined the map by the landmarks that it observes', track.name)
-            track.count_many('landmark_closures', int(summary.closed))
-            check_update(track, summary)
+            track.count('landmark_closures', int(summary.closed))
+            track.placement.check_update(summary)
         else:
             track.count('frames_without_landmarks')
         self.add_keyframe(track, observations.stamp, summary)

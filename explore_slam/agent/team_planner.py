@@ -49,14 +49,14 @@ class TeamPlanner:
         self.mode = PlanningMode.PAUSED if paused else PlanningMode.EXPLORE
         if not paused:
             for track in self._agent.tracks.values():
-                track.doubt = ''
+                track.placement.confirm()
 
     def return_home(self) -> None:
         """Send every vehicle to its start pose."""
         self.mode = PlanningMode.RETURN_HOME
 
     def set_goal(self, vehicle: str, goal: Pose2) -> None:
-        """Send one vehicle to a goal (m, rad) first; then it explores on.
+        """Send one vehicle to a goal (m, rad) first; it then resumes exploring.
 
         AgentError for an unknown vehicle, and for a goal that no vehicle may enter.
         """
@@ -93,7 +93,7 @@ class TeamPlanner:
     def must_withdraw(self) -> bool:
         """Whether a vehicle has a plan, but its pose is in doubt: the next cycle is urgent."""
         return any(
-            track.plan is not None and (track.displaced or bool(track.doubt))
+            track.plan is not None and not track.placement.is_reliable
             for track in self._agent.tracks.values()
         )
 
@@ -104,7 +104,7 @@ class TeamPlanner:
             for status in self._agent.statuses()
             if self._agent.is_in_map(status.vehicle)
         }
-        in_doubt = any(track.doubt for track in self._agent.tracks.values())
+        in_doubt = any(track.placement.doubt for track in self._agent.tracks.values())
         mode = PlanningMode.PAUSED if in_doubt else self.mode
         grid = self._agent.grid
         forbidden = self.areas.out_of_bounds(grid)
@@ -134,7 +134,7 @@ class TeamPlanner:
         for name, goal in list(self._goals.items()):
             known = vehicles.get(name)
             if known is not None and math.dist(known.pose[:2], goal[:2]) <= arrival:
-                logger.info('%s has reached the goal of the operator; it explores on', name)
+                logger.info('%s has reached the goal of the operator; it resumes exploring', name)
                 del self._goals[name]
 
     def _snapshot(self, status: VehicleStatus) -> VehicleSnapshot:

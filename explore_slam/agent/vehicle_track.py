@@ -8,6 +8,7 @@ import numpy as np
 
 from explore_slam.agent.measurement_queue import MeasurementQueue, Stamped
 from explore_slam.agent.odometry import OdometryBuffer, Step
+from explore_slam.agent.placement import Placement
 from explore_slam.data import FollowerReport, LaserScan, Plan, VehicleBody, VehicleState
 from explore_slam.geometry import IDENTITY, Array, Pose2
 from explore_slam.registration import PointCloud, ScanMatcher
@@ -39,10 +40,7 @@ class VehicleTrack:
     last_heard: time (s) of the agent when odometry arrived last.
     last_seen: stamp (s) of the newest frame or landmarks that were processed.
     follower: newest report of the path follower.
-    doubt: why its pose must be confirmed before it drives; '' if it is not in doubt.
-    placed: its pose was given by a person or a saved state, not by its start.
-    displaced: its odometry began anew after a gap, so that it may stand anywhere.
-    updated_since_displaced: whether landmarks have updated its pose since then.
+    placement: whether its pose can be relied on.
     counts: events by name, e.g. measurements that were left out.
     """
 
@@ -61,18 +59,19 @@ class VehicleTrack:
     plan: Plan | None = None
     state: VehicleState = VehicleState.WAITING
     follower: FollowerReport | None = None
-    doubt: str = ''
-    placed: bool = False
-    displaced: bool = False
-    updated_since_displaced: bool = False
+    placement: Placement = field(init=False)
     counts: dict[str, int] = field(default_factory=dict)
     waiting: MeasurementQueue[Stamped] = field(default_factory=MeasurementQueue)
     unmatched: MeasurementQueue[LaserScan] = field(default_factory=MeasurementQueue)
     clouds: deque[tuple[float, PointCloud]] = field(default_factory=lambda: deque(maxlen=_CLOUDS))
 
-    def count(self, name: str) -> None:
-        """Count one event."""
-        self.counts[name] = self.counts.get(name, 0) + 1
+    def __post_init__(self) -> None:
+        self.placement = Placement(self.name, start_known=self.start is not None)
+
+    def count(self, name: str, times: int = 1) -> None:
+        """Count an event that has happened once, some times, or not at all."""
+        if times:
+            self.counts[name] = self.counts.get(name, 0) + times
 
     def wait(self, measurement: Stamped, capacity: int) -> None:
         """Queue a measurement until odometry reaches its stamp."""
@@ -86,11 +85,6 @@ class VehicleTrack:
         if self.clouds and self.clouds[0][0] == stamp:
             return self.clouds[0][1]
         return None
-
-    def count_many(self, name: str, times: int) -> None:
-        """Count an event that has happened some times, or not at all."""
-        if times:
-            self.counts[name] = self.counts.get(name, 0) + times
 
     def next_to_match(self) -> LaserScan | None:
         """Return the oldest scan to be matched that odometry has reached, or None."""

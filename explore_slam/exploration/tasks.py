@@ -13,6 +13,7 @@ from explore_slam.exploration.traffic import Grant, RightOfWay, Traveler
 from explore_slam.geometry import Array, Pose2
 from explore_slam.polyline import arc_lengths, truncated
 
+# Chosen by hand; test_tasks shows what they decide.
 SAME_TARGET = 0.5  # m; targets this near to each other are the same
 _MINIMUM_PATH = 0.3  # m; a path that ends earlier, at a stop, is not worth driving
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from explore_slam.exploration.records import Point, VehicleSnapshot
 from explore_slam.geometry import Pose2
 
+# Chosen by hand; test_vehicle_history shows what they decide.
 _TRAIL_LENGTH = 300  # positions per vehicle
 _TRAIL_SPACING = 0.05  # m between the positions of a trail
 _POSE_JUMP = 3.0  # m between planning cycles; the pose was corrected and the trail is void

@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Mapping
 from statistics import median
 
+# Chosen by hand; test_clocks shows what they decide.
 CLOCKS_APART = 1.0  # s of difference that is named
 _SAMPLES = 20  # newest stamps per topic that are compared; one late message is no other clock
 _NUMBER = re.compile(r'[0-9]+(?:\.[0-9]+)?(?= s | messages)')  # amount (s) or count

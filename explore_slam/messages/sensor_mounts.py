@@ -24,6 +24,7 @@ logger = logging.getLogger(__name__)
 
 # names that base frames have by convention (REP-105, Kobuki, TurtleBot)
 _BASE_FRAMES = ('base_link', 'base_footprint')
+# Chosen by hand; test_sensor_mounts shows what they decide.
 _TOLERANCE = 0.02  # m and rad by which transform and setting may differ without a warning
 _LEVEL = math.radians(10.0)  # tilt of a laser from which its scans are no section of the walls
 _UPRIGHT = 0.9  # vertical part of the z axis of a camera frame that is no optical frame

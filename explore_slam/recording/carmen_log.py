@@ -32,8 +32,9 @@ from explore_slam.errors import RecordingError
 from explore_slam.geometry import IDENTITY, Array, Pose2, between
 from explore_slam.recording.carmen_stamps import NAMED_LINES, regular_stamps
 
+# Chosen by hand, for the logs of several recorders; test_carmen_log shows what they decide.
 DEFAULT_RANGE_MAX = 80.0  # m; what the SICK drivers of CARMEN write where nothing returned
-RANGE_MIN = 0.02  # m
+RANGE_MIN = 0.02  # m; nearer readings are no returns
 RESTART_FRACTION = 0.9  # of the scans must be followed by a restart in a corrected log
 SAME_POSE = 1e-6  # m, rad: a restart repeats the digits of the scan's pose
 MOUNT_SPREAD = 0.01  # m, rad: between scans; larger differences are no mount
@@ -141,7 +142,7 @@ class _Words:
             values = [float(word) for word in taken]
         except ValueError:
             raise _MalformedLineError(
-                f'{self.kind} holds a word that is no number: left out'
+                f'{self.kind} holds a word that is not a number: left out'
             ) from None
         self._at += count
         if not all(map(math.isfinite, values)):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from explore_slam.geometry import Array, between
 
+# Chosen by hand, for the logs of several recorders; test_carmen_stamps shows what they decide.
 FASTEST = 2.5  # m/s; below the speed that the agent takes for a reset of the base
 FASTEST_TURN = 4.0  # rad/s
 LONGEST_NEEDED = 1.0  # s: what needs longer between two lines is a jump of the odometry, no motion

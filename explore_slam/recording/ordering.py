@@ -10,6 +10,7 @@ import numpy as np
 
 from explore_slam.recording.salvage import RawMessage
 
+# Chosen by hand; test_ordering shows what they decide.
 WINDOW = 2_000_000_000  # ns; how much later than its stamp a message may be logged
 CLOCK_JUMP = 5_000_000_000  # ns; more than the window, so that no late message looks like a jump
 CLOCKS_APART = 1.0  # s between stamps and log times, or between topics, that are named

@@ -18,12 +18,14 @@ from explore_slam.data import LaserScan
 from explore_slam.errors import RegistrationError
 from explore_slam.geometry import IDENTITY, Array, Pose2
 
+# Chosen on the Intel, ACES and Belgioioso logs; `benchmarks/laser_graph_slam.py` shows what a
+# change does.
 _MINIMUM_RANGE = 0.05  # m; nearer returns are the vehicle itself or dust on the window
-# neighbours on one side that a line is fitted through (smallest drift on three logs)
+# neighbours on one side that a line is fitted through
 _BEAMS_EITHER_SIDE = 2
 _LINE_REACH = 0.4  # m from a return to the neighbours of its line, at close range
 _LINE_REACH_GROWTH = 0.09  # m per m of range: five beams of 1 degree
-_MINIMUM_LINE_POINTS = 3
+_MINIMUM_LINE_POINTS = 3  # two points are a line always, three show whether there is one
 _STRAIGHTNESS = 0.1  # largest variance across a line, as a fraction of that along and across
 _MAP_SPACING = 0.1  # m; two cells of the likelihood grid
 _QUERY_SPACING = 0.2  # m; half the points find the same peak

@@ -17,6 +17,8 @@ from explore_slam.geometry import Array, Pose2, wrap_angle
 from explore_slam.registration.angles import wrapped
 from explore_slam.registration.likelihood_grid import FULL, RESOLUTION, Levels, LikelihoodGrid
 
+# Levels, blocks and chunks change the time of a search, not its result;
+# `benchmarks/registration_speed.py` measures it.
 ANGLE_STEP = math.radians(1.0)  # half a step moves a return at 6 m by one cell of 0.05 m
 _MAXIMUM_LEVELS = 7  # squares of 64 cells, 3.2 m
 _BLOCKS_ACROSS = 6  # of the coarsest level over the window: fewer bounds say nothing

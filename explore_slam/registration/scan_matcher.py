@@ -25,7 +25,7 @@ from explore_slam.registration.local_map import LocalMap
 # Where no other source is given, values were chosen on the Intel, ACES and Belgioioso logs;
 # `benchmarks/laser_graph_slam.py` shows what a change does.
 _MINIMUM_DEVIATIONS = np.array([1e-4, 1e-4, 1e-4])  # m, m, rad, of any motion
-_MINIMUM_POINTS = 15
+_MINIMUM_POINTS = 15  # returns; five times the unknowns
 # Variance of the step of the window's frame when a scan is kept, as a fraction of that of the
 # scan's own error. Were all kept scans equal, it would be (2 / (n + 1))², 0.004; but the last few
 # share most surfaces with the next one. `benchmarks/scan_matching_noise.py --window-drift` chose
@@ -38,18 +38,20 @@ _ANGLE_STEP = math.radians(1.5)
 _SIGMAS = 3.0  # the window covers the odometry's error
 _MINIMUM_WINDOW = (0.1, 0.03)  # m, rad
 _MAXIMUM_WINDOW = (0.6, 0.5)  # m, rad
-_MINIMUM_SCORE = 0.1
+_MINIMUM_SCORE = 0.1  # mean likelihood of the returns
 # The score falls by this at two standard deviations of the odometry from the prediction.
 _PENALTY = 0.025
 _REACH = 0.4  # m, of the alignment at first
 _LAST_REACH = 0.15  # m, of one that begins at an alignment
-# A pose this far (m, rad) from the odometry's is accepted only if the match is unique.
+# Far from the odometry's pose, a match needs this overlap and must be unique: no pose that is off
+# by _MODES_APART (m, rad) may score nearly as well.
 _WIDE_OVERLAP = 0.6
 _REDUCED_OVERLAP = 0.7  # of matching_overlap: enough near the odometry's pose if nothing else fits
 _MODES_APART = (0.5, math.radians(10.0))
 _OTHER_MODE = 0.92  # fraction of the best score at which another mode makes a match ambiguous
-_UNLIKELY = 5.0  # Mahalanobis distance from the odometry above which a match is looked at twice
-_REFUSALS_UNTIL_RESTART = 3
+# Mahalanobis distance from the odometry above which a match is searched in the widest window too
+_UNLIKELY = 5.0
+_REFUSALS_UNTIL_RESTART = 3  # scans in succession
 
 
 @dataclass(frozen=True)

@@ -17,12 +17,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.errors import EvaluationError
-from explore_slam.geometry import IDENTITY, Array, Pose2, between, compose, wrap_angles
+from explore_slam.geometry import (
+    IDENTITY,
+    Array,
+    Pose2,
+    between,
+    compose,
+    interpolated,
+    wrap_angles,
+)
 
+# Chosen by hand for the relations of Intel, ACES and Belgioioso (test_relations).
 LOOP_SECONDS = 20.0  # relations over more than this time are those of loops
 MAX_GAP = 6.0  # s; relations farther from the nearest pose are left out
 COLUMNS = 8  # t1 t2 x y z roll pitch yaw
-VOTE_WIDTH = 0.002  # s
+VOTE_WIDTH = 0.002  # s; votes for offsets this close count together
 NEARLY_AS_MANY = 0.8  # of the most votes: candidates between which odometry decides
 MINIMUM_VOTES = 0.3  # of the times of the relations must coincide with odometry at their offset
 
@@ -213,9 +222,6 @@ def poses_at(
 
     one, other = carried(before), carried(after)
     span = np.maximum(times[after] - times[before], 1e-9)
-    share = np.clip((wanted - times[before]) / span, 0.0, 1.0)[:, None]
-    step = other - one
-    step[:, 2] = wrap_angles(step[:, 2])
-    blended = one + share * step
+    blended = interpolated(one, other, np.clip((wanted - times[before]) / span, 0.0, 1.0))
     gap = np.minimum(np.abs(times[before] - wanted), np.abs(times[after] - wanted))
     return blended, gap

@@ -20,6 +20,7 @@ from explore_slam.geometry import (
     Pose2,
     between,
     compose,
+    interpolated,
     quaternion_from_yaw,
     wrap_angles,
     yaw_from_quaternion,
@@ -98,10 +99,7 @@ class Trajectory:
         left = np.clip(np.searchsorted(self.stamps, times, 'right') - 1, 0, len(self) - 2)
         span = self.stamps[left + 1] - self.stamps[left]
         fraction = np.clip((times - self.stamps[left]) / span, 0.0, 1.0)
-        step = self.poses[left + 1] - self.poses[left]
-        step[:, 2] = wrap_angles(step[:, 2])
-        poses = self.poses[left] + fraction[:, None] * step
-        poses[:, 2] = wrap_angles(poses[:, 2])
+        poses = interpolated(self.poses[left], self.poses[left + 1], fraction)
         inside = (times >= self.stamps[0]) & (times <= self.stamps[-1])
         on_sample = (fraction == 0.0) | (fraction == 1.0)
         return poses, inside & (on_sample | (span <= largest))

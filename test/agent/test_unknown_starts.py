@@ -135,10 +135,10 @@ def test_the_same_records_join_at_the_same_moment(joined):
 def test_odometry_that_begins_anywhere_or_anew_neither_pauses_nor_joins():
     agent = Agent(CONFIG, {'robot1': ROUTE[0], 'robot2': None}, seed=1)
     agent.add('robot2', OdometryReading(0.0, Pose2(5.0, 3.0, 1.0)))
-    assert agent.track('robot2').doubt == ''
+    assert agent.track('robot2').placement.doubt == ''
     agent.add('robot2', OdometryReading(0.5, Pose2(5.1, 3.0, 1.0)))
     agent.add('robot2', OdometryReading(60.0, Pose2(0.0, 0.0, 0.0)))
-    assert agent.track('robot2').displaced
+    assert agent.track('robot2').placement.displaced
     assert not agent.is_in_map('robot2')
 
 

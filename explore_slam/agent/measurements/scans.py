@@ -10,7 +10,13 @@ from explore_slam.registration import scan_cloud
 
 
 def enqueue_scan(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
-    """Queue a scan for the map and, if scan matching is on, for matching."""
+    """Queue a scan for the map and, if scan matching is on, for matching.
+
+    Scans of a displaced vehicle are left out: they would spoil the map.
+    """
+    if track.placement.displaced:
+        track.count('scans_while_displaced')
+        return
     if team.config.scan_matching.scan_matching:
         track.unmatched.push(scan, team.config.inputs.measurement_queue_length)
     enqueue(team, track, scan)
@@ -52,8 +58,8 @@ def _close_loops(team: Team, track: VehicleTrack, scan: LaserScan, moved: Pose2)
     if cloud is None or track.keyframe is None:
         return
     counts = team.loops.add_scan(team.belief, track.name, track.keyframe, moved, cloud, scan.stamp)
-    track.count_many('closures', counts.closed)
-    track.count_many('closures_retracted', counts.retracted)
+    track.count('closures', counts.closed)
+    track.count('closures_retracted', counts.retracted)
 
 
 def _enters_map(team: Team, track: VehicleTrack, stamp: float, pose: Pose2) -> bool:

@@ -22,7 +22,7 @@ from explore_slam.slam.landmarks.landmark_map import LandmarkMap
 from explore_slam.slam.storage.row_format import Places, packed
 
 # Minimum search radius (m). Reference positions of landmarks lag behind their estimates, and the
-# particles spread around the mean pose.
+# particles spread around the mean pose. Chosen by hand; test_candidates shows what it decides.
 _MINIMUM_RADIUS = 0.5
 
 

@@ -13,6 +13,7 @@ from explore_slam.slam.descriptors.index import Distances, Ids
 from explore_slam.slam.descriptors.kinds import DescriptorKind
 
 # Landmarks closer together than this (m) are one place: several features of one object.
+# Chosen by hand; test_ratio_test shows what it decides.
 _SAME_PLACE = 0.5
 
 

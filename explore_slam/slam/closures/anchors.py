@@ -16,6 +16,8 @@ from explore_slam.slam.checkpoint import State, text_array, text_value
 
 Integers = NDArray[np.int64]
 
+# Chosen on the Intel, ACES and Belgioioso logs; `benchmarks/laser_graph_slam.py` shows what a
+# change does.
 REGION_SPACING = 3.0  # m driven between the centres of regions; neighbours overlap
 REGION_HALF = 5.0  # m driven on either side of the centre that a region's map is made of
 _MAXIMUM_ANCHORS_IN_REGION = 40  # anchors; more of them are taken in turn
@@ -24,7 +26,7 @@ QUERY_LENGTH = 6.0  # m; one scan is ambiguous, 6 m of building hardly ever are
 # A region's map is used again until a pose in it has moved by this: a fifth of a grid cell.
 _SAME_POSITION = 0.01  # m
 _SAME_HEADING = 0.003  # rad
-_MAPS_KEPT = 48
+_MAPS_KEPT = 48  # of the regions used last: those around all vehicles of a team
 _QUERY_SURFACES = 600  # returns with a normal that are aligned; more change nothing
 
 

@@ -17,6 +17,7 @@ from explore_slam.slam.checkpoint import State
 from explore_slam.slam.closures.anchors import Anchors
 from explore_slam.slam.closures.closure import Closure, ClosureEnds
 
+# Chosen by hand; test_closure_thinning shows what they decide.
 # Visits of a place by a vehicle whose closures are kept, as of landmarks (`graph_visits`).
 _VISITS = 2
 _SAME_PLACE = 1.5  # m between two poses of a vehicle in the same place

@@ -27,9 +27,11 @@ from explore_slam.slam.graph.ordering import Structure, eliminate
 from explore_slam.slam.graph.problem import Problem
 
 # Marquardt's λ, relative to the diagonal: after the first step that raised the cost; what it
-# changes by after each step; below the least it is zero
+# changes by after each step (Marquardt, "An algorithm for least-squares estimation of nonlinear
+# parameters", 1963: 10); below the minimum it is zero
 FIRST_DAMPING, DAMPING_FACTOR, MINIMUM_DAMPING = 1e-4, 10.0, 1e-7
 LARGEST_DAMPING = 1e8
+# Chosen by hand; `benchmarks/graph_speed.py` shows what a change does.
 # After a step of which no component (m, rad) is larger, the Jacobians are those from before to a
 # few percent: further steps are solved with the factor at hand, as long as each promises so much
 # less, in squared Mahalanobis distances, than the one before.

@@ -18,7 +18,8 @@ from explore_slam.slam.update.gaussian import sample_gaussian
 from explore_slam.slam.update.robust_weights import robust_cost
 
 # Largest Mahalanobis distance (sigma) that counts: the observed vehicle is known by its name, so
-# that only gross errors are left out, unlike landmarks, which have copies.
+# that only gross errors are left out, unlike landmarks, which have copies. Chosen by hand;
+# test_inter_robot shows what it decides.
 _GATE = 8.0
 
 

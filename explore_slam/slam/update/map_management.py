@@ -16,6 +16,7 @@ from explore_slam.slam.storage.row_format import COVARIANCE, Places
 from explore_slam.slam.update.engine import Engine
 from explore_slam.slam.update.landmark_update import fill_absent, insert_landmarks
 
+# Chosen by hand; test_map_management shows what they decide.
 # Misses count only if this many observations show where the view is free, and if most of the
 # observations with similar landmarks (at least so many) are associated: then the pose is right.
 _MINIMUM_OBSERVATIONS = 8
