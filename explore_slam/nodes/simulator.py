@@ -50,7 +50,10 @@ from explore_slam.simulation.emulators.hardware_bridge import HardwareBridge
 
 CLOCK_REPEAT = 0.02  # wall s after which /clock is repeated while time is held
 # settings that may change at run time
-CHANGEABLE = {field.name for field in fields(PaceConfig)} | {'command_timeout', 'use_sim_time'}
+CHANGEABLE = {field.name for field in fields(PaceConfig)} | {
+    'simulated_command_timeout',
+    'use_sim_time',
+}
 
 
 @dataclass(frozen=True)
@@ -70,11 +73,14 @@ class SimulatorNodeConfig(Section):
         tier='basic',
     )
     seed: int = setting(0, 'Seed of all noise', low=0)
-    command_timeout: float = setting(
-        0.6, 'Simulated time without a velocity command after which a vehicle stops; like '
-        'command_timeout of the driver of a real vehicle', unit='s',
-        low=0.05, high=60.0,
-    )  # fmt: skip
+    simulated_command_timeout: float = setting(
+        0.6,
+        'Simulated time without a velocity command after which a vehicle stops; like '
+        'command_timeout of the driver of a real vehicle',
+        unit='s',
+        low=0.05,
+        high=60.0,
+    )
     hardware: str = setting(
         '',
         'Folder for serial ports <vehicle>_base and <vehicle>_laser of emulated hardware, which '
@@ -245,7 +251,7 @@ class SimulatorNode(Node):
             if vehicle in commands:
                 self._last_command[vehicle] = now
                 self.simulator.set_velocity(vehicle, *commands[vehicle])
-            elif now - last > self.config.command_timeout:
+            elif now - last > self.config.simulated_command_timeout:
                 self.simulator.set_velocity(vehicle, 0.0, 0.0)
 
     def _report(self) -> None:

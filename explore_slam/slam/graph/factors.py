@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from explore_slam.compiled import kernel
 from explore_slam.geometry import Array
 from explore_slam.slam.graph.se2 import wrapped
-from explore_slam.slam.graph.tables import Table
+from explore_slam.slam.graph.tables import GrowingTable
 
 Integers = NDArray[np.int64]
 
@@ -74,7 +74,7 @@ class Factors(NamedTuple):
         )
 
     @classmethod
-    def of_rows(cls, table: Table, rows: Integers | NDArray[np.bool_]) -> 'Factors':
+    def of_rows(cls, table: GrowingTable, rows: Integers | NDArray[np.bool_]) -> 'Factors':
         """Return some rows of a table of measurements that depend on no calibration."""
         names = ('kind', 'a', 'b', 'z', 'W', 'robust', 'scale')
         kind, a, b, z, W, robust, scale = (table[name][rows] for name in names)

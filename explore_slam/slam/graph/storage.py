@@ -10,7 +10,7 @@ from explore_slam.errors import SlamError
 from explore_slam.geometry import Array
 from explore_slam.slam.checkpoint import State, part, under
 from explore_slam.slam.graph.factors import Integers
-from explore_slam.slam.graph.tables import Table
+from explore_slam.slam.graph.tables import GrowingTable
 
 TABLES = ('keyframes', 'factors', 'observations', 'landmarks')
 SPARSE = 2  # a table is compacted when it has more dead rows than 1 / SPARSE of all
@@ -27,7 +27,7 @@ class Storage:
     """Keyframes, factors, observations and landmarks as tables whose rows refer to each other."""
 
     def __init__(self) -> None:
-        self.keyframes = Table(
+        self.keyframes = GrowingTable(
             number=(np.int64, ()),
             vehicle=(np.int64, ()),
             ordinal=(np.int64, ()),  # number among those of the vehicle
@@ -53,7 +53,7 @@ class Storage:
             pose=(np.float64, (3,)),  # estimate
             chain=(np.float64, (3,)),  # the same with the white error: where the motion ends
         )
-        self.factors = Table(
+        self.factors = GrowingTable(
             number=(np.int64, ()),
             kind=(np.int64, ()),
             a=(np.int64, ()),  # row of a keyframe; −1: none
@@ -63,7 +63,7 @@ class Storage:
             robust=(np.int64, ()),
             scale=(np.float64, ()),
         )
-        self.observations = Table(
+        self.observations = GrowingTable(
             number=(np.int64, ()),
             keyframe=(np.int64, ()),  # row
             landmark=(np.int64, ()),  # row; −1: dropped
@@ -73,7 +73,7 @@ class Storage:
             weight=(np.float64, ()),
             robust_weight=(np.float64, ()),  # at the last optimum
         )
-        self.landmarks = Table(
+        self.landmarks = GrowingTable(
             number=(np.int64, ()),  # id; −1: removed
             observation_count=(np.int64, ()),  # observations ever added
             placed=(np.bool_, ()),  # the position is that of the last optimum

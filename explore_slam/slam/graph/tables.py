@@ -12,7 +12,7 @@ Column = NDArray[Any]
 SPARE_ROWS = 64  # rows that an empty table has memory for
 
 
-class Table:
+class GrowingTable:
     """Columns of equal length; a column is given by its type and the shape of one entry."""
 
     def __init__(self, **columns: tuple[DTypeLike, tuple[int, ...]]) -> None:
