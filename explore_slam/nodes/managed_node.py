@@ -223,7 +223,7 @@ class _NextTurn:
 
 
 async def _destroy_after_answers(node: Node, services: Iterable[Any]) -> None:
-    """Destroy services once the executor has sent the answers that are settled."""
+    """Destroy services once the executor has sent the answers that are ready."""
     await _NextTurn()
     _destroy(node, services)
 

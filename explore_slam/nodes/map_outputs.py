@@ -24,7 +24,7 @@ _Geometry = tuple[float, tuple[float, float], tuple[int, int]]  # resolution, or
 
 
 class MapOutputs:
-    """All publishers of the grid; remembers what `map` and the last update have told."""
+    """All publishers of the grid; remembers what it published last, as `map` and as update."""
 
     def __init__(self, node: Node) -> None:
         self._map = publisher(node, TeamTopic.MAP)
@@ -61,7 +61,7 @@ class MapOutputs:
         cells = grid.to_trinary()
         if np.array_equal(cells, self._updated):
             return
-        # a cell that is again as `map` has it must be told to those who heard an update
+        # a cell that is again as in `map` must be sent to those who received an update of it
         self._rectangle = _hull(self._rectangle, changed_rectangle(self._cells, cells))
         self._updated = cells
         rows, columns = self._rectangle

@@ -76,7 +76,7 @@ _CHANGEABLE = {*values_of(SafetyConfig()), 'use_sim_time'}  # while the node run
 
 
 class DriverSession:
-    """The devices of a configured driver. Inactive, they are open, and the vehicle stands."""
+    """The devices of a configured driver. Inactive, they are open, and the vehicle is stopped."""
 
     def __init__(self, node: Node, config: DriverNodeConfig) -> None:
         self._node = node
