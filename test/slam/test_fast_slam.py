@@ -354,6 +354,7 @@ def test_repeated_textures_do_not_prevent_new_landmarks(make_slam):
     slam.update('a', LandmarkObservations(0.0, places[:20], covariances, rows[:20]))
     elsewhere = places[20:] + [0.0, 10.0, 0.0]
     summary = slam.update('a', LandmarkObservations(1.0, elsewhere, covariances, rows[20:]))
+    assert summary.with_candidates == 0
     assert summary.associated == 0
     assert summary.inserted == 20
 

@@ -104,6 +104,7 @@ def test_landmarks_seen_again_far_more_or_less_exactly_are_updated(count, first,
     slam.predict('a', Pose2(0.0, 0.0, 0.0), 1e-6 * np.eye(3))
     assert slam.update('a', observed(z, first, 0.0)).inserted == count
     summary = slam.update('a', observed(z, second, 1.0))
+    assert summary.with_candidates == count
     assert summary.associated == count
     landmarks = slam.landmarks()
     assert len(landmarks) == count
