@@ -72,6 +72,14 @@ def read_yaml(path: Path, error: type[ExploreSlamError]) -> Any:
         raise error(f'{path} is not YAML: {" ".join(str(cause).split())}') from cause
 
 
+def read_mapping(path: Path, error: type[ExploreSlamError], expected: str) -> dict[str, Any]:
+    """Return the mapping in a YAML file; `error` if there is none, naming what is expected."""
+    content = read_yaml(path, error)
+    if not isinstance(content, dict):
+        raise error(f'{path} holds {type(content).__name__}, expected {expected}')
+    return content
+
+
 def _flush_to_disk(path: Path) -> None:
     """Wait until the content of a file is on the disk, so that a power cut cannot empty it."""
     descriptor = os.open(path, os.O_RDONLY)

@@ -8,7 +8,7 @@ import yaml
 from numpy.typing import NDArray
 
 from explore_slam.errors import ConfigError, MappingError
-from explore_slam.files import read_yaml, write_bytes
+from explore_slam.files import read_mapping, write_bytes
 from explore_slam.mapping.config import GridConfig
 from explore_slam.mapping.occupancy_grid import OccupancyGrid
 
@@ -71,7 +71,7 @@ def load_map(yaml_path: Path | str, config: GridConfig | None = None) -> Occupan
     format.
     """
     path = Path(yaml_path)
-    entries = _entries(path)
+    entries = read_mapping(path, MappingError, 'a mapping with the keys of a map_server map')
     resolution = _number(path, entries, 'resolution')
     origin = entries.get('origin')
     if not (
@@ -95,16 +95,6 @@ def load_map(yaml_path: Path | str, config: GridConfig | None = None) -> Occupan
     # Cell edges lie on multiples of the resolution, so the map moves by half a cell at most.
     corner = tuple(round(float(value) / resolution) * resolution for value in origin[:2])
     return OccupancyGrid.from_probability(probability, known, (corner[0], corner[1]), fitted)
-
-
-def _entries(path: Path) -> dict[str, Any]:
-    content = read_yaml(path, MappingError)
-    if not isinstance(content, dict):
-        raise MappingError(
-            f'{path} holds {type(content).__name__}, expected a mapping with the keys of a '
-            'map_server map'
-        )
-    return content
 
 
 def _number(path: Path, entries: dict[str, Any], name: str, default: float | None = None) -> float:

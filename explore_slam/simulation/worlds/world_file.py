@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from explore_slam.errors import SimulationError
-from explore_slam.files import read_yaml
+from explore_slam.files import read_mapping
 from explore_slam.geometry import Pose2, wrap_angle
 from explore_slam.simulation.worlds.paint import STYLES
 from explore_slam.simulation.worlds.world import (
@@ -47,13 +47,8 @@ _SHORTEST_WALL = 0.05  # m
 
 def read_entries(path: Path) -> dict[str, Any]:
     """Return the mapping in a YAML file."""
-    content = read_yaml(path, SimulationError)
-    if not isinstance(content, dict):
-        raise SimulationError(
-            f'{path} holds {type(content).__name__}, expected a mapping with the keys of a world '
-            'or of a map_server map'
-        )
-    return content
+    expected = 'a mapping with the keys of a world or of a map_server map'
+    return read_mapping(path, SimulationError, expected)
 
 
 @dataclass(frozen=True)

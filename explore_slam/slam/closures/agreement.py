@@ -71,6 +71,21 @@ def largest_agreement(
     return group
 
 
+def unexpired(
+    candidates: Sequence[Candidate], newest: Candidate, within: float
+) -> list[Candidate]:
+    """Return candidates without those that the newest one's vehicle passed too long ago.
+
+    within: distance (m) that it has driven since.
+    """
+    b = newest.b
+    return [
+        c
+        for c in candidates
+        if c.b.vehicle != b.vehicle or b.distance_driven - c.b.distance_driven < within
+    ]
+
+
 def span(group: Sequence[Candidate]) -> float:
     """Return the distance driven (m) over which the queries of candidates lie."""
     distances_driven = [candidate.b.distance_driven for candidate in group]

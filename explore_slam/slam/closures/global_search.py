@@ -21,6 +21,7 @@ from explore_slam.slam.closures.agreement import (
     candidates_of_rows,
     largest_agreement,
     span,
+    unexpired,
 )
 from explore_slam.slam.closures.anchors import (
     REGION_SPACING,
@@ -209,13 +210,7 @@ class GlobalSearch:
 
     def _agreeing(self, candidate: Candidate, poses: Array) -> list[Candidate]:
         """Hold the candidate; return those that agree with it, if they are enough for a join."""
-        b = candidate.b
-        self.pending = [
-            c
-            for c in self.pending
-            if c.b.vehicle != b.vehicle
-            or b.distance_driven - c.b.distance_driven < _PENDING_DISTANCE
-        ]
+        self.pending = unexpired(self.pending, candidate, _PENDING_DISTANCE)
         group = largest_agreement(candidate, self.pending, poses)
         self.pending.append(candidate)
         if len(group) < _AGREEMENTS or span(group) <= _AGREEMENT_SPAN:

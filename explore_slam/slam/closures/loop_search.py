@@ -24,6 +24,7 @@ from explore_slam.slam.closures.agreement import (
     candidates_of_rows,
     largest_agreement,
     span,
+    unexpired,
 )
 from explore_slam.slam.closures.anchors import (
     QUERY_LENGTH,
@@ -302,12 +303,7 @@ class LoopSearch:
             and math.hypot(correction[0], correction[1]) < _SMALL_CORRECTION
         ):
             return self._accept([candidate])
-        self.pending = [
-            c
-            for c in self.pending
-            if c.b.vehicle != b.vehicle
-            or b.distance_driven - c.b.distance_driven < _PENDING_DISTANCE
-        ]
+        self.pending = unexpired(self.pending, candidate, _PENDING_DISTANCE)
         group = largest_agreement(candidate, self.pending, poses)
         self.pending.append(candidate)
         if len(group) < self.config.closure_agreements or span(group) <= _AGREEMENT_SPAN:
