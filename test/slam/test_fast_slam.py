@@ -123,8 +123,9 @@ def test_a_heading_uncertain_by_a_radian_is_found_by_landmarks(make_world, make_
     assert error[2] < 0.05
 
 
-def drive_displaced(world, slam, drive_circles):
-    """Move the vehicle unobserved after 25 steps; return the summaries of 15 further updates."""
+def test_a_lost_vehicle_is_relocalized(make_world, make_slam, drive_circles):
+    world = make_world()
+    slam = make_slam(world.start(a=STARTS['a']))
     drive_circles(slam, world, 25)
     world.true['a'] = world.true['a'].compose(Pose2(-0.6, 0.5, 0.5))
     found = []
@@ -132,13 +133,6 @@ def drive_displaced(world, slam, drive_circles):
         world.drive('a', Pose2(0.1, 0.0, 0.3))
         slam.predict('a', Pose2(0.1, 0.0, 0.3), 0.1 * np.diag([0.02, 0.01, 0.03]) ** 2)
         found.append(slam.update('a', world.see('a', float(step))))
-    return found
-
-
-def test_a_lost_vehicle_is_relocalized(make_world, make_slam, drive_circles):
-    world = make_world()
-    slam = make_slam(world.start(a=STARTS['a']))
-    found = drive_displaced(world, slam, drive_circles)
     assert any(summary.lost for summary in found)
     assert sum(summary.relocated for summary in found) == 1
     assert np.abs(world.error('a', slam.estimate('a')[0]))[:2].max() < 0.15
@@ -149,13 +143,19 @@ def test_a_lost_vehicle_is_relocalized(make_world, make_slam, drive_circles):
     assert len(slam.landmarks()) > 10
 
 
-def test_engine_paper_does_not_relocalize_a_lost_vehicle(make_world, make_slam, drive_circles):
+@pytest.mark.parametrize(('engine', 'relocated'), [('paper', False), ('fastslam2', True)])
+def test_only_engine_fastslam2_relocalizes_a_lost_vehicle(
+    make_world, make_slam, engine, relocated
+):
     world = make_world()
-    slam = make_slam(world.start(a=STARTS['a']), engine='paper')
-    found = drive_displaced(world, slam, drive_circles)
-    assert any(summary.lost for summary in found)
-    assert not any(summary.relocated or summary.closed for summary in found)
-    assert np.abs(world.error('a', slam.estimate('a')[0]))[:2].max() > 0.3
+    slam = make_slam(world.start(a=STARTS['a']), engine=engine)
+    slam.predict('a', Pose2(0.0, 0.0, 0.0), np.zeros((3, 3)))
+    slam.update('a', world.see('a', 0.0, reach=6.0))
+    world.true['a'] = world.true['a'].compose(Pose2(-0.5, 0.4, 0.1))
+    summary = slam.update('a', world.see('a', 1.0, reach=6.0))
+    assert (summary.lost, summary.relocated) == (True, relocated)
+    off = np.abs(world.error('a', slam.estimate('a')[0]))[:2].max()
+    assert off < 0.15 if relocated else off > 0.4
 
 
 def test_landmarks_that_are_not_there_vanish(make_world, make_slam):
