@@ -29,9 +29,7 @@ class VehicleConfig(Section):
         choices=('agent', 'vehicle', 'none'),
         tier='basic',
     )
-    use_laser: bool = setting(
-        True, 'Use the laser scanner of the vehicle; false if it has none', tier='basic'
-    )
+    use_laser: bool = setting(True, 'Whether the vehicle has a laser scanner', tier='basic')
     navigator: str = setting(
         'follower',
         'What drives the vehicle along its plans: follower; nav2 by the action '

@@ -66,7 +66,7 @@ class LaserConfig(Section):
 
     use_laser: bool = setting(
         True,
-        'Use the laser; false: another driver publishes scans, or there is none',
+        'Read the laser; false: another driver publishes scans, or there is none',
         tier='basic',
     )
     laser_port: str = setting(
@@ -87,7 +87,7 @@ class CameraConfig(Section):
     """Settings of any RGB-D camera."""
 
     use_camera: bool = setting(
-        True, 'Use the camera; false: another driver publishes images', tier='basic'
+        True, 'Read the camera; false: another driver publishes images', tier='basic'
     )
     camera_rate: float = setting(
         10.0, 'Maximum rate of published frames', unit='Hz', low=0.2, high=30, tier='basic'
