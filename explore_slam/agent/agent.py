@@ -98,6 +98,9 @@ class Agent:
         if self.paused:
             track.count('ignored_while_paused')
             return
+        if kind.draws_map and track.placement.displaced:
+            track.count('scans_while_displaced')
+            return
         kind.enqueue(self._team, track, record)
         self._process(track)
 

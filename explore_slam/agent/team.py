@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from explore_slam.agent.config import AgentConfig
 from explore_slam.agent.loop_closing import LoopClosing
 from explore_slam.agent.odometry import OdometryBuffer
+from explore_slam.agent.placement import Placement
 from explore_slam.agent.vehicle_track import Keyframe, VehicleTrack, merged_steps
 from explore_slam.data import LandmarkObservations, VehicleBody
 from explore_slam.errors import AgentError
@@ -74,6 +75,7 @@ class Team:
                 ),
                 KeyframeSelector(config.vision),
                 ScanMatcher(config.scan_matching),
+                Placement(name, start_known=pose is not None),
                 body=(bodies or {}).get(name, VehicleBody()),
             )
             for name, pose in self.start_poses.items()

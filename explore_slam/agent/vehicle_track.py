@@ -32,6 +32,7 @@ class VehicleTrack:
     """Odometry, newest keyframe, waiting measurements and plan of one vehicle.
 
     start: its pose in the map, None: unknown.
+    placement: whether its pose can be relied on.
     body: its size and speed.
     last_scan: stamp (s) and odometry pose of the newest scan that entered the map.
     matched_until: stamp (s) up to which scan matching has refined the odometry.
@@ -40,7 +41,6 @@ class VehicleTrack:
     last_heard: time (s) of the agent when odometry arrived last.
     last_seen: stamp (s) of the newest frame or landmarks that were processed.
     follower: newest report of the path follower.
-    placement: whether its pose can be relied on.
     counts: events by name, e.g. measurements that were left out.
     """
 
@@ -49,6 +49,7 @@ class VehicleTrack:
     odometry: OdometryBuffer
     selector: KeyframeSelector
     matcher: ScanMatcher
+    placement: Placement
     body: VehicleBody = field(default_factory=VehicleBody)
     keyframe: Keyframe | None = None
     last_scan: tuple[float, Pose2] | None = None
@@ -59,14 +60,10 @@ class VehicleTrack:
     plan: Plan | None = None
     state: VehicleState = VehicleState.WAITING
     follower: FollowerReport | None = None
-    placement: Placement = field(init=False)
     counts: dict[str, int] = field(default_factory=dict)
     waiting: MeasurementQueue[Stamped] = field(default_factory=MeasurementQueue)
     unmatched: MeasurementQueue[LaserScan] = field(default_factory=MeasurementQueue)
     clouds: deque[tuple[float, PointCloud]] = field(default_factory=lambda: deque(maxlen=_CLOUDS))
-
-    def __post_init__(self) -> None:
-        self.placement = Placement(self.name, start_known=self.start is not None)
 
     def count(self, name: str, times: int = 1) -> None:
         """Count an event that has happened once, some times, or not at all."""

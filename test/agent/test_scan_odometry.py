@@ -7,6 +7,7 @@ import pytest
 from synthetic import SyntheticWorld
 
 from explore_slam.agent.odometry import OdometryBuffer
+from explore_slam.agent.placement import Placement
 from explore_slam.agent.scan_odometry import refine_by_scan
 from explore_slam.agent.vehicle_track import Keyframe, VehicleTrack
 from explore_slam.data import LaserScan, OdometryReading
@@ -31,6 +32,7 @@ class Drive:
             OdometryBuffer('robot1', 30.0, 2.0, 1.0),
             KeyframeSelector(),
             ScanMatcher(ScanMatchingConfig()),
+            Placement('robot1', start_known=True),
         )
         self.stamp = 0.0
         self.true = self.start = Pose2(-1.0, 0.3, 0.0)

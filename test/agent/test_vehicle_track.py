@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from explore_slam.agent.odometry import OdometryBuffer, Step
+from explore_slam.agent.placement import Placement
 from explore_slam.agent.vehicle_track import Keyframe, VehicleTrack, compound_steps, merged_steps
 from explore_slam.data import LandmarkObservations, LaserScan, OdometryReading
 from explore_slam.geometry import IDENTITY, Pose2
@@ -23,6 +24,7 @@ def track():
         OdometryBuffer('robot1', 10.0, 2.0, 1.0),
         KeyframeSelector(),
         ScanMatcher(ScanMatchingConfig()),
+        Placement('robot1', start_known=True),
     )
     for tick in range(11):
         made.odometry.add(OdometryReading(0.1 * tick, Pose2(0.05 * tick, 0.0, 0.0)))

@@ -25,9 +25,11 @@ class MeasurementHandler[M: Stamped]:
     process: use a measurement; odometry has reached its stamp.
     check: raise AgentError for a record that can never be used.
     enqueue: store a new measurement until it is due.
+    draws_map: those of a vehicle that may stand anywhere are left out, since they would spoil it.
     """
 
     record: type[M]
     process: Callable[[Team, VehicleTrack, M], None]
     check: Callable[[Team, M], None] = _accept
     enqueue: Callable[[Team, VehicleTrack, M], None] = enqueue
+    draws_map: bool = False

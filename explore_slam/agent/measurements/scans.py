@@ -10,13 +10,7 @@ from explore_slam.registration import scan_cloud
 
 
 def enqueue_scan(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
-    """Queue a scan for the map and, if scan matching is on, for matching.
-
-    Scans of a displaced vehicle are left out: they would spoil the map.
-    """
-    if track.placement.displaced:
-        track.count('scans_while_displaced')
-        return
+    """Queue a scan for the map and, if scan matching is on, for matching."""
     if team.config.scan_matching.scan_matching:
         track.unmatched.push(scan, team.config.inputs.measurement_queue_length)
     enqueue(team, track, scan)
@@ -105,4 +99,4 @@ def _bodies(team: Team, track: VehicleTrack, stamp: float) -> list[VehicleDisc]:
     return bodies
 
 
-SCANS = MeasurementHandler(LaserScan, process, enqueue=enqueue_scan)
+SCANS = MeasurementHandler(LaserScan, process, enqueue=enqueue_scan, draws_map=True)
