@@ -26,7 +26,7 @@ _LONGEST_STEP = 0.5  # s of acceleration after a gap between commands
 _TURN_GAIN = 2.0  # 1/s, turn rate per bearing when turning on the spot
 _TURN_HYSTERESIS = 0.35  # of turn_in_place_angle: turning on the spot ends at this bearing
 _GENTLE_CURVATURE = 0.5  # 1/m; below it the straight line ahead must be free too
-_BRAKING_FRACTION = 0.6  # of follow_acceleration, relied upon for braking before obstacles
+_BRAKING_SHARE = 0.6  # of follow_acceleration, relied upon for braking before obstacles
 _RESTART_ROOM = 0.05  # m more than the stop distance to start again after an obstacle
 
 
@@ -264,7 +264,7 @@ class PathFollower:
             return 0.0, True
         self._times.obstacle = None
         # v with v t + v² / (2 a) = room: distance during the reaction time and while braking
-        a, t = _BRAKING_FRACTION * c.follow_acceleration, c.reaction_time
+        a, t = _BRAKING_SHARE * c.follow_acceleration, c.reaction_time
         fastest = max(a * (math.sqrt(t * t + 2.0 * room / a) - t), _OBSTACLE_CREEP)
         return min(speed, fastest), False
 

@@ -12,7 +12,7 @@ from explore_slam.simulation.config import SimulatedLaserConfig
 from explore_slam.simulation.rendered.model import BODY, PAINTED, RenderedWorld
 from explore_slam.simulation.rendered.mujoco_import import mujoco
 
-RANGE_MIN = 0.05  # m, minimum range in a scan
+RANGE_MIN = 0.05  # m, least range in a scan
 
 
 class LaserScanner:
