@@ -140,7 +140,7 @@ def test_damaged_lines_are_named_and_the_rest_is_read(tmp_path):
     for number, reason in (
         (scans[1], 'FLASER is cut short'),
         (scans[2], 'FLASER is cut short or too long'),
-        (scans[3], 'FLASER holds a word that is no number'),
+        (scans[3], 'FLASER holds a word that is not a number'),
         (scans[4], 'FLASER has 0 readings'),
         (scans[5], 'FLASER holds a number that is not finite'),
         (scans[6], 'unknown message GYRO'),
