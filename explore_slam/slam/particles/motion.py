@@ -39,7 +39,6 @@ class OdometryNoise(Section):
         unit='m²/m',
         low=0.0,
         high=10.0,
-        tier='basic',
     )
     position_variance_per_radian: float = setting(
         0.0002,
@@ -47,7 +46,6 @@ class OdometryNoise(Section):
         unit='m²/rad',
         low=0.0,
         high=10.0,
-        tier='basic',
     )
     heading_variance_per_metre: float = setting(
         0.002,
