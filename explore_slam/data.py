@@ -64,11 +64,16 @@ class VehicleBody(NamedTuple):
 
 @dataclass(frozen=True)
 class OdometryReading:
-    """Pose of the vehicle in its odometry frame; covariance (3, 3) if the base reports one."""
+    """Pose of the vehicle in its odometry frame; covariance (3, 3) if the base reports one.
+
+    number: of the message at its publisher, which counts those that are lost and begins anew when
+    the publisher is restarted; None where it is unknown.
+    """
 
     stamp: float
     pose: Pose2
     covariance: Array | None = None
+    number: int | None = None
 
     def __post_init__(self) -> None:
         _check_stamp(self, self.stamp)

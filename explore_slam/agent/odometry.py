@@ -20,19 +20,24 @@ _JUMP_TURN_RATE = 20.0
 _JUMP_TURN_SLACK = 0.3
 _RESTART_GAP = 0.4  # s without readings; no driver restarts faster, and they come at 10 Hz or more
 _RESTART_INTERVALS = 2.0  # usual intervals between readings; a shorter gap is none for that driver
-# Odometry begins at zero, but the first readings may be lost (best effort), and the base may have
-# moved since: at a manoeuvring speed of 0.05 m/s (rad/s) in the gap, up to half a metre (radian).
+_LOST_SHARE = 0.5  # of the readings that a gap has room for; if more were sent, the driver ran on
+# m and rad; a driver that has just started reads zero, but for a gyroscope that drifts. A base
+# that drives through its origin comes as close only where a reading happens to be taken there.
+_ORIGIN_EXACT = 0.005
+# The first readings may be lost (best effort), and the base may have moved since: at a manoeuvring
+# speed of 0.05 m/s (rad/s) in the gap, up to half a metre (radian).
 _ORIGIN_TOLERANCE = 0.05  # m and rad
 _ORIGIN_SPEED = 0.05  # m/s and rad/s
 _ORIGIN_TOLERANCE_LIMIT = 0.5  # m and rad
 _ORIGIN_NOISE = 0.02  # m and rad; of readings of a base that stands still
 _RESTART_CONTRAST = 3.0  # times as far from zero was the last reading of the old driver at least
 _IMU_RESTART_DISTANCE = 0.3  # m; from here to zero at any heading, which an IMU may keep
-# What a base can add to its recent motion: a TurtleBot3 Burger accelerates by 2.5 m/s² and
-# 3.2 rad/s², bases that turn on the spot by up to 10 rad/s²
+# What a base can add to the speeds that it has shown: a TurtleBot3 Burger accelerates by 2.5 m/s²
+# and 3.2 rad/s², bases that turn on the spot by up to 10 rad/s²
 _ACCELERATION = 2.5  # m/s²
 _TURN_ACCELERATION = 10.0  # rad/s²
-_RECENT_READINGS = 10  # by which recent speeds and the usual interval are judged
+_RECENT_READINGS = 10  # by which the usual interval is judged
+_SPEEDING_UP = 0.5  # s for which a base goes on accelerating beyond the speeds that it has shown
 _STAMP_JITTER = 0.03  # s
 _TRIM_MINIMUM = 64  # readings; shorter histories are not worth trimming
 
@@ -56,22 +61,16 @@ def _from_origin(pose: Pose2) -> float:
     return max(math.hypot(pose.x, pose.y), abs(wrap_angle(pose.theta)))
 
 
-def _is_at_origin(reading: Pose2, last: Pose2, gap: float) -> bool:
-    """Return whether odometry began anew: a reading close to zero, the last one far from it.
+def _returns_to_origin(reading: Pose2, last: Pose2, tolerance: float) -> bool:
+    """Return whether a reading is near zero, and the last one was far from it.
 
-    gap: time (s) between the two, in which the base may have moved from zero.
+    tolerance: m and rad. The heading does not count where the position shows it: an IMU may keep it.
     """
-    distance = _from_origin(reading)
-    tolerance = min(_ORIGIN_TOLERANCE + _ORIGIN_SPEED * gap, _ORIGIN_TOLERANCE_LIMIT)
-    if distance > tolerance:
-        return False
-    return _from_origin(last) > _RESTART_CONTRAST * max(distance, _ORIGIN_NOISE)
-
-
-def _keeps_heading_only(reading: Pose2, last: Pose2) -> bool:
-    """Return whether the position began at zero again, at the heading of an IMU."""
+    distance, last_distance = _from_origin(reading), _from_origin(last)
+    if distance <= tolerance and last_distance > _RESTART_CONTRAST * max(distance, _ORIGIN_NOISE):
+        return True
     return (
-        math.hypot(reading.x, reading.y) < _ORIGIN_NOISE
+        math.hypot(reading.x, reading.y) <= min(tolerance, _ORIGIN_NOISE)
         and math.hypot(last.x, last.y) > _IMU_RESTART_DISTANCE
     )
 
@@ -131,6 +130,8 @@ class OdometryBuffer:
         self._covariances: list[Array | None] = []  # of the step that ends at each pose
         self._fixes: list[_Fix] = []
         self._correction: Pose2 | None = None  # trajectory = correction ⊕ reading
+        self._number: int | None = None  # of the newest reading at its publisher
+        self._top_speed = self._top_turn_rate = 0.0  # m/s, rad/s; that the base has shown
 
     def __len__(self) -> int:
         return len(self._stamps)
@@ -173,9 +174,7 @@ class OdometryBuffer:
             )
             self.restarts += 1
             self._continue_from(reading)
-        pose = reading.pose
-        if self._correction is not None:
-            pose = self._correction.compose(pose)
+        pose = self._trajectory_pose(reading)
         if self._stamps and self._is_jump(reading, pose):
             logger.warning(
                 '%s: odometry jumped from (%.2f, %.2f) to (%.2f, %.2f) in %.3f s; '
@@ -189,7 +188,13 @@ class OdometryBuffer:
             )
             self._continue_from(reading)
             pose = self.pose
+        if self._stamps:
+            duration = max(reading.stamp - self.last, _STAMP_JITTER)
+            moved, turned = self._motion_to(pose)
+            self._top_speed = max(self._top_speed, moved / duration)
+            self._top_turn_rate = max(self._top_turn_rate, turned / duration)
         self._append(reading.stamp, pose)
+        self._number = reading.number
         return True
 
     def at(self, stamp: float) -> Pose2:
@@ -294,6 +299,7 @@ class OdometryBuffer:
         pose = self.pose
         self._stamps, self._poses, self._covariances, self._fixes = [], [], [], []
         self._append(reading.stamp, pose)
+        self._number = reading.number
 
     def _append(self, stamp: float, pose: Pose2) -> None:
         self._stamps.append(stamp)
@@ -306,44 +312,65 @@ class OdometryBuffer:
             self._fixes = [fix for fix in self._fixes if fix.stamp >= self._stamps[0]]
 
     def _is_restart(self, reading: OdometryReading) -> bool:
-        """Return whether a reading near zero after a gap is the first of a restarted driver."""
+        """Return whether a reading after a gap is the first of a restarted driver.
+
+        Zero is one, unless the driver has sent readings in the gap, which were lost. A reading
+        near zero, or one that the base cannot have driven to, is one where its number begins anew
+        or, near zero, where the base cannot have driven there.
+        """
         gap = reading.stamp - self.last
         if gap < _RESTART_GAP:
             return False  # a reset of a base that keeps running: a jump, which is no motion
         intervals = np.diff(self._stamps[-_RECENT_READINGS:])
-        if len(intervals) and gap < _RESTART_INTERVALS * float(np.median(intervals)):
+        room = gap / float(np.median(intervals)) if len(intervals) else math.inf
+        if room < _RESTART_INTERVALS:
             return False
-        last = self.reading
-        return _is_at_origin(reading.pose, last, gap) or _keeps_heading_only(reading.pose, last)
+        last, began_anew = self.reading, False
+        if reading.number is not None and self._number is not None:
+            lost = reading.number - self._number - 1
+            began_anew = lost < 0
+            if lost > 0 and lost >= _LOST_SHARE * (room - 1.0):
+                return False
+        if _returns_to_origin(reading.pose, last, _ORIGIN_EXACT):
+            return True
+        tolerance = min(_ORIGIN_TOLERANCE + _ORIGIN_SPEED * gap, _ORIGIN_TOLERANCE_LIMIT)
+        near = _returns_to_origin(reading.pose, last, tolerance)
+        reachable = self._is_reachable(self._trajectory_pose(reading), gap)
+        return (near or not reachable) if began_anew else (near and not reachable)
 
     def _is_jump(self, reading: OdometryReading, pose: Pose2) -> bool:
         """Return whether a reading, at a pose of the trajectory, is no motion of the base."""
-        moved = math.hypot(pose.x - self.pose.x, pose.y - self.pose.y)
-        turned = abs(wrap_angle(pose.theta - self.pose.theta))
+        moved, turned = self._motion_to(pose)
         duration = reading.stamp - self.last
         if (
             moved > self._jump_speed * duration + _JUMP_SLACK
             or turned > _JUMP_TURN_RATE * duration + _JUMP_TURN_SLACK
         ):
             return True
-        if not _is_at_origin(reading.pose, self.reading, duration):
-            return False
-        # it ends where odometry begins: motion only if the base was fast enough for it
-        speed, turn_rate = self._recent_speeds()
-        travel = speed * (duration + _STAMP_JITTER) + 0.5 * _ACCELERATION * duration**2
-        turn = turn_rate * (duration + _STAMP_JITTER) + 0.5 * _TURN_ACCELERATION * duration**2
-        return moved > travel + _ORIGIN_NOISE or turned > turn + _ORIGIN_NOISE
+        # a reading where odometry begins is motion only if the base was fast enough for it
+        begins = _returns_to_origin(reading.pose, self.reading, _ORIGIN_EXACT)
+        return begins and not self._is_reachable(pose, duration)
 
-    def _recent_speeds(self) -> tuple[float, float]:
-        """Return the highest speed (m/s) and turn rate (rad/s) of the newest steps."""
-        speed = turn_rate = 0.0
-        stamps, poses = self._stamps[-_RECENT_READINGS:], self._poses[-_RECENT_READINGS:]
-        for k in range(1, len(stamps)):
-            duration = max(stamps[k] - stamps[k - 1], _STAMP_JITTER)
-            step = poses[k - 1].between(poses[k])
-            speed = max(speed, math.hypot(step.x, step.y) / duration)
-            turn_rate = max(turn_rate, abs(wrap_angle(step.theta)) / duration)
-        return speed, turn_rate
+    def _is_reachable(self, pose: Pose2, duration: float) -> bool:
+        """Return whether the base can have driven to a pose of the trajectory in a time (s)."""
+        moved, turned = self._motion_to(pose)
+        speeding_up = min(duration, _SPEEDING_UP)
+        accelerated = speeding_up * (duration - 0.5 * speeding_up)  # s², factor of acceleration
+        time = duration + _STAMP_JITTER
+        travel = self._top_speed * time + _ACCELERATION * accelerated
+        turn = self._top_turn_rate * time + _TURN_ACCELERATION * accelerated
+        return moved <= travel + _ORIGIN_NOISE and turned <= turn + _ORIGIN_NOISE
+
+    def _motion_to(self, pose: Pose2) -> tuple[float, float]:
+        """Return distance (m) and turn (rad) from the newest pose of the trajectory to another."""
+        moved = math.hypot(pose.x - self.pose.x, pose.y - self.pose.y)
+        return moved, abs(wrap_angle(pose.theta - self.pose.theta))
+
+    def _trajectory_pose(self, reading: OdometryReading) -> Pose2:
+        """Return the pose of the trajectory at a reading."""
+        if self._correction is None:
+            return reading.pose
+        return self._correction.compose(reading.pose)
 
     def _continue_from(self, reading: OdometryReading) -> None:
         """Attach a reading, and those that follow it, to the last pose."""

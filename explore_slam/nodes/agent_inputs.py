@@ -4,7 +4,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -138,6 +138,7 @@ class VehicleInputs:
         self._since = time.monotonic()
         self._held: deque[tuple[TopicKind, Any]] = deque(maxlen=_HELD)
         self._waiting_since: dict[str, float] = {}  # frame -> monotonic s
+        self._number: int | None = None  # of the newest odometry message at its publisher
         self.malformed = 0
         self._warned: dict[Topic, float] = {}
         self.received: dict[Topic, int] = {}
@@ -160,9 +161,19 @@ class VehicleInputs:
 
     def _subscribe(self, topic: Topic, take: Callable[[Any], None]) -> None:
         self.received[topic] = 0
-
         self._takers[topic] = take
-        subscribe(self._node, topic, partial(self.take, topic), self.vehicle)
+        callback: Callable[..., None] = partial(self.take, topic)
+        if topic is TopicKind.ODOMETRY:
+            callback = self._on_odometry
+        subscribe(self._node, topic, callback, self.vehicle)
+
+    def _on_odometry(self, message: Any, info: Mapping[str, int | None]) -> None:
+        """Take odometry with its number at the publisher, by which restarts are told from losses.
+
+        info: of rclpy; the number is None where the middleware does not report it.
+        """
+        self._number = info['publication_sequence_number']
+        self.take(TopicKind.ODOMETRY, message)
 
     def take(self, topic: Topic, message: Any) -> None:
         """Take a message of a topic: check frame and stamp, then use it."""
@@ -238,7 +249,10 @@ class VehicleInputs:
     def _read(self, topic: TopicKind, message: Any) -> None:
         found = self._reader.read(topic, message)
         if found is not None:
-            self._put(*found)
+            kind, record = found
+            if topic is TopicKind.ODOMETRY:
+                record = replace(record, number=self._number)
+            self._put(kind, record)
 
     def _put(self, kind: MeasurementKind, record: Any) -> None:
         def add(payload: Any) -> None:

@@ -46,11 +46,14 @@ def publisher(node: Node, topic: Topic, vehicle: str = '') -> Publisher:
 def subscribe(
     node: Node,
     topic: Topic,
-    callback: Callable[[Any], None],
+    callback: Callable[..., None],
     vehicle: str = '',
     qos: Qos | None = None,
 ) -> Subscription:
-    """Create a subscription with the requested quality of service, or with another one."""
+    """Create a subscription with the requested quality of service, or with another one.
+
+    callback: takes the message, or the message and rclpy's information about it.
+    """
     return node.create_subscription(
         message_class(topic.message_type),
         relative_name(topic, vehicle),

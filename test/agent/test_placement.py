@@ -5,7 +5,6 @@ import pytest
 from synthetic import SyntheticVehicle, SyntheticWorld
 
 from explore_slam.agent import Agent, AgentConfig, TeamPlanner
-from explore_slam.agent.odometry import OdometryBuffer
 from explore_slam.data import OdometryReading, VehicleState
 from explore_slam.errors import SlamError
 from explore_slam.exploration import ExplorationStatus
@@ -98,98 +97,6 @@ def test_a_loaded_state_is_confirmed_where_its_vehicle_still_stands(tmp_path, ca
     fresh.load_state(path)
     assert 'its motion since the state was saved is unknown' in caplog.text
     assert TeamPlanner(fresh).plan(14.0).status is ExplorationStatus.PAUSED
-
-
-def drive_to(buffer, last):
-    """Drive from zero to a pose in 2 s, with readings at 20 Hz."""
-    for k in range(41):
-        pose = Pose2(k / 40 * last.x, k / 40 * last.y, k / 40 * last.theta)
-        buffer.add(OdometryReading(0.05 * k, pose))
-
-
-@pytest.mark.parametrize('gap', [0.5, 2.0, 30.0])
-@pytest.mark.parametrize('last', [Pose2(4.95, 0.0, 0.0), Pose2(0.05, 0.0, 2.5), Pose2(1, 1, -3)])
-def test_odometry_from_zero_after_a_gap_is_no_motion(gap, last, caplog):
-    made = OdometryBuffer('robot1', 30.0, 3.0, 1.0)
-    drive_to(made, last)
-    made.add(OdometryReading(2.0 + gap, IDENTITY))
-    assert tuple(made.pose) == pytest.approx(tuple(last))
-    assert (made.restarts, made.resets) == (1, 1)
-    assert caplog.text.count('the driver was restarted') == 1
-    made.add(OdometryReading(2.1 + gap, Pose2(0.1, 0.0, 0.2)))
-    assert tuple(made.pose) == pytest.approx(tuple(last.compose(Pose2(0.1, 0.0, 0.2))))
-    assert made.resets == 1
-
-
-@pytest.mark.parametrize(
-    ('gap', 'first'),
-    [
-        (0.5, Pose2(0.03, 0.0, 0.0)),  # the first readings were lost
-        (2.0, Pose2(0.03, 0.0, 0.0)),
-        (2.0, Pose2(0.0, 0.0, 0.03)),  # the gyroscope drifts
-        (2.0, Pose2(0.0, 0.0, 1.0)),  # the heading of an IMU, kept
-        (30.0, Pose2(0.3, 0.0, 0.0)),  # it has driven since
-    ],
-)
-def test_a_restart_is_recognized_although_the_first_readings_are_missed(gap, first):
-    made = OdometryBuffer('robot1', 30.0, 3.0, 1.0)
-    last = Pose2(4.95, 0.0, 1.0)
-    drive_to(made, last)
-    made.add(OdometryReading(2.0 + gap, first))
-    assert tuple(made.pose) == pytest.approx(tuple(last))
-    assert (made.restarts, made.resets) == (1, 1)
-
-
-@pytest.mark.parametrize(
-    ('gap', 'last'),
-    [
-        (0.05, Pose2(0.2, 0.0, 0.2)),
-        (0.05, Pose2(0.0, 0.0, 0.25)),
-        (0.2, Pose2(0.6, 0.0, 0.3)),
-        (0.3, Pose2(0.0, 0.0, 2.5)),
-        (0.39, Pose2(0.6, 0.0, 0.3)),
-    ],
-)
-def test_a_reset_of_the_base_is_no_motion_although_it_is_slower_than_the_limit(gap, last):
-    made = OdometryBuffer('robot1', 30.0, 3.0, 1.0)
-    drive_to(made, last)
-    made.add(OdometryReading(2.0 + gap, IDENTITY))
-    assert tuple(made.pose) == pytest.approx(tuple(last))
-    assert (made.restarts, made.resets) == (0, 1)
-
-
-@pytest.mark.parametrize('interval', [0.05, 0.2, 1.0])
-def test_a_vehicle_that_returns_to_its_start_is_no_restart(interval):
-    made = OdometryBuffer('robot1', 30.0, 3.0, 1.0)
-    for k in range(-40, 41):
-        made.add(OdometryReading(interval * (k + 40), Pose2(0.5 * interval * k, 0.0, 0.0)))
-    assert (made.restarts, made.resets) == (0, 0)
-    assert made.pose.x == pytest.approx(20.0 * interval)
-
-
-def test_a_gap_far_from_zero_is_no_restart():
-    made = OdometryBuffer('robot1', 30.0, 3.0, 1.0)
-    drive_to(made, Pose2(4.0, 0.0, 0.0))
-    made.add(OdometryReading(4.0, Pose2(1.0, 0.0, 0.0)))
-    assert (made.restarts, made.resets) == (0, 0)
-    assert made.pose.x == pytest.approx(1.0)
-
-
-def test_a_vehicle_that_drives_through_zero_is_no_restart():
-    made = OdometryBuffer('robot1', 30.0, 3.0, 1.0)
-    for k in range(21):
-        made.add(OdometryReading(0.1 * k, Pose2(0.04 * (k - 10), 0.0, 0.0)))
-    assert made.resets == 0
-    assert made.pose.x == pytest.approx(0.4)
-
-
-def test_a_heading_that_jumps_is_no_motion(caplog):
-    made = OdometryBuffer('robot1', 30.0, 3.0, 1.0)
-    made.add(OdometryReading(0.0, IDENTITY))
-    made.add(OdometryReading(0.1, Pose2(0.0, 0.0, 0.2)))
-    made.add(OdometryReading(0.2, Pose2(0.0, 0.0, -2.5)))
-    assert made.pose.theta == pytest.approx(0.2)
-    assert 'reset of the base' in caplog.text
 
 
 def restarted():

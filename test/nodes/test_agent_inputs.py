@@ -1,10 +1,12 @@
-"""What the agent's subscriptions say about clocks, by real nodes and messages."""
+"""What the agent's subscriptions make of messages and clocks, by real nodes and messages."""
 
 import pytest
 import rclpy
 from nav_msgs.msg import Odometry
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
 from ros_domain import own_domain
 
 from explore_slam.messages.sensor_mounts import SensorMounts
@@ -14,6 +16,16 @@ from explore_slam.nodes import agent_inputs
 from explore_slam.nodes.agent_inputs import LIMITS, VehicleInputs
 from explore_slam.nodes.inbox import Inbox
 from explore_slam.nodes.transform_listener import TransformListener
+
+
+class Sink:
+    """Collects records, as the agent takes them."""
+
+    def __init__(self):
+        self.records = []
+
+    def add(self, _vehicle, record):
+        self.records.append(record)
 
 
 @pytest.fixture
@@ -35,7 +47,7 @@ def make_inputs():
             SensorMounts('robot1', TransformTree()),
             ['robot1'],
             Inbox(LIMITS),
-            sink=None,
+            sink=Sink(),
             operator=None,
             transforms=TransformListener(node, ['robot1']),
             map_frame='map',
@@ -75,3 +87,27 @@ def test_stamps_are_compared_with_a_clock_that_runs(make_inputs):
     problems = inputs.clock_problems()
     assert problems.keys() == {'robot1/odom'}
     assert 'behind the clock of this node' in problems['robot1/odom']
+
+
+def test_odometry_has_the_number_that_its_publisher_has_given_it(make_inputs):
+    inputs = make_inputs(simulated=False)
+    node = inputs._node
+    driver = Node('driver', context=node.context)
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    records = []
+    for start in (1_000, 2_000):  # the driver and its successor
+        publisher = driver.create_publisher(Odometry, 'robot1/odom', QoSProfile(depth=10))
+        while not publisher.get_subscription_count():
+            executor.spin_once(timeout_sec=0.02)
+        for k in range(5):
+            publisher.publish(odometry(start + k))
+            count = len(records) + 1
+            while len(records) < count:
+                executor.spin_once(timeout_sec=0.02)
+                while (item := inputs._inbox.get(timeout=0.0)) is not None:
+                    item.take(item.payload)
+                records = list(inputs._sink.records)
+        driver.destroy_publisher(publisher)
+    driver.destroy_node()
+    assert [record.number for record in records] == [1, 2, 3, 4, 5] * 2
