@@ -64,7 +64,7 @@ def _from_origin(pose: Pose2) -> float:
 def _returns_to_origin(reading: Pose2, last: Pose2, tolerance: float) -> bool:
     """Return whether a reading is near zero, and the last one was far from it.
 
-    tolerance: m and rad. The heading does not count where the position shows it: an IMU may keep it.
+    tolerance: m and rad. The heading does not count where the position tells: an IMU may keep it.
     """
     distance, last_distance = _from_origin(reading), _from_origin(last)
     if distance <= tolerance and last_distance > _RESTART_CONTRAST * max(distance, _ORIGIN_NOISE):

@@ -18,6 +18,7 @@ from explore_slam.nodes.node_support import (
     changed_settings,
     declare_settings,
     declare_vehicle_settings,
+    interruptible,
     run_node,
     warn_of_unknown_parameters,
 )
@@ -68,7 +69,8 @@ class AgentNode(ManagedNode):
 
     def configure(self) -> None:
         """Build filter, map and planner; offer topics and services."""
-        warm_up(self.get_logger().info)
+        with interruptible():
+            warm_up(self.get_logger().info)
         self.session = AgentSession(self, self.config, self.vehicle_configs)
 
     def activate(self) -> None:

@@ -3,11 +3,14 @@
 import contextlib
 import dataclasses
 import difflib
+import faulthandler
+import gc
 import logging
 import os
 import signal
 import sys
-from collections.abc import Callable, Collection, Iterable, Mapping
+import threading
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import Any, Protocol
 
 import rclpy
@@ -35,6 +38,7 @@ from explore_slam.settings import (
     with_values,
 )
 
+_END_TIMEOUT = 20.0  # s from the end of a node to that of its process, which takes well below 1 s
 _NICENESS = -10  # granted to root, and where limits.conf allows it
 _MISSPELT = 0.85  # similarity (difflib) from which a name is a misspelling of another
 SILENCE = 5.0  # s without a message after which its possible causes are logged
@@ -255,6 +259,62 @@ def vehicle_name(node: Node) -> str:
     return str(node.get_namespace()).strip('/').replace('/', '_') or 'robot'
 
 
+class _EndSignals:
+    """SIGINT, SIGTERM and SIGHUP as a node takes them: they are noted, and it ends in its turn.
+
+    Within `interruptible`, the first of them raises KeyboardInterrupt.
+    """
+
+    def __init__(self) -> None:
+        self.received: list[int] = []
+        self._interrupting = False
+
+    def install(self) -> None:
+        """Take the signals of this process from now on."""
+        self.received.clear()
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, self._on_signal)
+
+    def _on_signal(self, number: int, _frame: Any) -> None:
+        self.received.append(number)
+        # once: the second of two (terminal and launcher) must not interrupt the clean-up
+        if self._interrupting:
+            self._interrupting = False
+            raise KeyboardInterrupt
+
+    @contextlib.contextmanager
+    def interruptible(self) -> Iterator[None]:
+        """Let a signal that came, or comes within the block, raise KeyboardInterrupt."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        self._interrupting = True
+        try:
+            self._raise_if_received()
+            yield
+            self._raise_if_received()  # its exception may have been lost in a finalizer
+        except Exception:
+            self._raise_if_received()  # or may have become another one on its way
+            raise
+        finally:
+            self._interrupting = False
+
+    def _raise_if_received(self) -> None:
+        if self.received:
+            raise KeyboardInterrupt
+
+
+_end_signals = _EndSignals()
+
+
+def interruptible() -> contextlib.AbstractContextManager[None]:
+    """Return a context in which a signal that ends the node raises KeyboardInterrupt.
+
+    For long computations before anything is open that has to be closed in order.
+    """
+    return _end_signals.interruptible()
+
+
 class StoppableNode(Protocol):
     """A node that brings its vehicle to rest before it ends."""
 
@@ -278,31 +338,48 @@ def run_node(make: Callable[[], StoppableNode], arguments: list[str] | None = No
     """Spin a node until SIGINT or SIGTERM, stop its vehicle, return the exit code.
 
     Signals are handled here and not by rclpy, whose handler shuts the context down before the
-    last commands are sent; the second of two SIGINTs (terminal and launcher) is ignored.
+    last commands are sent; the second of two SIGINTs (terminal and launcher) is ignored. A process
+    that has not ended a while later, whatever holds it, prints where it is and ends.
     """
-    asked: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, lambda received, _frame: asked.append(received))
+    _end_signals.install()
     rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-    node: StoppableNode | None = None
-    code = 0
+    with contextlib.ExitStack() as ending:  # each step is taken, whatever another one raises
+        ending.callback(_end_in_time)
+        ending.callback(rclpy.try_shutdown)
+        # a node whose construction has failed is garbage, but with references in circles: left
+        # to the interpreter, its threads of DDS would meet what is being destroyed at the exit
+        ending.callback(gc.collect)
+        try:
+            node = make()
+        except KeyboardInterrupt:  # of `interruptible`
+            return 0
+        except ExploreSlamError as error:
+            logging.getLogger(__name__).error('%s', error)
+            return 1
+        ending.callback(node.destroy_node)
+        ending.callback(node.stop)
+        return _spin(node)
+
+
+def _spin(node: StoppableNode) -> int:
+    """Run a node until a signal comes or a callback fails; return the exit code."""
     try:
-        node = make()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        while not asked:
+        while not _end_signals.received:
             executor.spin_once(timeout_sec=0.05)
+    except KeyboardInterrupt:  # of `interruptible`
+        return 0
     except ExploreSlamError as error:
         logging.getLogger(__name__).error('%s', error)
-        code = 1
+        return 1
     except Exception as error:  # the vehicle must be stopped first, whatever the error
-        if node is None:
-            raise
         node.get_logger().fatal(f'stopping the vehicle: {type(error).__name__}: {error}')
-        code = 1
-    finally:
-        if node is not None:
-            node.stop()
-            node.destroy_node()
-        rclpy.try_shutdown()
-    return code
+        return 1
+    return 0
+
+
+def _end_in_time() -> None:
+    """End this process after a while if it has not ended by itself, and print where it was."""
+    with contextlib.suppress(ValueError, OSError):  # stderr without a file descriptor
+        faulthandler.dump_traceback_later(_END_TIMEOUT, exit=True)

@@ -48,6 +48,7 @@ from explore_slam.simulation import (
 )
 from explore_slam.simulation.emulators.hardware_bridge import HardwareBridge
 
+_CLOSE_TIMEOUT = 10.0  # s for a step of the simulation and the release of the renderer
 CLOCK_REPEAT = 0.02  # wall s after which /clock is repeated while time is held
 # settings that may change at run time
 CHANGEABLE = {field.name for field in fields(PaceConfig)} | {
@@ -124,15 +125,23 @@ class SimulatorNode(Node):
         logging.getLogger('explore_slam').addHandler(self._log_handler)
         self.config = declare_settings(self, SimulatorNodeConfig())
         self._worker = ThreadPoolExecutor(1, thread_name_prefix='simulator')
-        self.simulator: Simulator = self._worker.submit(self._make_simulator).result()
-        names = self.simulator.vehicles
         self._hardware: HardwareBridge | None = None
+        self._wake = threading.Condition()
+        self._stopping = False
+        self.simulator: Simulator = self._worker.submit(self._make_simulator).result()
+        try:
+            self._connect()
+        except BaseException:  # the renderer must be released by the thread that has made it
+            self.stop()
+            raise
+
+    def _connect(self) -> None:
+        """Offer the topics of the vehicles, and begin to simulate."""
+        names = self.simulator.vehicles
         if self.config.hardware:
             self._hardware = HardwareBridge(Path(self.config.hardware), names, self.config.seed)
             for name, ports in self._hardware.paths.items():
                 self.get_logger().info(f'{name}: base at {ports[0]}, laser at {ports[1]}')
-        self._wake = threading.Condition()
-        self._stopping = False
         self._commands: dict[str, tuple[float, float]] = {}
         self._last_command = dict.fromkeys(names, -math.inf)
         self._pace = Pace(self.config.pace, names, time.monotonic())
@@ -280,8 +289,14 @@ class SimulatorNode(Node):
             self._wake.notify()
         if self._hardware is not None:
             self._hardware.close()
-        self._worker.submit(self.simulator.close)
-        self._worker.shutdown(wait=True)
+        closed = self._worker.submit(self.simulator.close)
+        self._worker.shutdown(wait=False)
+        try:
+            closed.result(timeout=_CLOSE_TIMEOUT)
+        except TimeoutError:
+            self.get_logger().error(
+                f'the simulation has not ended within {_CLOSE_TIMEOUT:.0f} s of the request'
+            )
         logging.getLogger('explore_slam').removeHandler(self._log_handler)
 
 

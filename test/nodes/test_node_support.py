@@ -1,3 +1,5 @@
+import os
+import signal
 import subprocess
 import sys
 
@@ -21,6 +23,51 @@ sys.exit(run_node(Faulty))
 """
 
 
+HALF_BUILT = """
+import sys
+from rclpy.node import Node
+from explore_slam.errors import ConfigError
+from explore_slam.nodes.node_support import run_node
+
+class HalfBuilt(Node):
+    def __init__(self):
+        super().__init__('half_built')
+        self.create_timer(0.05, self.tick)
+        raise ConfigError('a mistake')
+    def tick(self):
+        pass
+    def destroy_node(self):
+        raise AssertionError('was not built')
+    def __del__(self):
+        print('released', flush=True)
+
+code = run_node(HalfBuilt)
+print('end', flush=True)
+sys.exit(code)
+"""
+
+HANGS = """
+import sys
+import threading
+from rclpy.node import Node
+from explore_slam.nodes import node_support
+
+class Hanging(Node):
+    def __init__(self):
+        super().__init__('hanging')
+        self.create_timer(0.05, self.fail)
+    def fail(self):
+        raise RuntimeError('a bug')
+    def stop(self):
+        threading.Thread(target=self.wait_for_ever).start()
+    def wait_for_ever(self):
+        threading.Event().wait()
+
+node_support._END_TIMEOUT = 1.0
+sys.exit(node_support.run_node(Hanging))
+"""
+
+
 def run(*arguments):
     return subprocess.run(
         [sys.executable, *arguments],
@@ -36,6 +83,39 @@ def test_an_exception_in_a_callback_stops_the_vehicle_first():
     assert result.returncode == 1
     assert 'at rest' in result.stdout
     assert 'stopping the vehicle: RuntimeError: a bug' in result.stderr
+
+
+def test_a_node_that_could_not_be_built_is_released_before_the_process_ends():
+    result = run('-c', HALF_BUILT)
+    assert result.returncode == 1
+    assert result.stdout.split() == ['released', 'end']
+    assert result.stderr.strip() == 'a mistake'
+
+
+def test_a_process_that_does_not_end_says_where_it_is_and_ends():
+    result = run('-c', HANGS)
+    assert result.returncode == 1
+    assert 'Timeout (0:00:01)' in result.stderr
+    assert 'in wait_for_ever' in result.stderr
+
+
+def test_ctrl_c_ends_the_first_start_while_kernels_are_compiled(tmp_path):
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'explore_slam.nodes.agent_node'],
+        env={**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path)},
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        line = process.stderr.readline()
+        assert 'compiling kernels (once, about a minute) ...' in line
+        process.send_signal(signal.SIGINT)
+        _, rest = process.communicate(timeout=30)
+    finally:
+        process.kill()
+        process.wait()
+    assert rest == ''  # neither the kernels that would have followed nor a traceback
+    assert process.returncode == 0
 
 
 @pytest.mark.parametrize(
