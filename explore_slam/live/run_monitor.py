@@ -38,7 +38,7 @@ from explore_slam.messages.topics import (
     vehicle_topic,
 )
 from explore_slam.nodes.agent_inputs import operator_polygon
-from explore_slam.nodes.endpoints import relative_name, subscribe, subscribe_latched_or_not
+from explore_slam.nodes.endpoints import LatchedOrNotSubscription, relative_name, subscribe
 from explore_slam.results.reachable_area import ReachableArea
 from explore_slam.results.run_data import RunRecorder
 
@@ -105,7 +105,7 @@ class RunMonitor(Node):
         subscribe(self, TeamTopic.STATUS, self._on_status)
         subscribe(self, GlobalTopic.DIAGNOSTICS, self._on_diagnostics, qos=COMPLETE)
         for topic in (TeamTopic.AREA, TeamTopic.KEEP_OUT):
-            subscribe_latched_or_not(self, topic, partial(self._on_polygon, topic))
+            LatchedOrNotSubscription(self, topic, partial(self._on_polygon, topic))
         for vehicle in starts:
             self._follow(vehicle)
         self._save_map = self.create_client(Trigger, 'save_map')

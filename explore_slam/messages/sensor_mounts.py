@@ -127,8 +127,8 @@ class SensorMounts:
         return pose if isinstance(pose, Pose3) else None
 
     def _laser(self, frame: str) -> Mount:
-        found = self._tree.lookup(self.base, frame)
         own, team = self.config.laser_pose, self._team.laser
+        found = self._lookup(frame, own is not None, 'laser_mount')
         if found is None:
             mount = self._from_settings(own or team, own is not None, 'laser_mount')
             return self._use(frame, mount, 'laser_mount')
@@ -153,8 +153,8 @@ class SensorMounts:
         return self._use(frame, Mount('/tf_static', pose, vertical < 0.0), 'laser_mount')
 
     def _camera(self, frame: str) -> Mount:
-        found = self._tree.lookup(self.base, frame)
         own, team = self.config.optical_pose, self._team.camera
+        found = self._lookup(frame, own is not None, 'camera_mount')
         if found is None:
             mount = self._from_settings(own or team, own is not None, 'camera_mount')
             return self._use(frame, mount, 'camera_mount')
@@ -174,6 +174,22 @@ class SensorMounts:
                 f'{_text(found)} and {_text(expected)}; /tf_static is used',
             )
         return self._use(frame, Mount('/tf_static', found), 'camera_mount')
+
+    def _lookup(self, frame: str, is_set: bool, setting: str) -> Pose3 | None:
+        """Return the pose of a sensor's frame; None where the settings are to be used.
+
+        is_set: whether the settings of the vehicle have the mount. It decides where static
+        transforms contradict each other, as when several robots publish the same frame.
+        """
+        found = self._tree.lookup(self.base, frame)
+        if found is not None and is_set and self._tree.is_contradicted(self.base, frame):
+            self._warn_once(
+                f'several {frame}',
+                f'/tf_static has had different poses of {frame}, as if several robots published '
+                f'it; {self.vehicle}.{setting} is used',
+            )
+            return None
+        return found
 
     def _from_settings(self, pose: Pose2 | Pose3 | None, own: bool, name: str) -> Mount:
         if pose is None:
@@ -232,6 +248,10 @@ def shared_frames(mounts: Iterable[SensorMounts], own_transforms: Container[str]
         "give each vehicle's nodes a frame prefix, or remap /tf and /tf_static to tf and "
         'tf_static in its namespace'
     )
+
+    def settings(names: Iterable[str]) -> str:
+        return ' and '.join(f'{name}.laser_mount or camera_mount' for name in names)
+
     return [
         f'{" and ".join(names)} have the same odometry frame {frame!r}: the transform from the '
         f'map to it on /tf jumps between them; {advice}'
@@ -239,7 +259,8 @@ def shared_frames(mounts: Iterable[SensorMounts], own_transforms: Container[str]
         if len(names) > 1
     ] + [
         f'{" and ".join(names)} have the same sensor frame {frame!r}: all use the mount that was '
-        f'published last on /tf_static, which is wrong unless their sensors sit alike; {advice}'
+        f'published last on /tf_static, which is wrong unless their sensors sit alike; {advice}, '
+        f'or set {settings(names)}, which are used where transforms contradict each other'
         for frame, names in sensors.items()
         if len(names) > 1
     ]

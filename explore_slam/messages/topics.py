@@ -84,7 +84,7 @@ class VehicleTopic(Topic):
     """What else lies in a vehicle's namespace: the agent's results for it, commands, status."""
 
     POSE = 'pose', _POSE, RELIABLE, RELIABLE
-    # subscribed to without latching as well: endpoints.subscribe_latched_or_not
+    # subscribed to without latching as well: endpoints.LatchedOrNotSubscription
     PLAN = 'plan', 'nav_msgs/msg/Path', LATCHED, LATCHED
     TRAJECTORY = 'trajectory', 'nav_msgs/msg/Path', RELIABLE, RELIABLE
     PARTICLES = 'particles', 'geometry_msgs/msg/PoseArray', BEST_EFFORT
@@ -106,7 +106,7 @@ class TeamTopic(Topic):
     MAP_LANDMARKS = 'map_landmarks', 'sensor_msgs/msg/PointCloud2', LATCHED, LATCHED
     FRONTIERS = 'explore/frontiers', 'visualization_msgs/msg/MarkerArray', RELIABLE, RELIABLE
     STATUS = 'explore/status', 'std_msgs/msg/String', LATCHED, LATCHED
-    # subscribed to without latching as well: endpoints.subscribe_latched_or_not
+    # subscribed to without latching as well: endpoints.LatchedOrNotSubscription
     AREA = 'explore/area', _POLYGON, AREAS, AREAS
     KEEP_OUT = 'explore/keepout', _POLYGON, AREAS, AREAS
     RESUME = 'explore/resume', 'std_msgs/msg/Bool', RELIABLE, RELIABLE

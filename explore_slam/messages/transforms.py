@@ -29,22 +29,25 @@ class TransformTree:
     """The newest pose of every frame in its parent.
 
     What a vehicle's own topics say goes before what is on those that all vehicles share, where
-    others may have frames of the same names.
+    others may have frames of the same names. Messages do not tell who has published them: of
+    static transforms that contradict each other it is only known that they do.
     """
 
     def __init__(self) -> None:
         self._parents: dict[str, tuple[str, Pose3]] = {}
         self._own: set[str] = set()
+        self._static: set[str] = set()  # with a static pose on a topic of all
+        self._contradicted: set[str] = set()  # with several of them
 
     def __contains__(self, frame: str) -> bool:
         """Return whether a frame is part of the tree."""
         name = frame_name(frame)
         return name in self._parents or any(p == name for p, _ in self._parents.values())
 
-    def add(self, message: Any, shared: bool = False) -> None:
+    def add(self, message: Any, shared: bool = False, static: bool = False) -> None:
         """Add the transforms of a tf2_msgs/TFMessage; those that are not finite are omitted.
 
-        shared: it came on a topic of all vehicles.
+        shared: it came on a topic of all vehicles. static: its transforms never change.
         """
         for stamped in message.transforms:
             child, parent = frame_name(stamped.child_frame_id), frame_name(stamped.header.frame_id)
@@ -53,8 +56,13 @@ class TransformTree:
                 continue
             if not shared:
                 self._own.add(child)
+                self._contradicted.discard(child)
             elif child in self._own:
                 continue
+            elif static:
+                if child in self._static and self._parents[child] != (parent, pose):
+                    self._contradicted.add(child)
+                self._static.add(child)
             self._parents[child] = (parent, pose)
 
     def lookup(self, base: str, frame: str) -> Pose3 | None:
@@ -64,6 +72,16 @@ class TransformTree:
         if common is None:
             return None
         return base_chain[common].inverse().compose(frame_chain[common])
+
+    def is_contradicted(self, base: str, frame: str) -> bool:
+        """Return whether a frame, or one between it and the base, has had several static poses."""
+        base_chain = self._chain(frame_name(base))
+        for name in self._chain(frame_name(frame)):
+            if name in base_chain:
+                return False
+            if name in self._contradicted:
+                return True
+        return False
 
     def _chain(self, frame: str) -> dict[str, Pose3]:
         """Return the pose of a frame in itself and in each of its ancestors, nearest first."""

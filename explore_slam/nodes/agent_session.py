@@ -47,7 +47,7 @@ from explore_slam.nodes.agent_inputs import (
 from explore_slam.nodes.agent_outputs import AgentOutputs
 from explore_slam.nodes.agent_parameters import AgentNodeConfig
 from explore_slam.nodes.agent_statistics import AgentStatistics, explain_delay
-from explore_slam.nodes.endpoints import publisher, subscribe, subscribe_latched_or_not
+from explore_slam.nodes.endpoints import LatchedOrNotSubscription, publisher, subscribe
 from explore_slam.nodes.heartbeat import Heartbeat
 from explore_slam.nodes.inbox import Inbox, Item
 from explore_slam.nodes.map_outputs import map_message
@@ -156,7 +156,7 @@ class AgentSession:
             lambda message: self._for_selected(VehicleTopic.GOAL_POSE, message),
         )
         for topic in (TeamTopic.AREA, TeamTopic.KEEP_OUT):
-            subscribe_latched_or_not(self._node, topic, partial(self._on_polygon, topic))
+            LatchedOrNotSubscription(self._node, topic, partial(self._on_polygon, topic))
         names = list(self.config.vehicles)
         transforms = TransformListener(self._node, names)
         given = explicit_mounts(self.config.agent)

@@ -1,10 +1,11 @@
 """Publishers and subscriptions from the topic tables, and the broadcaster of transforms."""
 
 import contextlib
+import time
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
@@ -13,6 +14,10 @@ from rclpy.subscription import Subscription
 from explore_slam.messages.topics import GlobalTopic, Qos, Topic
 from explore_slam.nodes.ros_types import message_class
 
+_FETCH_POLL = 0.2  # s between looks for latched publishers that are new
+_FETCH_TIMEOUT = 10.0  # s for discovery, after which a publisher has nothing to be fetched
+_FETCH_REST = 1.0  # s after a message that was fetched, for those that follow it
+_FETCH_PATIENCE = 5.0  # s to wait for publishers to go that are not latched, as ros2 topic pub
 _TOPIC_CHECK = 50  # transforms of a vehicle between two looks at the topic that its nodes use
 
 
@@ -62,22 +67,59 @@ def subscribe(
     )
 
 
-def subscribe_latched_or_not(
-    node: Node, topic: Topic, callback: Callable[[Any], None], vehicle: str = ''
-) -> None:
-    """Subscribe to publishers that are latched and to those that are not, as many tools are.
+class LatchedOrNotSubscription:
+    """Subscription to publishers that are latched and to those that are not, as many tools are.
 
-    A latched message arrives twice at a late subscriber: the callback must not mind.
+    A subscription that is not latched takes what either publishes from now on. What a latched
+    publisher has published before is fetched by a second one, which exists for a while after such
+    a publisher has appeared: its quality of service is incompatible with publishers that are not
+    latched, which say so on their terminals. A message may arrive twice: the callback must not
+    mind.
     """
-    quiet = SubscriptionEventCallbacks(use_default_callbacks=False)  # the other one matches
-    for latched in (True, False):
-        node.create_subscription(
-            message_class(topic.message_type),
-            relative_name(topic, vehicle),
-            callback,
-            qos_profile(topic.requested._replace(latched=latched)),
-            event_callbacks=quiet if latched else None,
-        )
+
+    def __init__(
+        self, node: Node, topic: Topic, callback: Callable[[Any], None], vehicle: str = ''
+    ) -> None:
+        self._node = node
+        self._topic, self._vehicle, self._callback = topic, vehicle, callback
+        self._name = node.resolve_topic_name(relative_name(topic, vehicle))
+        self._known: set[tuple[int, ...]] = set()  # latched publishers that have been asked
+        self._since = 0.0  # monotonic s; when the first one that has not been asked was seen
+        self._fetching: Subscription | None = None
+        self._until = 0.0  # monotonic s
+        subscribe(node, topic, callback, vehicle, topic.requested._replace(latched=False))
+        self._look()
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        node.create_timer(_FETCH_POLL, self._look, clock=steady)
+
+    def _look(self) -> None:
+        """Begin to fetch from latched publishers that are new, or end it when its time is over."""
+        now = time.monotonic()
+        if self._fetching is not None:
+            if now >= self._until:
+                self._node.destroy_subscription(self._fetching)
+                self._fetching = None
+            return
+        latched, plain = set[tuple[int, ...]](), False
+        for info in self._node.get_publishers_info_by_topic(self._name):
+            if info.qos_profile.durability is QoSDurabilityPolicy.TRANSIENT_LOCAL:
+                latched.add(tuple(info.endpoint_gid))
+            else:
+                plain = True
+        self._known &= latched
+        if latched == self._known:
+            self._since = now
+        elif not plain or now - self._since > _FETCH_PATIENCE:
+            self._known = latched
+            self._until = now + _FETCH_TIMEOUT
+            qos = self._topic.requested._replace(latched=True)
+            self._fetching = subscribe(
+                self._node, self._topic, self._on_retained, self._vehicle, qos
+            )
+
+    def _on_retained(self, message: Any) -> None:
+        self._until = min(self._until, time.monotonic() + _FETCH_REST)
+        self._callback(message)
 
 
 class TransformBroadcaster:

@@ -40,7 +40,7 @@ from explore_slam.messages.topics import (
 )
 from explore_slam.messages.vehicle_settings import VehicleConfig
 from explore_slam.nodes.driver_parameters import DriverNodeConfig
-from explore_slam.nodes.endpoints import publisher, subscribe, subscribe_latched_or_not
+from explore_slam.nodes.endpoints import LatchedOrNotSubscription, publisher, subscribe
 from explore_slam.nodes.managed_node import ManagedNode
 from explore_slam.nodes.node_support import (
     OK,
@@ -128,7 +128,7 @@ class ActiveFollower:
         subscribe(node, VehicleTopic.AGENT_ALIVE, self._on_heartbeat)
         # the agent's plans are latched, those of other planners and tools need not be; a plan that
         # arrives twice changes nothing
-        subscribe_latched_or_not(node, VehicleTopic.PLAN, self._on_plan)
+        LatchedOrNotSubscription(node, VehicleTopic.PLAN, self._on_plan)
         subscribe(node, VehicleTopic.POSE, self._on_pose)
         # only the newest readings matter here: no burst is kept
         subscribe(node, TopicKind.ODOMETRY, self._on_odometry, qos=SENSOR_DATA)

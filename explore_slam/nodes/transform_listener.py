@@ -1,6 +1,7 @@
 """Transforms of /tf_static and /tf for the vehicles of a node, where tf2_msgs is installed."""
 
 from collections.abc import Iterable
+from functools import partial
 from typing import Any
 
 from rclpy.node import Node
@@ -58,16 +59,17 @@ class TransformListener:
         if self._type is None:
             return
         name, profile = topic.value, qos_profile(topic.requested)
-        self._node.create_subscription(self._type, name, self._add_to_all, profile)
+        add = partial(self._add_to_all, topic is GlobalTopic.TF_STATIC)
+        self._node.create_subscription(self._type, name, add, profile)
         for vehicle in self._vehicles:
             tree = self.trees[vehicle]
             own = f'{vehicle}{name}' if self._namespaced else name.lstrip('/')
             if self._node.resolve_topic_name(own) != name:
                 self._node.create_subscription(self._type, own, tree.add, profile)
 
-    def _add_to_all(self, message: Any) -> None:
+    def _add_to_all(self, static: bool, message: Any) -> None:
         for tree in self.trees.values():
-            tree.add(message, shared=True)
+            tree.add(message, shared=True, static=static)
 
 
 def own_mounts(

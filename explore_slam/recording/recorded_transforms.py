@@ -31,7 +31,11 @@ def _tree(bag: BagReader, vehicle: str) -> TransformTree:
         ]
         for message in itertools.islice(bag.messages(names) if names else (), most):
             try:
-                tree.add(bag.decode(message), shared=message.topic == topic.value)
+                tree.add(
+                    bag.decode(message),
+                    shared=message.topic == topic.value,
+                    static=topic is GlobalTopic.TF_STATIC,
+                )
             except RecordingError as error:
                 bag.warn(str(error))
     return tree

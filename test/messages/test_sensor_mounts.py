@@ -204,12 +204,60 @@ def test_frames_that_vehicles_share_are_named_with_the_vehicles():
     odom, laser = shared_frames(stock, ())
     assert odom.startswith("robot1 and robot2 have the same odometry frame 'odom'")
     assert laser.startswith("robot1 and robot2 have the same sensor frame 'laser'")
+    assert 'set robot1.laser_mount or camera_mount and robot2.laser_mount or camera_mount' in laser
     assert shared_frames(stock, {'robot1', 'robot2'}) == []
     assert shared_frames(stock[:1], ()) == []
     prefixed = [vehicle(n, f'{n}/base_link', f'{n}/odom', f'{n}/laser') for n in ('a', 'b')]
     assert shared_frames(prefixed, ()) == []
     silent = [SensorMounts(name, TransformTree()) for name in ('a', 'b')]
     assert shared_frames(silent, ()) == []
+
+
+def test_settings_decide_where_robots_publish_the_same_static_frame(caplog):
+    ahead, behind = Pose2(0.1, 0.0, 0.0), Pose2(-0.2, 0.0, math.pi / 2)
+    bringups = [
+        message_of(
+            ('base_link', 'plate', (0.0, 0.0, 0.1), turn()),
+            ('plate', 'laser', (x, y, 0.0), turn(yaw=yaw)),
+        )
+        for x, y, yaw in (ahead, behind)
+    ]
+    robots = {}
+    for name, config in (
+        ('robot1', VehicleConfig(laser_mount=tuple(ahead))),
+        ('robot2', VehicleConfig(laser_mount=tuple(behind))),
+        ('robot3', VehicleConfig()),
+    ):
+        tree = TransformTree()
+        robots[name] = SensorMounts(name, tree, config)
+        robots[name].add_odometry(odometry())
+        for message in bringups:
+            for _ in range(2):
+                tree.add(message, shared=True, static=True)
+    with caplog.at_level(logging.WARNING, 'explore_slam'):
+        mounts = {name: one.place_scan(SCAN, 'laser').mount for name, one in robots.items()}
+    assert mounts['robot1'] == ahead
+    assert mounts['robot2'] == behind
+    assert tuple(mounts['robot3']) == pytest.approx(tuple(behind))  # nothing better is known
+    assert [record.getMessage() for record in caplog.records] == [
+        f'{name}: /tf_static has had different poses of laser, as if several robots published it; '
+        f'{name}.laser_mount is used'
+        for name in ('robot1', 'robot2')
+    ]
+
+
+def test_a_transform_of_the_vehicle_or_one_that_moves_is_not_contradicted():
+    tree = TransformTree()
+    tree.add(message_of(('base_link', 'laser', (0.1, 0.0, 0.0), turn())), shared=True, static=True)
+    tree.add(message_of(('base_link', 'laser', (0.2, 0.0, 0.0), turn())), shared=True, static=True)
+    assert tree.is_contradicted('base_link', 'laser')
+    tree.add(message_of(('base_link', 'laser', (0.3, 0.0, 0.0), turn())))  # of the vehicle
+    assert not tree.is_contradicted('base_link', 'laser')
+    for x in (0.1, 0.2):
+        tree.add(message_of(('base_link', 'arm', (x, 0.0, 0.0), turn())), shared=True)
+    tree.add(message_of(('base_link', 'arm', (0.3, 0.0, 0.0), turn())), shared=True, static=True)
+    assert not tree.is_contradicted('base_link', 'arm')
+    assert tree.lookup('base_link', 'laser').position[0] == 0.3
 
 
 def test_cameras_by_optical_frame_by_body_frame_and_by_setting(caplog):

@@ -1,6 +1,12 @@
 """Every subscription matches what ordinary tools and drivers offer."""
 
+import time
+
 import pytest
+import rclpy
+from geometry_msgs.msg import Point32, PolygonStamped
+from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import (
     QoSCompatibility,
     QoSDurabilityPolicy,
@@ -9,6 +15,7 @@ from rclpy.qos import (
     qos_check_compatible,
     qos_profile_sensor_data,
 )
+from ros_domain import own_domain
 
 from explore_slam.messages.measurement_kinds import MEASUREMENT_KINDS
 from explore_slam.messages.topics import (
@@ -18,7 +25,8 @@ from explore_slam.messages.topics import (
     TopicKind,
     VehicleTopic,
 )
-from explore_slam.nodes.endpoints import qos_profile
+from explore_slam.nodes import endpoints
+from explore_slam.nodes.endpoints import LatchedOrNotSubscription, qos_profile
 
 
 # `ros2 topic pub`, RViz's tools and system defaults: reliable and volatile
@@ -82,3 +90,90 @@ def test_maps_match_latched_and_plain_subscribers(topic):
     for requested in (LATCHED, TOOL, qos_profile_sensor_data):
         compatible = qos_check_compatible(qos_profile(topic.offered), requested)
         assert compatible[0] != QoSCompatibility.ERROR
+
+
+class Topics:
+    """A node that subscribes to keep-out areas, and tools that publish them."""
+
+    def __init__(self, context):
+        self.listener = rclpy.create_node('listener', context=context)
+        self.tools = rclpy.create_node('tools', context=context)
+        self.executor = SingleThreadedExecutor(context=context)
+        for node in (self.listener, self.tools):
+            self.executor.add_node(node)
+        self.heard, self.incompatible = [], []
+
+    def subscribe(self):
+        def hear(message):
+            self.heard.append(message.polygon.points[0].x)
+
+        LatchedOrNotSubscription(self.listener, TeamTopic.KEEP_OUT, hear)
+
+    def publisher(self, qos):
+        events = PublisherEventCallbacks(incompatible_qos=self.incompatible.append)
+        return self.tools.create_publisher(
+            PolygonStamped, TeamTopic.KEEP_OUT.value, qos, event_callbacks=events
+        )
+
+    def publish(self, publisher, number):
+        message = PolygonStamped()
+        message.polygon.points = [Point32(x=float(number))]
+        publisher.publish(message)
+
+    def wait_for(self, condition, timeout=20.0):
+        end = time.monotonic() + timeout
+        while not condition() and time.monotonic() < end:
+            self.executor.spin_once(timeout_sec=0.02)
+        assert condition()
+
+
+@pytest.fixture
+def topics():
+    context = rclpy.Context()
+    context.init(domain_id=own_domain(61))
+    made = Topics(context)
+    yield made
+    made.listener.destroy_node()
+    made.tools.destroy_node()
+    context.try_shutdown()
+
+
+def test_a_publisher_that_is_not_latched_is_heard_and_sees_no_incompatible_qos(topics):
+    topics.subscribe()
+    tool = topics.publisher(TOOL)  # as `ros2 topic pub --once` has it
+    topics.wait_for(lambda: tool.get_subscription_count() == 1)
+    topics.publish(tool, 1)
+    topics.wait_for(lambda: topics.heard == [1.0])
+    assert topics.incompatible == []
+
+
+def test_what_a_latched_publisher_has_published_reaches_a_late_subscriber(topics, monkeypatch):
+    monkeypatch.setattr(endpoints, '_FETCH_REST', 0.2)
+    latched = topics.publisher(profile(10, latched=True))
+    for number in (1, 2):
+        topics.publish(latched, number)
+    topics.subscribe()
+    topics.wait_for(lambda: topics.heard == [1.0, 2.0])
+    topics.wait_for(lambda: latched.get_subscription_count() == 1)  # it is fetched once
+    topics.publish(latched, 3)
+    topics.wait_for(lambda: 3.0 in topics.heard)
+    another = topics.publisher(profile(10, latched=True))
+    topics.publish(another, 4)
+    topics.wait_for(lambda: 4.0 in topics.heard)
+    topics.wait_for(lambda: latched.get_subscription_count() == 1)
+    # from now on a tool that is not latched is no trouble either
+    tool = topics.publisher(TOOL)
+    topics.wait_for(lambda: tool.get_subscription_count() == 1)
+    topics.publish(tool, 5)
+    topics.wait_for(lambda: topics.heard[-1] == 5.0)
+    assert topics.incompatible == []
+
+
+def test_latched_messages_are_fetched_when_the_tools_are_gone_or_do_not_go(topics, monkeypatch):
+    monkeypatch.setattr(endpoints, '_FETCH_PATIENCE', 1.0)
+    tool, latched = topics.publisher(TOOL), topics.publisher(profile(10, latched=True))
+    topics.publish(latched, 1)
+    topics.subscribe()
+    topics.wait_for(lambda: topics.heard == [1.0])
+    assert topics.incompatible  # it stays: the message is worth a warning
+    topics.tools.destroy_publisher(tool)
