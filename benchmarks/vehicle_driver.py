@@ -109,7 +109,7 @@ def measure(
     """Return messages by topic, CPU load of the driver, and the measured window."""
     arguments = {
         'base_port': f'{folder}/robot1_base', 'laser_port': f'{folder}/robot1_laser',
-        'use_camera': 'false', 'motors_at_start': 'true',
+        'enable_camera': 'false', 'motors_at_start': 'true',
     }  # fmt: skip
     options = [word for name, value in arguments.items() for word in ('-p', f'{name}:={value}')]
     driver = subprocess.Popen(

@@ -61,7 +61,7 @@ class Scene:
         self.spinning.start()
         ports = {
             'base_port': f'{folder}/robot1_base', 'laser_port': f'{folder}/robot1_laser',
-            'use_camera': 'false', 'motors_at_start': 'true', 'motors_after_reconnect': 'true',
+            'enable_camera': 'false', 'motors_at_start': 'true', 'motors_after_reconnect': 'true',
         }  # fmt: skip
         self.driver = self._start('pioneer_driver', ports)
         self.follower = self._start('path_follower', {})

@@ -61,9 +61,9 @@ def start(context):
         {
             'base_port': ('base_port', port),
             'laser_port': ('laser_port', port),
-            'base': ('use_base', read.boolean),
-            'laser': ('use_laser', read.boolean),
-            'camera': ('use_camera', read.boolean),
+            'base': ('enable_base', read.boolean),
+            'laser': ('enable_laser', read.boolean),
+            'camera': ('enable_camera', read.boolean),
             'motors': ('motors_at_start', read.boolean),
         },
     )

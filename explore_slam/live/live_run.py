@@ -159,7 +159,7 @@ class LiveRun:
             ports = {
                 'base_port': f'{self._ports()}/{name}_base',
                 'laser_port': f'{self._ports()}/{name}_laser',
-                'use_camera': False,
+                'enable_camera': False,
                 'motors_at_start': True,
                 **SIM_TIME,
             }

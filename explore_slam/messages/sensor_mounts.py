@@ -128,7 +128,7 @@ class SensorMounts:
 
     def _laser(self, frame: str) -> Mount:
         own, team = self.config.laser_pose, self._team.laser
-        found = self._lookup(frame, own is not None, 'laser_mount')
+        found = self._lookup(frame, own, team, 'laser_mount')
         if found is None:
             mount = self._from_settings(own or team, own is not None, 'laser_mount')
             return self._use(frame, mount, 'laser_mount')
@@ -154,7 +154,7 @@ class SensorMounts:
 
     def _camera(self, frame: str) -> Mount:
         own, team = self.config.optical_pose, self._team.camera
-        found = self._lookup(frame, own is not None, 'camera_mount')
+        found = self._lookup(frame, own, team, 'camera_mount')
         if found is None:
             mount = self._from_settings(own or team, own is not None, 'camera_mount')
             return self._use(frame, mount, 'camera_mount')
@@ -175,13 +175,14 @@ class SensorMounts:
             )
         return self._use(frame, Mount('/tf_static', found), 'camera_mount')
 
-    def _lookup(self, frame: str, is_set: bool, setting: str) -> Pose3 | None:
+    def _lookup(self, frame: str, own: object, team: object, setting: str) -> Pose3 | None:
         """Return the pose of a sensor's frame; None where the settings are to be used.
 
-        is_set: whether the settings of the vehicle have the mount. It decides where static
-        transforms contradict each other, as when several robots publish the same frame.
+        own, team: mounts in the settings, None where they have none. That of the vehicle decides
+        where static transforms contradict each other, as when several robots publish one frame.
         """
         found = self._tree.lookup(self.base, frame)
+        is_set = own is not None or (team is not None and not self._mapping)  # of one vehicle
         if found is not None and is_set and self._tree.is_contradicted(self.base, frame):
             self._warn_once(
                 f'several {frame}',

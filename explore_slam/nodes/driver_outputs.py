@@ -60,13 +60,13 @@ class DriverOutputs:
         self._frames = frames
         self.base_values: dict[str, Any] = {}
         topics: list[Topic] = []
-        if config.base.use_base:
+        if config.base.enable_base:
             topics += [TopicKind.ODOMETRY, VehicleTopic.BATTERY, VehicleTopic.MOTORS_ON]
             if config.base.use_sonar:
                 topics.append(VehicleTopic.SONAR)
-        if config.laser.use_laser:
+        if config.laser.enable_laser:
             topics.append(TopicKind.SCAN)
-        if config.camera.use_camera:
+        if config.camera.enable_camera:
             topics += [TopicKind.COLOR, TopicKind.DEPTH, TopicKind.CAMERA_INFO]
         self._out = {topic: publisher(node, topic) for topic in topics}
         self._diagnostics = publisher(node, GlobalTopic.DIAGNOSTICS)
@@ -143,13 +143,13 @@ class DriverOutputs:
             return
         frames, stamp = self._frames, now_seconds(self._node)
         mounts = []
-        if config.laser.use_laser:
+        if config.laser.enable_laser:
             mounts.append(
                 planar_transform_message(
                     MESSAGES, stamp, frames.base, frames.laser, config.laser_mount.pose
                 )
             )
-        if config.camera.use_camera:
+        if config.camera.enable_camera:
             mounts.append(
                 camera_transform_message(
                     MESSAGES, stamp, frames.base, frames.camera, config.camera_mount

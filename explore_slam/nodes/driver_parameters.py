@@ -27,17 +27,20 @@ class DriverNodeConfig(Section):
     publish_tf: bool = setting(True, 'Publish transforms (if tf2_msgs is installed)')
     watch_scan_topic: bool = setting(
         False,
-        'Stop for obstacles on the topic scan of another laser driver, if use_laser is false',
+        'Stop for obstacles on the topic scan of another laser driver, if enable_laser is false',
     )
     driver: DriverConfig = section(DriverConfig)
     lifecycle: LifecycleConfig = section(LifecycleConfig)
 
-    def with_mounts(self, vehicle: VehicleConfig) -> Self:
-        """Return the parameters with the mounts that the vehicle's settings give.
+    def with_vehicle(self, vehicle: VehicleConfig) -> Self:
+        """Return the parameters with what the vehicle's settings say of its sensors.
 
-        They are laser_mount and camera_mount in place of laser_x, camera_x and so on.
+        They are laser_mount and camera_mount in place of laser_x, camera_x and so on, and
+        use_laser: a vehicle without laser has none that this driver could read.
         """
-        values: dict[str, float] = {}
+        values: dict[str, float | bool] = {}
+        if not vehicle.use_laser:
+            values['enable_laser'] = False
         for prefix, numbers, names in (
             ('laser', vehicle.laser_mount, ('x', 'y', 'yaw')),
             ('camera', vehicle.camera_mount, ('x', 'y', 'z', 'roll', 'pitch', 'yaw')),

@@ -1,7 +1,7 @@
 """Node `pioneer_driver`: base, laser and camera of one vehicle on relative topics.
 
 Each device runs in a thread of its own. base_type, laser_type and camera_type select the devices,
-use_base, use_laser and use_camera switch them off.
+enable_base, enable_laser and enable_camera switch them off.
 Velocities pass the safety gate in the thread of the base, not in the executor's: even while the
 executor is busy, the vehicle stops when commands or laser scans cease.
 A managed node: configured, its devices are open; it publishes and drives while it is active.
@@ -71,7 +71,8 @@ _MOTOR_GRACE = 1.0  # s until a base reports that its motors were switched on
 _BASE_STOP_TIMEOUT, _STOP_TIMEOUT = 3.0, 1.0  # s for a device to close; a base brakes first
 _OPEN_TIMEOUT = 30.0  # s for all devices to be opened: a laser may try several baud rates
 _NO_POINTS = np.empty((0, 2))
-_MOUNTS = ('laser_mount', 'camera_mount')  # settings of the vehicle, which the agent has too
+# settings of the vehicle, which the agent has too
+_SENSORS = ('use_laser', 'laser_mount', 'camera_mount')
 _CHANGEABLE = {*values_of(SafetyConfig()), 'use_sim_time'}  # while the node runs
 
 
@@ -329,8 +330,8 @@ class PioneerDriverNode(ManagedNode):
         logging.getLogger('explore_slam').setLevel(logging.INFO)
         vehicle = vehicle_name(self)
         config = declare_settings(self, DriverNodeConfig(), vehicle=vehicle)
-        mounts = declare_settings(self, VehicleConfig(), vehicle=vehicle, names=_MOUNTS)
-        self.config = config.with_mounts(mounts)
+        sensors = declare_settings(self, VehicleConfig(), vehicle=vehicle, names=_SENSORS)
+        self.config = config.with_vehicle(sensors)
         warn_of_unknown_vehicle_parameters(self, vehicle, values_of(PathFollowerConfig()))
         self._session: DriverSession | None = None
         self.add_on_set_parameters_callback(self._on_parameters)

@@ -28,7 +28,7 @@ class BaseNoiseConfig(Section):
 class BaseConfig(Section):
     """Settings of any base."""
 
-    use_base: bool = setting(True, 'Drive the base; false: another driver does', tier='basic')
+    enable_base: bool = setting(True, 'Drive the base; false: another driver does', tier='basic')
     base_port: str = setting(
         '/dev/ttyUSB0', "Serial device of the base, or 'tcp://host:port'", tier='basic'
     )
@@ -64,7 +64,7 @@ class BaseConfig(Section):
 class LaserConfig(Section):
     """Settings of any laser scanner."""
 
-    use_laser: bool = setting(
+    enable_laser: bool = setting(
         True,
         'Read the laser; false: another driver publishes scans, or there is none',
         tier='basic',
@@ -86,7 +86,7 @@ class LaserConfig(Section):
 class CameraConfig(Section):
     """Settings of any RGB-D camera."""
 
-    use_camera: bool = setting(
+    enable_camera: bool = setting(
         True, 'Read the camera; false: another driver publishes images', tier='basic'
     )
     camera_rate: float = setting(

@@ -245,6 +245,6 @@ def _import_freenect() -> Any:
         raise VehicleError(
             f'the Kinect needs the Python binding of libfreenect ({error}): '
             '`apt install libfreenect-dev`, then `pip install freenect`; '
-            'without a Kinect, set use_camera to false'
+            'without a Kinect, set enable_camera to false'
         ) from error
     return freenect

@@ -71,24 +71,24 @@ class DriverConfig(Section):
 
 
 def make_base(config: DriverConfig, clock: Clock) -> Base | None:
-    """Return the configured base, not connected; None where use_base is false."""
-    if not config.base.use_base:
+    """Return the configured base, not connected; None where enable_base is false."""
+    if not config.base.enable_base:
         return None
     own = getattr(config.devices, config.base_type)
     return BASES[config.base_type].make(config.base, own, clock)
 
 
 def make_laser(config: DriverConfig, clock: Clock) -> Laser | None:
-    """Return the configured laser, not connected; None where use_laser is false."""
-    if not config.laser.use_laser:
+    """Return the configured laser, not connected; None where enable_laser is false."""
+    if not config.laser.enable_laser:
         return None
     own = getattr(config.devices, config.laser_type)
     return LASERS[config.laser_type].make(config.laser, own, clock)
 
 
 def make_camera(config: DriverConfig, clock: Clock) -> Camera | None:
-    """Return the configured camera, not connected; None where use_camera is false."""
-    if not config.camera.use_camera:
+    """Return the configured camera, not connected; None where enable_camera is false."""
+    if not config.camera.enable_camera:
         return None
     own = getattr(config.devices, config.camera_type)
     return CAMERAS[config.camera_type].make(config.camera, own, clock)

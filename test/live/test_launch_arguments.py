@@ -175,9 +175,9 @@ def test_a_parameter_file_of_the_driver_applies_unless_an_argument_is_given(tmp_
     values = {
         'base_port': '/dev/ttyUSB7',
         'laser_port': '/dev/ttyUSB8',
-        'use_base': False,
-        'use_laser': False,
-        'use_camera': False,
+        'enable_base': False,
+        'enable_laser': False,
+        'enable_camera': False,
         'motors_at_start': True,
         'autostart': False,
         'use_sim_time': True,
@@ -193,10 +193,10 @@ def test_a_parameter_file_of_the_driver_applies_unless_an_argument_is_given(tmp_
 def test_arguments_that_are_not_given_are_no_parameters():
     readers = {
         'seed': ('seed', lambda _, text: int(text)),
-        'laser': ('use_laser', read.boolean),
+        'laser': ('enable_laser', read.boolean),
     }
     assert read.given_parameters({'seed': '', 'laser': ''}, readers) == {}
-    assert read.given_parameters({'seed': '', 'laser': 'no'}, readers) == {'use_laser': False}
+    assert read.given_parameters({'seed': '', 'laser': 'no'}, readers) == {'enable_laser': False}
 
 
 def test_wrong_values_and_names_of_the_launch_files_are_one_sentence():

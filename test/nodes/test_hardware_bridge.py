@@ -41,7 +41,7 @@ def processes(tmp_path):
     drivers = [
         start(
             'pioneer_driver', '-r', f'__ns:=/{name}', '-p', f'base_port:={ports}/{name}_base',
-            '-p', f'laser_port:={ports}/{name}_laser', '-p', 'use_camera:=false',
+            '-p', f'laser_port:={ports}/{name}_laser', '-p', 'enable_camera:=false',
             '-p', 'motors_at_start:=true', '-p', 'use_sim_time:=true',
         )
         for name in VEHICLES

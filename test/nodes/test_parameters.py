@@ -144,7 +144,7 @@ def test_one_file_serves_the_agent_and_the_nodes_of_a_vehicle(tmp_path, capfd):
     driver = PioneerDriverNode(**options)
     try:
         assert tuple(driver.config.driver.laser_mount.pose) == (-0.2, 0.0, 1.57)
-        assert values_of(driver.config)['use_laser'] is False
+        assert values_of(driver.config)['enable_laser'] is False
         assert driver.config.frames('robot1').base == 'robot1/chassis'
     finally:
         driver.stop()

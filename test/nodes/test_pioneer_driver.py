@@ -51,7 +51,7 @@ class Rig:
         given = {
             'base_port': str(self.folder / 'robot7_base'),
             'laser_port': str(self.folder / 'robot7_laser'),
-            'use_camera': False,
+            'enable_camera': False,
             **parameters,
         }
         arguments = ['-r', '__ns:=/robot7']
@@ -228,7 +228,7 @@ def test_a_pulled_cable_is_found_again_within_three_seconds(rig, again):
 
 
 def test_one_part_that_is_missing_leaves_the_others_alone(rig):
-    rig.start(base_port='/dev/no_such_robot', use_camera=True, camera_index=15)
+    rig.start(base_port='/dev/no_such_robot', enable_camera=True, camera_index=15)
     assert rig.spin(20.0, lambda: len(rig.got['scan']) > 2 and 'base' in rig.parts)
     assert 'no such port' in rig.message('base')
     assert rig.spin(5.0, lambda: 'Kinect' in rig.message('camera'))

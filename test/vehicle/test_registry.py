@@ -15,9 +15,9 @@ from explore_slam.vehicle import (
 )
 
 ROLES = [
-    (make_base, PioneerRobot, 'use_base', {'base_baud': 38400}),
-    (make_laser, Lms200, 'use_laser', {'laser_angle': 100}),
-    (make_camera, Kinect, 'use_camera', {'camera_index': 3}),
+    (make_base, PioneerRobot, 'enable_base', {'base_baud': 38400}),
+    (make_laser, Lms200, 'enable_laser', {'laser_angle': 100}),
+    (make_camera, Kinect, 'enable_camera', {'camera_index': 3}),
 ]
 
 
