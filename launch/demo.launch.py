@@ -31,13 +31,10 @@ def start(context):
     file = read.existing_file('params_file', given['params_file'])
     seed = read.given_parameters(given, {'seed': ('seed', partial(read.whole_number, low=0))})
     seed = {'seed': read.in_effect(seed, file, 'seed', 0)}
-    team = {
-        'vehicles': list(starts),
-        'start_poses': [number for pose in starts.values() for number in pose],
-        **seed,
-    }
+    team = {'vehicles': list(starts), **seed}
+    poses = [number for pose in starts.values() for number in pose]
     simulated = {'use_sim_time': True}
-    parameters = [file, {**team, **simulated}]
+    parameters = [file, {**team, 'start_poses': poses, **simulated}]
     actions = [
         # without a large segment of shared memory images are lost
         SetEnvironmentVariable(
@@ -46,7 +43,7 @@ def start(context):
         Node(
             package='explore_slam',
             executable='simulator',
-            parameters=[{'world': str(world), **team}],
+            parameters=[{'world': str(world), 'spawn_poses': poses, **team}],
             additional_env={'MUJOCO_GL': 'egl'},
         ),
         Node(package='explore_slam', executable='agent', parameters=parameters, output='screen'),

@@ -130,7 +130,7 @@ class LiveRun:
         values: dict[str, Any] = {
             'world': str(world_path(self.options.world).resolve()),
             'vehicles': list(self.starts),
-            'start_poses': [float(v) for pose in self.starts.values() for v in pose],
+            'spawn_poses': [float(v) for pose in self.starts.values() for v in pose],
             'seed': self.options.seed,
             'real_time_factor': self.options.real_time_factor,
         }

@@ -47,15 +47,17 @@ def robot_base_frame() -> Any:
     return setting('base_link', "Base frame, prefixed with the vehicle's name and a slash")
 
 
-def start_poses(names: Sequence[str], values: Sequence[float]) -> dict[str, Pose2 | None]:
+def start_poses(
+    names: Sequence[str], values: Sequence[float], setting_name: str = 'start_poses'
+) -> dict[str, Pose2 | None]:
     """Return vehicle -> start pose from x (m), y (m), heading (rad) of each; None where it is nan.
 
-    ConfigError unless the names are different and the numbers fit them.
+    setting_name: for messages. ConfigError unless the names are different and the numbers fit them.
     """
     check_names(names)
     if len(values) != 3 * len(names):
         raise ConfigError(
-            f'start_poses has {len(values)} numbers, expected {3 * len(names)}: '
+            f'{setting_name} has {len(values)} numbers, expected {3 * len(names)}: '
             f'x, y and heading of each of {list(names)}'
         )
     poses: dict[str, Pose2 | None] = {}

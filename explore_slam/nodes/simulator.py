@@ -67,9 +67,9 @@ class SimulatorNodeConfig(Section):
         tier='basic',
     )
     vehicles: tuple[str, ...] = shared_parameters.vehicles()
-    start_poses: tuple[float, ...] = setting(
+    spawn_poses: tuple[float, ...] = setting(
         (math.nan,),
-        'Start pose of each vehicle in the world: x (m), y (m), heading (rad); '
+        'Where each vehicle is at first in the world: x (m), y (m), heading (rad); '
         'a single NaN selects those of the world file',
         tier='basic',
     )
@@ -95,20 +95,20 @@ class SimulatorNodeConfig(Section):
 
     def starts(self, world: World) -> dict[str, Pose2]:
         """Return vehicle -> start pose; ConfigError when names and numbers do not fit."""
-        names, values = self.vehicles, self.start_poses
+        names, values = self.vehicles, self.spawn_poses
         shared_parameters.check_names(names)
         if len(values) == 1 and math.isnan(values[0]):
             missing = [name for name in names if name not in world.starts]
             if missing:
                 raise ConfigError(
                     f'world {world.name!r} suggests start poses for {list(world.starts)}, not for '
-                    f'{missing}: set start_poses'
+                    f'{missing}: set spawn_poses'
                 )
             return {name: world.starts[name] for name in names}
-        poses = shared_parameters.start_poses(names, values)
+        poses = shared_parameters.start_poses(names, values, 'spawn_poses')
         known = {name: pose for name, pose in poses.items() if pose is not None}
         if len(known) < len(poses):
-            raise ConfigError(f'start_poses has nan for {sorted(set(poses) - set(known))}')
+            raise ConfigError(f'spawn_poses has nan for {sorted(set(poses) - set(known))}')
         return known
 
     def frames(self, vehicle: str) -> FrameNames:

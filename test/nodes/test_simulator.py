@@ -257,10 +257,10 @@ def test_a_signal_ends_the_node_cleanly(start, listener, number):
 MISTAKES = {
     "there is no world 'castle'": ('castle', ()),
     '/nowhere/world.yaml: no such file': ('/nowhere/world.yaml', ()),
-    "not for ['x']: set start_poses": ('small', ("vehicles:=['x']",)),
-    'start_poses has 2 numbers, expected 6': ('small', ('start_poses:=[1.0, 2.0]',)),
-    'start_poses has nan': ('small', ("vehicles:=['a']", 'start_poses:=[.nan, .nan, .nan]')),
-    'inside a wall': ('small', ("vehicles:=['a']", 'start_poses:=[3.2, 0.5, 0.0]')),
+    "not for ['x']: set spawn_poses": ('small', ("vehicles:=['x']",)),
+    'spawn_poses has 2 numbers, expected 6': ('small', ('spawn_poses:=[1.0, 2.0]',)),
+    'spawn_poses has nan': ('small', ("vehicles:=['a']", 'spawn_poses:=[.nan, .nan, .nan]')),
+    'inside a wall': ('small', ("vehicles:=['a']", 'spawn_poses:=[3.2, 0.5, 0.0]')),
     'pose_lead': ('small', ('pose_lead:=-1.0',)),
 }
 
