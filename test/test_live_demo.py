@@ -23,7 +23,7 @@ def environment(domain):
 def finished(tmp_path_factory):
     """The run folder of a demo that ran to its end, and what it printed."""
     runs = tmp_path_factory.mktemp('runs')
-    command = [*COMMAND, '--out', str(runs), '--record', '--time-limit', '300']
+    command = [*COMMAND, '--out', str(runs), '--record', '--wall-time-limit', '300']
     done = subprocess.run(
         command,
         capture_output=True,

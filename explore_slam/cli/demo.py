@@ -52,10 +52,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help='simulated time per wall time (default: as fast as the machine allows)',
     )
     parser.add_argument(
-        '--time-limit',
+        '--wall-time-limit',
         type=float,
         default=900.0,
-        help='simulated time (s) after which to end (default 900)',
+        help='time (s) after which to end, by the clock of this machine (default 900)',
     )
     parser.add_argument(
         '--out', type=Path, default=Path('runs'), help='parent of the run folder (default runs)'
@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
         hardware=arguments.hardware,
         record=arguments.record,
         real_time_factor=arguments.real_time_factor,
-        time_limit=arguments.time_limit,
+        wall_time_limit=arguments.wall_time_limit,
     )
     live = LiveRun(options, arguments.out)
     print(

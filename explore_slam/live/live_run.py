@@ -64,7 +64,7 @@ class LiveRunOptions:
     hardware: bool = False
     record: bool = False
     real_time_factor: float = 0.0
-    time_limit: float = 900.0  # wall s
+    wall_time_limit: float = 900.0  # s
 
 
 class LiveRun:
@@ -242,9 +242,9 @@ class LiveRun:
                 raise ExploreSlamError(
                     f'no pose from the agent after {elapsed:.0f} s; see {self.folder.path}/logs'
                 )
-            if elapsed > self.options.time_limit:
+            if elapsed > self.options.wall_time_limit:
                 self.recorder.add_note(
-                    f'The run was ended at its time limit of {self.options.time_limit:.0f} s.'
+                    f'The run was ended at its time limit of {self.options.wall_time_limit:.0f} s.'
                 )
                 return
 

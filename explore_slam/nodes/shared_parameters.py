@@ -52,7 +52,7 @@ def start_poses(
 ) -> dict[str, Pose2 | None]:
     """Return vehicle -> start pose from x (m), y (m), heading (rad) of each; None where it is nan.
 
-    setting_name: for messages. ConfigError unless the names are different and the numbers fit them.
+    setting_name: for messages. ConfigError unless the names differ and the numbers fit them.
     """
     check_names(names)
     if len(values) != 3 * len(names):

@@ -13,7 +13,11 @@ def test_the_demo_runs_through_the_serial_drivers(tmp_path, monkeypatch):
     pytest.importorskip('mujoco', reason='the simulator needs mujoco')
     monkeypatch.setenv('ROS_DOMAIN_ID', str(own_domain(78)))
     options = LiveRunOptions(
-        world='small', vehicles=1, hardware=True, settings={'particles': 200}, time_limit=150.0
+        world='small',
+        vehicles=1,
+        hardware=True,
+        settings={'particles': 200},
+        wall_time_limit=150.0,
     )
     live = LiveRun(options, tmp_path)
     run = live.run()
