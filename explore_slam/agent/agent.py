@@ -114,14 +114,26 @@ class Agent:
     def set_pose(self, vehicle: str, pose: Pose2, covariance: Array) -> None:
         """Place a vehicle, where it is now, at a pose given by the operator; the map is kept.
 
-        covariance: (3, 3) of the pose. SlamError if it cannot be used; the state is unchanged.
+        covariance: (3, 3) of the pose. SlamError if it cannot be used, AgentError if it is farther
+        from all vehicles than the map may be wide; the state is unchanged.
         """
         track = self.track(vehicle)
         check_pose('pose', pose)
+        self._check_within_reach(vehicle, pose)
         check_motion_covariance('covariance', covariance)
         self._add_keyframe_here(track)  # else its motion since the newest one would follow
         self.belief.set_pose(vehicle, pose, covariance)
         track.placement.set_by_operator()
+
+    def _check_within_reach(self, vehicle: str, pose: Pose2) -> None:
+        """Raise AgentError for a pose that no map with this vehicle and another can hold."""
+        limit = self.config.mapping.maximum_map_side
+        nearest = min(math.dist(pose[:2], self.estimate(name)[0][:2]) for name in self.start_poses)
+        if nearest > limit:
+            raise AgentError(
+                f'pose of {vehicle} is ({pose.x:g} m, {pose.y:g} m), {nearest:g} m from the '
+                f'nearest vehicle, expected at most maximum_map_side = {limit:g} m'
+            )
 
     def _add_odometry(self, track: VehicleTrack, reading: OdometryReading) -> None:
         before, restarts = track.odometry.last, track.odometry.restarts

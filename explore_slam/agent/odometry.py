@@ -20,6 +20,7 @@ _JUMP_TURN_RATE = 20.0
 _JUMP_TURN_SLACK = 0.3
 _RESTART_GAP = 0.4  # s without readings; no driver restarts faster, and they come at 10 Hz or more
 _RESTART_INTERVALS = 2.0  # usual intervals between readings; a shorter gap is none for that driver
+_SLOWEST = 1.0  # s between readings; as long as nothing is known about a driver
 _LOST_SHARE = 0.5  # of the readings that a gap has room for; if more were sent, the driver ran on
 # m and rad; a driver that has just started reads zero, but for a gyroscope that drifts. A base
 # that drives through its origin comes as close only where a reading happens to be taken there.
@@ -314,29 +315,29 @@ class OdometryBuffer:
     def _is_restart(self, reading: OdometryReading) -> bool:
         """Return whether a reading after a gap is the first of a restarted driver.
 
-        Zero is one, unless the driver has sent readings in the gap, which were lost. A reading
-        near zero, or one that the base cannot have driven to, is one where its number begins anew
-        or, near zero, where the base cannot have driven there.
+        Zero is one, unless the driver has sent readings in the gap, which were lost. Where the
+        numbers show that it was silent, a reading near zero, or one that the base cannot have
+        driven to, is one too; without numbers, one near zero that it cannot have driven to.
         """
         gap = reading.stamp - self.last
         if gap < _RESTART_GAP:
             return False  # a reset of a base that keeps running: a jump, which is no motion
         intervals = np.diff(self._stamps[-_RECENT_READINGS:])
-        room = gap / float(np.median(intervals)) if len(intervals) else math.inf
+        room = gap / (float(np.median(intervals)) if len(intervals) else _SLOWEST)
         if room < _RESTART_INTERVALS:
             return False
-        last, began_anew = self.reading, False
+        last, was_silent = self.reading, False
         if reading.number is not None and self._number is not None:
-            lost = reading.number - self._number - 1
-            began_anew = lost < 0
+            lost = reading.number - self._number - 1  # negative: its publisher has begun anew
             if lost > 0 and lost >= _LOST_SHARE * (room - 1.0):
                 return False
+            was_silent = True
         if _returns_to_origin(reading.pose, last, _ORIGIN_EXACT):
             return True
         tolerance = min(_ORIGIN_TOLERANCE + _ORIGIN_SPEED * gap, _ORIGIN_TOLERANCE_LIMIT)
         near = _returns_to_origin(reading.pose, last, tolerance)
         reachable = self._is_reachable(self._trajectory_pose(reading), gap)
-        return (near or not reachable) if began_anew else (near and not reachable)
+        return (near or not reachable) if was_silent else (near and not reachable)
 
     def _is_jump(self, reading: OdometryReading, pose: Pose2) -> bool:
         """Return whether a reading, at a pose of the trajectory, is no motion of the base."""
@@ -352,7 +353,12 @@ class OdometryBuffer:
         return begins and not self._is_reachable(pose, duration)
 
     def _is_reachable(self, pose: Pose2, duration: float) -> bool:
-        """Return whether the base can have driven to a pose of the trajectory in a time (s)."""
+        """Return whether the base can have driven to a pose of the trajectory in a time (s).
+
+        Before it has been seen to move, or to stand, it can.
+        """
+        if len(self._stamps) < 2:
+            return True
         moved, turned = self._motion_to(pose)
         speeding_up = min(duration, _SPEEDING_UP)
         accelerated = speeding_up * (duration - 0.5 * speeding_up)  # s², factor of acceleration

@@ -263,19 +263,11 @@ class VehicleInputs:
     def _on_pose(self, message: Any) -> None:
         """Place the vehicle where the operator says; DataError where that cannot be used."""
         given = operator_pose(message, self._map_frame)
-        x, y, yaw = given.pose
-        self._node.get_logger().info(
-            f'{self.vehicle} is placed by the operator at x {x:.2f} m, y {y:.2f} m, '
-            f'yaw {yaw:.2f} rad'
-        )
         self._inbox.put('pose', self.vehicle, self._operator.set_pose, (self.vehicle, given))
 
     def _on_goal(self, message: Any) -> None:
         """Send the vehicle where the operator says; DataError where that cannot be used."""
         goal = operator_goal(message, self._map_frame)
-        self._node.get_logger().info(
-            f'{self.vehicle} is sent to x {goal.x:.2f} m, y {goal.y:.2f} m by the operator'
-        )
         self._inbox.put('goal', self.vehicle, self._operator.set_goal, (self.vehicle, goal))
 
     def losses(self) -> dict[str, int]:
@@ -294,8 +286,12 @@ class VehicleInputs:
                 '/clock': 'use_sim_time is true, but no time has come; start what publishes it '
                 '(a simulator, ros2 bag play --clock), or set use_sim_time to false'
             }
-        problems = self._stamps.problems(TopicKind.ODOMETRY.value)
-        return {f'{self.vehicle}/{topic}': text for topic, text in problems.items()}
+        found = {}
+        for topic, text in self._stamps.problems(TopicKind.ODOMETRY.value).items():
+            setting = KIND_OF_TOPIC[TopicKind(topic)].clock
+            hint = f'; if the clocks differ by a constant, set {self.vehicle}.{setting}'
+            found[f'{self.vehicle}/{topic}'] = text + hint * (topic not in self._stamps.unstamped)
+        return found
 
     def silence(self) -> list[str]:
         """Return an explanation for every expected topic on which nothing has arrived."""

@@ -190,7 +190,11 @@ class AgentSession:
             self._inputs[vehicle].take(topic, message)
 
     def _send_to_goal(self, item: tuple[str, Pose2]) -> None:
-        self.planner.set_goal(*item)
+        vehicle, goal = item
+        self.planner.set_goal(vehicle, goal)
+        self._node.get_logger().info(
+            f'{vehicle} is sent to x {goal.x:.2f} m, y {goal.y:.2f} m by the operator'
+        )
         self._due['plan'] = -np.inf
 
     def _on_polygon(self, topic: TeamTopic, message: Any) -> None:
@@ -207,8 +211,9 @@ class AgentSession:
             change(corners)
             self._due['plan'] = -np.inf  # no vehicle drives on into it
             left_out = areas.area_left_out(self.agent.grid)
+            change_made = 'a polygon' if corners else 'cleared'
             self._node.get_logger().info(
-                f'{topic.value}: {left_out:.1f} m² of the map are excluded'
+                f'{topic.value}: {change_made}; {left_out:.1f} m² of the map are excluded'
             )
 
         self.inbox.put('request', topic.value, take, None)
@@ -219,6 +224,10 @@ class AgentSession:
         for motion in self.inbox.take_out(vehicle, ODOMETRY.name):
             motion.take(motion.payload)
         self.agent.set_pose(vehicle, given.pose, given.covariance)
+        x, y, yaw = given.pose
+        self._node.get_logger().info(
+            f'{vehicle} is placed by the operator at x {x:.2f} m, y {y:.2f} m, yaw {yaw:.2f} rad'
+        )
         self._omit_earlier(vehicle)
 
     def _omit_earlier(self, vehicle: str | None = None) -> None:
@@ -448,12 +457,7 @@ class AgentSession:
         for inputs in self._inputs.values():
             problems.update(inputs.clock_problems())
         for text in self._named_problems.news(problems):
-            vehicle = text.partition('/')[0]
-            hint = (
-                f'; if the clocks differ by a constant, set {vehicle}.odom_time_offset, '
-                'scan_time_offset or camera_time_offset'
-            )
-            self._node.get_logger().warning(text + (hint if vehicle else ''))
+            self._node.get_logger().warning(text)
 
     def _explain_shared_frames(self) -> None:
         """Log once which frames several vehicles share."""

@@ -318,6 +318,8 @@ def interruptible() -> contextlib.AbstractContextManager[None]:
 class StoppableNode(Protocol):
     """A node that brings its vehicle to rest before it ends."""
 
+    executor: Any
+
     def stop(self) -> None:
         """Stop the vehicle; called once, whatever ended the node."""
 
@@ -376,6 +378,8 @@ def _spin(node: StoppableNode) -> int:
     except Exception as error:  # the vehicle must be stopped first, whatever the error
         node.get_logger().fatal(f'stopping the vehicle: {type(error).__name__}: {error}')
         return 1
+    finally:
+        node.executor = None  # what is left to be done is done at once: nothing spins any more
     return 0
 
 

@@ -39,6 +39,7 @@ _SIGMAS = 3.0  # the window covers the odometry's error
 _MINIMUM_WINDOW = (0.1, 0.03)  # m, rad
 _MAXIMUM_WINDOW = (0.6, 0.5)  # m, rad
 _MINIMUM_SCORE = 0.1  # mean likelihood of the returns
+_ROUNDING = 1e-9  # asymmetry of a product of matrices, to its largest entry, that is no matter
 # The score falls by this at two standard deviations of the odometry from the prediction.
 _PENALTY = 0.025
 _REACH = 0.4  # m, of the alignment at first
@@ -305,8 +306,24 @@ def _scan_match(found: Alignment, covariance: Array, window_moved: bool) -> Scan
     certainty = np.linalg.inv(covariance)
     information = found.information
     left = np.linalg.inv(information + certainty)
-    white = left @ information @ left
-    drift = left @ certainty @ left
+    white = _transformed(left, information)
+    drift = _transformed(left, certainty)
     if window_moved:
         drift = drift + WINDOW_DRIFT * white
     return ScanMatch(found.pose, white, drift, information, found.overlap, found.rms)
+
+
+def _transformed(transform: Array, information: Array) -> Array:
+    """Return T A Tᵀ for symmetric T, symmetric and positive semidefinite whatever the rounding.
+
+    Where A is large in one direction and next to nothing in another, as along a corridor, the
+    product alone may have negative eigenvalues.
+    """
+    product: Array = transform @ information @ transform
+    asymmetry = np.abs(product - product.T).max()
+    if asymmetry <= _ROUNDING * np.abs(product).max() and np.linalg.eigvalsh(product)[0] >= 0.0:
+        return product
+    values, vectors = np.linalg.eigh(information)
+    root = transform @ (vectors * np.sqrt(values.clip(0.0)))
+    positive: Array = root @ root.T
+    return positive

@@ -192,8 +192,9 @@ class PathFollower:
         if self.plan is None:
             return 'no plan yet'
         checks = [
-            ('agent', t.agent, c.agent_timeout),
+            # first: without odometry the agent has no new poses to send either
             ('odometry', t.odometry, c.odometry_timeout),
+            ('agent', t.agent, c.agent_timeout),
             ('map pose', self._reckoning.pose_stamp, c.pose_timeout),
         ]
         if c.obstacle_stop:

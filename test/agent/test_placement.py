@@ -6,7 +6,7 @@ from synthetic import SyntheticVehicle, SyntheticWorld
 
 from explore_slam.agent import Agent, AgentConfig, TeamPlanner
 from explore_slam.data import OdometryReading, VehicleState
-from explore_slam.errors import SlamError
+from explore_slam.errors import AgentError, SlamError
 from explore_slam.exploration import ExplorationStatus
 from explore_slam.geometry import IDENTITY, Pose2
 from explore_slam.settings import with_values
@@ -57,6 +57,9 @@ def test_a_vehicle_is_placed_where_it_is_now():
     before = agent.estimate('robot1')
     with pytest.raises(SlamError, match='covariance'):
         agent.set_pose('robot1', given, np.diag([1.0, -1.0, 1.0]))
+    for x in (1e7, 1e300):
+        with pytest.raises(AgentError, match='from the nearest vehicle, expected at most'):
+            agent.set_pose('robot1', Pose2(x, 0.0, 0.0), TIGHT)
     assert agent.estimate('robot1')[0] == before[0]
     agent.set_pose('robot1', given, 1e-4 * TIGHT)
     assert tuple(agent.estimate('robot1')[0]) == pytest.approx(given, abs=0.01)

@@ -8,7 +8,7 @@ from registration.ray_caster import box, polyline, scan_of
 
 from explore_slam.data import LaserScan
 from explore_slam.errors import RegistrationError
-from explore_slam.geometry import IDENTITY, Pose2
+from explore_slam.geometry import IDENTITY, Pose2, planar_rotation
 from explore_slam.registration import (
     Refusal,
     RefusedScan,
@@ -16,6 +16,9 @@ from explore_slam.registration import (
     ScanMatcher,
     ScanMatchingConfig,
 )
+from explore_slam.registration.alignment import Alignment
+from explore_slam.registration.scan_matcher import _scan_match
+from explore_slam.slam.checks import check_motion_covariance
 
 ROOM = np.vstack(
     [box(-4.0, -3.0, 4.0, 3.0), polyline((1.0, -3.0), (1.0, -1.0), (2.0, -1.0)),
@@ -172,6 +175,24 @@ def test_the_motion_within_a_sweep_is_undone():
     undone = matcher.match(scan, IDENTITY, true, WHEELS, beam_times=times, twist=twist)
     assert abs(skewed.pose.theta - true.theta) > 0.05
     np.testing.assert_allclose(undone.pose, true, atol=0.01)
+
+
+def test_errors_of_a_match_are_covariances_whatever_the_rounding():
+    """Along a corridor, one direction is measured well and another one hardly at all."""
+    random = np.random.default_rng(0)
+    for _ in range(500):
+        jacobian = random.normal(size=(360, 3)) * 10.0 ** random.uniform(1.0, 4.0)
+        jacobian[:, 0] *= 10.0 ** -random.uniform(3.0, 9.0)
+        turn = planar_rotation(random.uniform(0.0, math.tau))
+        information = turn @ jacobian.T @ jacobian @ turn.T
+        odometry = np.diag(10.0 ** random.uniform(-7.0, -2.0, 3))
+        match = _scan_match(Alignment(IDENTITY, information, 1.0, 0.0, 360), odometry, False)
+        for covariance in (match.white, match.drift):
+            check_motion_covariance('error', covariance)
+        total = np.linalg.inv(information + np.linalg.inv(odometry))
+        np.testing.assert_allclose(
+            match.covariance, total, rtol=0.0, atol=1e-3 * np.abs(total).max()
+        )
 
 
 def test_other_vehicles_are_masked():
