@@ -19,6 +19,9 @@ from explore_slam.files import read_yaml, write_text
 
 Tier = Literal['basic', 'advanced']
 Value = bool | int | float | str | tuple[Any, ...]
+_IN_WORDS: Mapping[type, str] = {
+    bool: 'true or false', int: 'a whole number', float: 'a number', str: 'text', tuple: 'a list',
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,7 @@ class Setting:
     def _expected(self) -> str:
         if self.choices:
             return f'one of {list(self.choices)}'
-        return type(self.default).__name__
+        return _IN_WORDS[type(self.default)]
 
     def _hint(self, value: Any) -> str:
         """Return what is wrong with words that YAML reads as booleans: off, no, on, yes."""

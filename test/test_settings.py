@@ -53,13 +53,13 @@ def test_values_are_found_and_replaced_by_leaf_name():
     ('values', 'message'),
     [
         ({'particles': 0}, 'particles is 0, expected 1 to 10000'),
-        ({'particles': 1.5}, 'particles is 1.5, expected int'),
-        ({'particles': True}, 'particles is True, expected int'),
+        ({'particles': 1.5}, 'particles is 1.5, expected a whole number'),
+        ({'particles': True}, 'particles is True, expected a whole number'),
         ({'engine': 'magic'}, "engine is 'magic', expected one of"),
         ({'resolution': float('nan')}, 'resolution is nan, expected at least 0.01 m'),
-        ({'draw': 1}, 'draw is 1, expected bool'),
+        ({'draw': 1}, 'draw is 1, expected true or false'),
         ({'particle': 3}, "no setting 'particle'; did you mean 'particles'"),
-        ({'vehicles': 'robot1'}, "vehicles is 'robot1', expected tuple"),
+        ({'vehicles': 'robot1'}, "vehicles is 'robot1', expected a list"),
     ],
 )
 def test_bad_values_are_named(values, message):

@@ -92,6 +92,8 @@ class AgentNodeConfig(Section):
     def __post_init__(self) -> None:
         super().__post_init__()
         shared_parameters.check_names(self.vehicles)
+        if not self.map_frame.strip('/'):
+            raise ConfigError(f'map_frame is {self.map_frame!r}, expected the name of a frame')
         if self.selected_vehicle and self.selected_vehicle not in self.vehicles:
             raise ConfigError(
                 f'selected_vehicle is {self.selected_vehicle!r}, expected one of '

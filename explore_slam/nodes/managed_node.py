@@ -42,6 +42,7 @@ class ManagedNode(LifecycleNode):
         self.starting = False
         self._is_configured = False
         self._is_active = False
+        self._is_ending = False  # nothing spins any more
         self._before: set[Any] = set()  # entities from before the configuration
         self._activated: set[Any] = set()  # entities of the activation
         self._before_activation: set[Any] = set()
@@ -90,6 +91,7 @@ class ManagedNode(LifecycleNode):
 
     def stop(self) -> None:
         """Deactivate and clean up, in whatever state the node is; called before it ends."""
+        self._is_ending = True
         self._tear_down()
 
     # -- transitions of rclpy --------------------------------------------------------------------
@@ -185,7 +187,7 @@ class ManagedNode(LifecycleNode):
             later = _entities(self) - self._before
             services = {item for item in later if isinstance(item, Service)}
             _destroy(self, later - services)
-            if self.executor is None:
+            if self.executor is None or self._is_ending:
                 _destroy(self, services)
             else:
                 self.executor.create_task(_destroy_after_answers, self, services)

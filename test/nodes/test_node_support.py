@@ -123,7 +123,7 @@ def test_ctrl_c_ends_the_first_start_while_kernels_are_compiled(tmp_path):
     [
         ('pioneer_driver', 'laser_angle:=120', 'laser_angle and laser_resolution'),
         ('pioneer_driver', 'command_timeout:=30.0', 'command_timeout'),
-        ('path_follower', 'follow_speed:=fast', "follow_speed is 'fast', expected float"),
+        ('path_follower', 'follow_speed:=fast', "follow_speed is 'fast', expected a number"),
         ('path_follower', 'laser_x:=11.0', 'laser_x'),
     ],
 )

@@ -28,6 +28,11 @@ def test_the_parameter_file_names_settings_that_exist():
         with_values(tree, content[name]['ros__parameters'])
 
 
+def test_the_map_has_a_frame():
+    with pytest.raises(ConfigError, match=r"map_frame is '/', expected the name of a frame"):
+        AgentNodeConfig(map_frame='/')
+
+
 @pytest.mark.parametrize(
     ('names', 'values', 'words'),
     [
