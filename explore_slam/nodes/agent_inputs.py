@@ -41,6 +41,8 @@ MOUNT_WAIT = 2.0  # s for which messages wait for the transform of their sensor
 _HELD = 100  # messages per vehicle that wait for a transform
 _MOUNTED = (TopicKind.SCAN, *COLOR_TOPICS, *DEPTH_TOPICS)  # topics whose sensor has a mount
 
+_OFFSET_OF = {topic.value: kind.clock for topic, kind in KIND_OF_TOPIC.items()}  # settings
+
 type Take = Callable[[tuple[str, Any]], None]
 
 
@@ -288,8 +290,7 @@ class VehicleInputs:
             }
         found = {}
         for topic, text in self._stamps.problems(TopicKind.ODOMETRY.value).items():
-            setting = KIND_OF_TOPIC[TopicKind(topic)].clock
-            hint = f'; if the clocks differ by a constant, set {self.vehicle}.{setting}'
+            hint = f'; if the clocks differ by a constant, set {self.vehicle}.{_OFFSET_OF[topic]}'
             found[f'{self.vehicle}/{topic}'] = text + hint * (topic not in self._stamps.unstamped)
         return found
 

@@ -87,6 +87,11 @@ def test_stamps_are_compared_with_a_clock_that_runs(make_inputs):
     problems = inputs.clock_problems()
     assert problems.keys() == {'robot1/odom'}
     assert 'behind the clock of this node' in problems['robot1/odom']
+    assert problems['robot1/odom'].endswith('set robot1.odom_time_offset')
+    inputs.take(TopicKind.ODOMETRY, odometry(0))
+    assert inputs.clock_problems() == {
+        'robot1/odom': '1 messages have the stamp zero; the time of receipt is used'
+    }
 
 
 def test_odometry_has_the_number_that_its_publisher_has_given_it(make_inputs):
