@@ -104,6 +104,12 @@ def operator_polygon(message: Any, map_frame: str) -> list[tuple[float, float]]:
     return points
 
 
+def _alternatives(topic: Topic) -> tuple[Topic, ...]:
+    """Return the topics that may take the place of one, itself included."""
+    groups = (COLOR_TOPICS, DEPTH_TOPICS)
+    return next((group for group in groups if topic in group), (topic,))
+
+
 class VehicleInputs:
     """All subscriptions to the topics of one vehicle.
 
@@ -295,9 +301,12 @@ class VehicleInputs:
         return found
 
     def silence(self) -> list[str]:
-        """Return an explanation for every expected topic on which nothing has arrived."""
+        """Return an explanation for every expected topic on which nothing has arrived.
+
+        Images may come on any of their topics, raw or compressed.
+        """
         return [
             explain_silence(self._node, f'{self.vehicle}/{topic.value}', SILENCE)
             for topic in self._expected
-            if not self.received[topic]
+            if not any(self.received[other] for other in _alternatives(topic))
         ]
