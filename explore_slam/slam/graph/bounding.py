@@ -9,7 +9,7 @@ observed the same landmarks.
 
 import numpy as np
 
-from explore_slam.geometry import Array
+from explore_slam.geometry import Array, between, compose
 from explore_slam.slam.graph import chain, checks, se2
 from explore_slam.slam.graph.config import GraphConfig
 from explore_slam.slam.graph.factors import Integers
@@ -170,7 +170,6 @@ def drop_if_free(storage: Storage, row: int) -> None:
     keyframes['motion_information'][after] = checks.information('motion', covariance)
     keyframes['previous_live'][after] = keyframes['previous_live'][row]
     keyframes['live'][row] = False
-    keyframes['pose'][row] = keyframes['chain'][row]
     storage.touch([row])
 
 
@@ -184,8 +183,8 @@ def carry_dropped(storage: Storage, old: Array) -> None:
     keyframes = storage.keyframes
     if keyframes['live'].all():
         return
-    poses = keyframes['chain'].copy()
-    rows = np.arange(len(poses))
+    chains = keyframes['chain'].copy()
+    rows = np.arange(len(chains))
     motions = chain.Chain(
         keyframes['previous'],
         keyframes['live'],
@@ -193,7 +192,9 @@ def carry_dropped(storage: Storage, old: Array) -> None:
         storage.calibrated_increments(rows),
         keyframes['covariance'],
     )
-    chain.carry_dropped(motions, old, checks.EXACT_DEVIATION**2, poses)
+    chain.carry_dropped(motions, old, checks.EXACT_DEVIATION**2, chains)
     dropped = ~keyframes['live']
-    for name in ('pose', 'chain'):
-        keyframes[name][dropped] = poses[dropped]
+    # what was known of its white error when a keyframe was dropped stays known
+    white = between(old[dropped], keyframes['pose'][dropped])
+    keyframes['chain'][dropped] = chains[dropped]
+    keyframes['pose'][dropped] = compose(chains[dropped], white)

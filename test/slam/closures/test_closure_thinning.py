@@ -49,12 +49,12 @@ class Laps:
         return [c.keyframe_b for c in self.closures]
 
 
-def test_the_closures_of_two_visits_and_the_newest_are_left():
+def test_the_closures_of_the_first_visit_and_the_newest_are_left():
     count = 6 * LAP
     left = Laps(count).thin()
     frontier = count - UNEVALUATED
-    # the end of the third lap is near the beginning of the second: its third visit
-    assert left == [*range(LAP, 3 * LAP - 1), *range(frontier - 1, count)]
+    # the end of the second lap is near its beginning: the second visit there
+    assert left == [*range(LAP, 2 * LAP - 1), *range(frontier - 1, count)]
 
 
 def test_the_number_of_closures_does_not_grow_with_the_laps():
@@ -93,7 +93,7 @@ def test_a_loop_of_which_nothing_is_evaluated_yet_is_left_alone():
 def test_visits_tied_to_keyframes_that_went_do_not_count():
     """Closures on a later lap, whose anchors went, do not replace those on the first."""
     laps = Laps(6 * LAP)
-    ends = [(k % LAP if k >= 4 * LAP else k - LAP, k) for k in range(LAP, 6 * LAP)]
+    ends = [(k % LAP if k >= 4 * LAP else k - LAP, k) for k in range(2 * LAP, 6 * LAP)]
     laps.anchors = Anchors()
     for k in range(6 * LAP):
         laps.anchors.add(Anchor(k, 0, float(k), float(k), EMPTY))

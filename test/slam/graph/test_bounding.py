@@ -227,6 +227,29 @@ def test_last_chain_is_where_the_next_motion_starts(bounded_world):
     assert np.abs(chain - graph.estimate(4))[0] > 0.005
 
 
+def test_dropped_keyframes_keep_what_was_known_of_their_white_error():
+    white = np.diag([0.05, 0.05, 0.02]) ** 2
+    graph = JointGraph(GraphConfig(graph_bounded=True, graph_recent_keyframes=1))
+    graph.add_start(0, 0, [0.0, 0.0, 0.0])
+    for k in range(1, 6):
+        graph.add_keyframe(0, k, STEP, NOISE, white)
+        if k == 2:
+            graph.pin(2)
+    precise = np.diag([1e-3, 1e-3, 1e-3]) ** 2
+    prior = graph.add_prior(2, compose(graph.estimate(2), [0.04, 0.02, 0.01]), precise)
+    graph.optimize()
+    known, beside = graph.path()[2], graph.path()[5]
+    graph.unpin(2)
+    graph.remove_factor(prior)
+    assert 2 not in graph.live_keyframes()
+    np.testing.assert_allclose(graph.path()[2], known, atol=1e-12)
+    graph.optimize()  # the rest of the path goes back, and takes the keyframe along
+    left = between(graph.path()[2], graph.path()[5])
+    np.testing.assert_allclose(left, between(known, beside), atol=0.01)
+    straight = compose(compose(STEP, STEP), STEP)
+    assert np.hypot(*(left - straight)[:2]) > 0.02
+
+
 def test_path_begins_at_the_first_keyframe_even_without_its_prior(bounded_world):
     graph = bounded_world().graph
     start = graph.add_start(0, 0, [0.0, 0.0, 0.0])
