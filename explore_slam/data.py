@@ -83,6 +83,22 @@ class OdometryReading:
             _check_shape(self, 'covariance', self.covariance, (3, 3))
 
 
+class SweepTiming(NamedTuple):
+    """What is known of when a laser measures its beams, apart from its messages.
+
+    duration: from the first beam to the last one (s); 0: all at one moment; None: not known.
+    direction: forward, in the order of the ranges; backward; or auto, not known.
+    stamp: which beam is measured at the stamp, by time: the first, the last, or auto, not known.
+    """
+
+    duration: float | None = None
+    direction: str = 'auto'
+    stamp: str = 'auto'
+
+
+_UNKNOWN_TIMING = SweepTiming()
+
+
 @dataclass(frozen=True)
 class LaserScan:
     """One sweep: ranges (B,) m; beam i points to angle_min + i * angle_increment (rad).
@@ -91,6 +107,11 @@ class LaserScan:
     outside [range_min, range_max] are no measurements.
 
     mount: pose of the laser in the vehicle frame; None: that of the settings.
+    time_increment: s from beam to beam, and scan_time: s from scan to scan, as the laser states
+    them (0: not stated, or all beams at one moment). They may be wrong: sweeps.py judges them.
+    timing: what is known apart from that.
+    bearings (B,) rad in the laser frame: where the beams point if not to equal steps, because the
+    motion within the sweep has been undone; None: equal steps.
     """
 
     stamp: float
@@ -100,6 +121,10 @@ class LaserScan:
     range_min: float
     range_max: float
     mount: Pose2 | None = None
+    time_increment: float = 0.0
+    scan_time: float = 0.0
+    timing: SweepTiming = _UNKNOWN_TIMING
+    bearings: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         _check_stamp(self, self.stamp)
@@ -121,10 +146,23 @@ class LaserScan:
             )
         if self.mount is not None and not self.mount.is_finite():
             raise DataError(f'LaserScan: mount is {tuple(self.mount)}, expected finite values')
+        if self.bearings is not None:
+            _check_shape(self, 'bearings', self.bearings, self.ranges.shape)
+            _check_finite(self, 'bearings', self.bearings)
+
+    @property
+    def undone_sweep(self) -> float:
+        """Time (s) of the sweep whose motion has been undone; 0 for a scan as it was measured.
+
+        The stamp is that of its middle.
+        """
+        return 0.0 if self.bearings is None else self.time_increment * (self.ranges.size - 1)
 
     @property
     def angles(self) -> Array:
         """Beam angles (B,) rad in the laser frame."""
+        if self.bearings is not None:
+            return self.bearings.astype(np.float64)
         steps = np.arange(self.ranges.size, dtype=np.float64)
         return self.angle_min + self.angle_increment * steps
 

@@ -205,6 +205,7 @@ def test_the_recordings_block_runs_when_pasted(workspace):
         'benchmark',
         'benchmark',
         'benchmark',
+        'benchmark',
     ]
     printed = shell('\n'.join(lines[:4]), workspace)
     runs = [path for path in (workspace / 'runs').iterdir() if not path.is_symlink()]

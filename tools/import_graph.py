@@ -30,7 +30,7 @@ LAYERS = (
     ('messages',),
     ('slam', 'mapping', 'exploration', 'vehicle'),
     ('registration', 'vision'),
-    ('settings', 'data', 'mounts', 'body'),
+    ('settings', 'data', 'mounts', 'body', 'sweeps'),
     ('geometry', 'polyline', 'heap', 'errors', 'compiled', 'files'),
 )
 

@@ -6,11 +6,13 @@ The same records in the same order give the same estimates, map and plans, bit f
 What happens to a record:
 
 1. Odometry is appended to its vehicle's track; everything else waits until odometry reaches it.
-2. Scans are matched with earlier ones and correct the odometry (laser odometry).
-3. Measurements are processed in the order of their stamps, each by its kind
+2. A scan whose beams were measured one after the other becomes one of a single moment as soon as
+   odometry covers its sweep; all that follows takes it as such.
+3. Scans are matched with earlier ones and correct the odometry (laser odometry).
+4. Measurements are processed in the order of their stamps, each by its kind
    (explore_slam.agent.measurements): frames that become keyframes and landmark observations
    update the filter, scans are added to the laser map and close loops.
-4. On request the occupancy grid is redrawn along the most likely path.
+5. On request the occupancy grid is redrawn along the most likely path.
 """
 
 import math
@@ -26,6 +28,7 @@ from explore_slam.agent.loop_closing import Join, LoopClosing
 from explore_slam.agent.measurement_queue import Stamped
 from explore_slam.agent.measurements import kind_of
 from explore_slam.agent.placement import DISPLACED
+from explore_slam.agent.measurements.scans import release_sweeps
 from explore_slam.agent.scan_odometry import refine_by_scan
 from explore_slam.agent.team import KeyframeEvent, Team
 from explore_slam.agent.vehicle_track import VehicleTrack
@@ -160,11 +163,12 @@ class Agent:
         self.now = track.odometry.last
 
     def _process(self, track: VehicleTrack) -> None:
-        """Match the scans and process the measurements that odometry has reached."""
+        """Deskew and match the scans and process the measurements that odometry has reached."""
+        release_sweeps(self._team, track)
         while (scan := track.next_to_match()) is not None:
             if track.keyframe is None or scan.stamp >= track.keyframe.stamp:
                 laser = scan.mount or self.config.laser_mount.pose
-                bodies = self._team.discs(track, scan.stamp)
+                bodies = self._team.discs(track, scan)
                 refine_by_scan(track, scan, laser, self.config.slam, bodies)
         timeout = self.config.scan_matching.scan_wait_timeout
         while (measurement := track.next_ready(timeout)) is not None:

@@ -19,7 +19,8 @@ from explore_slam.mapping import GridConfig, LaserMap, VehicleDisc
 from explore_slam.slam import TeamBelief, checkpoint
 
 State = dict[str, NDArray[Any]]
-VERSION = 3
+VERSION = 4
+_WITHOUT_BEARINGS = 3  # the version before: no scans whose motion within the sweep was undone
 
 
 def save(path: Path, belief: TeamBelief, laser_map: LaserMap, loops: LoopClosing) -> None:
@@ -40,7 +41,7 @@ def load(path: Path, config: AgentConfig) -> tuple[TeamBelief, LaserMap, LoopClo
     try:
         state = checkpoint.read(path)
         version = int(state.get('agent_version', np.array(-1)))
-        if version != VERSION:
+        if version not in (VERSION, _WITHOUT_BEARINGS):
             raise AgentError(f'{path} has agent state version {version}, expected {VERSION}')
         belief = TeamBelief.from_state(checkpoint.part('belief', state))
         scans = checkpoint.part('scans', state)
@@ -54,7 +55,7 @@ def load(path: Path, config: AgentConfig) -> tuple[TeamBelief, LaserMap, LoopClo
 
 def _scans_state(laser_map: LaserMap, vehicles: list[str]) -> State:
     """Return the scans of a laser map as arrays; vehicles by their index in the list."""
-    scans, numbers, bodies = [], [], []
+    scans, numbers, bodies, deskewed, bearings = [], [], [], [], [np.empty(0, np.float32)]
     for row, item in enumerate(laser_map.scans):
         scan = item.scan
         numbers.append((item.keyframe, vehicles.index(item.vehicle), scan.ranges.size))
@@ -62,12 +63,17 @@ def _scans_state(laser_map: LaserMap, vehicles: list[str]) -> State:
             (scan.stamp, scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max)
             + tuple(item.laser_in_keyframe)
         )
+        if scan.bearings is not None:
+            deskewed.append(row)
+            bearings.append(scan.bearings)
         bodies += [(row, body.keyframe, *body.offset, body.radius) for body in item.bodies]
     ranges = [item.scan.ranges for item in laser_map.scans]
     return {
         'numbers': np.array(numbers, np.int64).reshape(-1, 3),
         'scans': np.array(scans, np.float64).reshape(-1, 8),
         'ranges': np.concatenate([np.empty(0, np.float32), *ranges]),
+        'deskewed': np.array(deskewed, np.int64),
+        'bearings': np.concatenate(bearings),
         'bodies': np.array(bodies, np.float64).reshape(-1, 6),
     }
 
@@ -80,12 +86,19 @@ def _laser_map(state: State, vehicles: list[str], config: GridConfig) -> LaserMa
         bodies.setdefault(int(row), []).append(
             VehicleDisc(int(keyframe), Pose2(x, y, theta), radius)
         )
-    first = 0
+    first, first_bearing = 0, 0
+    deskewed = set(state['deskewed'].tolist()) if 'deskewed' in state else set()
     rows = zip(state['numbers'].tolist(), state['scans'].tolist(), strict=True)
     for row, ((keyframe, vehicle, count), (*sweep, x, y, theta)) in enumerate(rows):
         stamp, angle_min, increment, range_min, range_max = sweep
         ranges = state['ranges'][first : first + count]
         first += count
-        scan = LaserScan(stamp, angle_min, increment, ranges, range_min, range_max)
+        bearings = None
+        if row in deskewed:
+            bearings = state['bearings'][first_bearing : first_bearing + count]
+            first_bearing += count
+        scan = LaserScan(
+            stamp, angle_min, increment, ranges, range_min, range_max, bearings=bearings
+        )
         laser_map.add(keyframe, vehicles[vehicle], scan, Pose2(x, y, theta), bodies.get(row, []))
     return laser_map

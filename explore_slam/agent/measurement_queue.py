@@ -28,6 +28,11 @@ class MeasurementQueue[M: Stamped]:
         """Stamp (s) of the oldest measurement; inf when empty."""
         return self._heap[0][0] if self._heap else math.inf
 
+    @property
+    def oldest(self) -> M:
+        """The oldest measurement; IndexError when empty."""
+        return self._heap[0][2]
+
     def push(self, measurement: M, capacity: int) -> bool:
         """Insert a measurement; return whether the oldest was dropped to keep the capacity."""
         self._arrivals += 1

@@ -209,6 +209,15 @@ class OdometryBuffer:
         fraction = (stamp - before) / (after - before)
         return interpolate(self._poses[index - 1], self._poses[index], fraction)
 
+    def path(self, start: float, end: float) -> tuple[list[float], list[Pose2]]:
+        """Return stamps (s) and poses of the readings from one stamp to a later one.
+
+        The ends are interpolated; beyond the readings, the pose is that of the nearest one.
+        """
+        low, high = bisect_right(self._stamps, start), bisect_left(self._stamps, end)
+        stamps = [start, *self._stamps[low:high], end]
+        return stamps, [self.at(start), *self._poses[low:high], self.at(end)]
+
     def steps(self, start: float, end: float) -> list[Step]:
         """Return the steps from one stamp (s) to another, one per reading; ends interpolated."""
         steps, last = [], self.at(start)

@@ -4,6 +4,7 @@ The measurement kinds (explore_slam.agent.measurements) work on this object.
 """
 
 import logging
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -12,7 +13,7 @@ from explore_slam.agent.loop_closing import LoopClosing
 from explore_slam.agent.odometry import OdometryBuffer
 from explore_slam.agent.placement import Placement
 from explore_slam.agent.vehicle_track import Keyframe, VehicleTrack, merged_steps
-from explore_slam.data import LandmarkObservations, VehicleBody
+from explore_slam.data import LandmarkObservations, LaserScan, VehicleBody
 from explore_slam.errors import AgentError
 from explore_slam.exploration import paths_of
 from explore_slam.geometry import Array, Pose2
@@ -109,22 +110,32 @@ class Team:
         for step in track.steps_since_keyframe(stamp):
             self.belief.predict(track.name, step.increment, step.covariance, white)
 
-    def discs(self, track: VehicleTrack, stamp: float) -> list[tuple[float, float, float]]:
+    def discs(self, track: VehicleTrack, scan: LaserScan) -> list[tuple[float, float, float]]:
         """Return discs (x m, y m, radius m), in the frame of a vehicle, that hide the others."""
         if len(self.tracks) == 1:
             return []
-        own = self.pose_at(track, stamp)
+        own = self.pose_at(track, scan.stamp)
         others = [
-            (self.pose_at(other, stamp), self.body_radius(other))
+            (self.pose_at(other, scan.stamp), self.body_radius(other, scan))
             for name, other in self.tracks.items()
             if other is not track and self.belief.are_in_one_frame(track.name, name)
         ]
         return [(*own.between(pose)[:2], radius) for pose, radius in others]
 
-    def body_radius(self, track: VehicleTrack) -> float:
-        """Return the radius (m) around a vehicle in which others may see its body."""
+    def body_radius(self, track: VehicleTrack, scan: LaserScan) -> float:
+        """Return the radius (m) around a vehicle in which another may see its body in a scan.
+
+        The vehicle moves while the beams of a sweep are measured one after the other: as far as
+        it gets from where it is in the middle of the sweep, the radius is larger.
+        """
         paths = paths_of(self.config.exploration.paths, track.body)
-        return paths.planning_radius + self.config.scans.body_margin
+        radius = paths.planning_radius + self.config.scans.body_margin
+        half = 0.5 * scan.undone_sweep
+        if half == 0.0 or not len(track.odometry):
+            return radius
+        middle = track.odometry.at(scan.stamp)
+        ends = (track.odometry.at(scan.stamp + after) for after in (-half, half))
+        return radius + max(math.dist(middle[:2], end[:2]) for end in ends)
 
     def pose_at(self, track: VehicleTrack, stamp: float) -> Pose2:
         """Return the estimated pose of a vehicle at a stamp (s) after its newest keyframe."""

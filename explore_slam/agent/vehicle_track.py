@@ -9,6 +9,7 @@ import numpy as np
 from explore_slam.agent.measurement_queue import MeasurementQueue, Stamped
 from explore_slam.agent.odometry import OdometryBuffer, Step
 from explore_slam.agent.placement import Placement
+from explore_slam.agent.sweep_queue import SweepQueue
 from explore_slam.data import FollowerReport, LaserScan, Plan, VehicleBody, VehicleState
 from explore_slam.geometry import IDENTITY, Array, Pose2
 from explore_slam.registration import PointCloud, ScanMatcher
@@ -36,6 +37,7 @@ class VehicleTrack:
     body: its size and speed.
     last_scan: stamp (s) and odometry pose of the newest scan that entered the map.
     matched_until: stamp (s) up to which scan matching has refined the odometry.
+    sweeps: scans whose beams were measured one after the other, until odometry covers them.
     clouds: stamps (s) and point clouds of the newest scans that were placed by matching.
     last_match_attempt: stamp (s) of the newest scan that was passed to scan matching.
     last_heard: time (s) of the agent when odometry arrived last.
@@ -64,6 +66,10 @@ class VehicleTrack:
     waiting: MeasurementQueue[Stamped] = field(default_factory=MeasurementQueue)
     unmatched: MeasurementQueue[LaserScan] = field(default_factory=MeasurementQueue)
     clouds: deque[tuple[float, PointCloud]] = field(default_factory=lambda: deque(maxlen=_CLOUDS))
+    sweeps: SweepQueue = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.sweeps = SweepQueue(self.name)
 
     def count(self, name: str, times: int = 1) -> None:
         """Count an event that has happened once, some times, or not at all."""
@@ -94,12 +100,13 @@ class VehicleTrack:
     def next_ready(self, timeout: float) -> Stamped | None:
         """Return the oldest waiting measurement that odometry has reached, or None.
 
+        It waits for earlier scans whose sweeps are not complete, which takes a second at most.
         While scans are matched, a measurement waits for the next scan as well, at most for the
         timeout (s): only then is the motion up to its stamp refined.
         """
-        if self.waiting.first > self.odometry.last:
-            return None
         stamp = self.waiting.first
+        if stamp > self.odometry.last or stamp >= self.sweeps.first:
+            return None
         matching = stamp - timeout < self.last_match_attempt < stamp
         if matching and self.odometry.last < stamp + timeout:
             return None
@@ -111,6 +118,7 @@ class VehicleTrack:
             self.count('dropped_by_clock_jump')
         self.waiting.clear()
         self.unmatched.clear()
+        self.sweeps.clear()
         self.selector.reset()
         self.matcher.reset()
         self.clouds.clear()

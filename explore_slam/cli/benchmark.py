@@ -5,10 +5,10 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from explore_slam.cli import benchmark_mapping
+from explore_slam.cli import benchmark_mapping, benchmark_sensors
 from explore_slam.cli.arguments import named_settings, whole_numbers
 
-HELP = 'measure exploration, mapping, consistency, endurance, or loop closing under aliasing'
+HELP = 'measure exploration, mapping, consistency, endurance, aliasing, or sensors'
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -271,4 +271,5 @@ KINDS: dict[str, tuple[str, Declare, Run]] = {
         _run_twins,
     ),
     'mapping': (benchmark_mapping.HELP, benchmark_mapping.configure, benchmark_mapping.run),
+    'sensors': (benchmark_sensors.HELP, benchmark_sensors.configure, benchmark_sensors.run),
 }

@@ -20,12 +20,12 @@ def scan_record(message: Any) -> LaserScan:
         np.array(message.ranges, dtype=np.float32),
         float(message.range_min),
         float(message.range_max),
+        time_increment=float(message.time_increment),
+        scan_time=float(message.scan_time),
     )
 
 
-def scan_message(
-    factory: MessageFactory, scan: LaserScan, frame: str, scan_time: float = 0.0
-) -> Any:
+def scan_message(factory: MessageFactory, scan: LaserScan, frame: str) -> Any:
     """Return a sensor_msgs/LaserScan (REP-117 values are kept as they are)."""
     count = scan.ranges.size
     return factory.make(
@@ -34,8 +34,8 @@ def scan_message(
         angle_min=float(scan.angle_min),
         angle_max=float(scan.angle_min + scan.angle_increment * (count - 1)),
         angle_increment=float(scan.angle_increment),
-        time_increment=0.0,
-        scan_time=float(scan_time),
+        time_increment=float(scan.time_increment),
+        scan_time=float(scan.scan_time),
         range_min=float(scan.range_min),
         range_max=float(scan.range_max),
         ranges=factory.sequence(scan.ranges.astype(np.float32, copy=False)),

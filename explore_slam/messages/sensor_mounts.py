@@ -113,7 +113,8 @@ class SensorMounts:
         return self._tree.lookup(self.base, frame) is not None
 
     def place_scan(self, scan: LaserScan, frame: str) -> LaserScan:
-        """Return a scan with the mount of its laser."""
+        """Return a scan with the mount of its laser, and with the vehicle's settings of sweeps."""
+        scan = replace(scan, timing=self.config.sweep.record)
         mount = self._laser(frame)
         if not isinstance(mount.pose, Pose2):
             return scan

@@ -14,6 +14,7 @@ from explore_slam.errors import ConfigError
 from explore_slam.geometry import Pose2, Pose3, quaternion_from_rotation, rotation_matrix
 from explore_slam.messages.base import OPTICAL
 from explore_slam.settings import Section, section, setting, unknown_name, values_of, with_values
+from explore_slam.sweeps import SweepConfig
 
 _UNSET = (math.nan,)
 
@@ -49,6 +50,7 @@ class VehicleConfig(Section):
         'if /tf_static does not provide it; a single NaN: camera_x to camera_yaw',
         tier='basic',
     )
+    sweep: SweepConfig = section(SweepConfig)
     odom_frame: str = setting(
         '', "Odometry frame; empty: as the vehicle's odometry messages name it", tier='basic'
     )

@@ -61,13 +61,17 @@ from explore_slam.nodes.ros_types import MESSAGES
 from explore_slam.nodes.shared_parameters import LifecycleConfig
 from explore_slam.nodes.transform_listener import own_mounts
 from explore_slam.settings import values_of
+from explore_slam.sweeps import SweepConfig
 from explore_slam.vehicle import PathFollower, PathFollowerConfig, VelocityCommand
 
 _REPORT_PERIOD = 0.5  # s
 _ACKNOWLEDGE_TIMEOUT = 0.2  # s for the last command to arrive
 _QUIET_AFTER = 1.0  # s of zero commands, then none: another node may drive the vehicle
 # settings of the vehicle, which the agent has too
-_AT_START = dict.fromkeys(('laser_mount', 'odom_frame', 'robot_base_frame'), 'set at start only')
+_AT_START = dict.fromkeys(
+    ('laser_mount', 'odom_frame', 'robot_base_frame', *values_of(SweepConfig())),
+    'set at start only',
+)
 _INPUTS = (VehicleTopic.PLAN, VehicleTopic.POSE, TopicKind.ODOMETRY, TopicKind.SCAN)
 
 
@@ -116,7 +120,7 @@ class ActiveFollower:
         self._node = node
         self._vehicle = vehicle
         self._outputs = outputs
-        self.follower = PathFollower(config)
+        self.follower = PathFollower(config, vehicle)
         self._mounts = own_mounts(node, vehicle, config.laser_mount, sensors)
         self._command: VelocityCommand | None = None
         self._reported = -1.0

@@ -171,8 +171,7 @@ class SimulatorNode(Node):
     def _make_outputs(self) -> dict[str, VehicleOutputs]:
         config = self.config
         outputs = {
-            name: VehicleOutputs(self, config.frames(name), config.simulation)
-            for name in self.simulator.vehicles
+            name: VehicleOutputs(self, config.frames(name)) for name in self.simulator.vehicles
         }
         for output in outputs.values():
             output.publish_mounts(config.simulation)

@@ -29,9 +29,8 @@ _TOPICS = (
 class VehicleOutputs:
     """All publishers of one simulated vehicle."""
 
-    def __init__(self, node: Node, frames: FrameNames, config: SimulationConfig) -> None:
+    def __init__(self, node: Node, frames: FrameNames) -> None:
         self._frames = frames
-        self._scan_period = 1.0 / config.laser.simulated_scan_rate
         self._out = {topic: publisher(node, topic, frames.vehicle) for topic in _TOPICS}
         self._transforms = TransformBroadcaster(node)
 
@@ -53,9 +52,7 @@ class VehicleOutputs:
                 odometry_message(MESSAGES, truth, frames.map, frames.base, speeds)
             )
         elif isinstance(record, LaserScan):
-            self._out[TopicKind.SCAN].publish(
-                scan_message(MESSAGES, record, frames.laser, self._scan_period)
-            )
+            self._out[TopicKind.SCAN].publish(scan_message(MESSAGES, record, frames.laser))
         elif isinstance(record, RgbdFrame):
             for topic, message in frame_messages(MESSAGES, frames.camera, record):
                 self._out[topic].publish(message)

@@ -5,8 +5,10 @@ Defaults are a Pioneer 3-DX with a SICK LMS-200 and a Kinect v1.
 
 from dataclasses import dataclass
 
+from explore_slam.errors import ConfigError
 from explore_slam.mounts import CameraMountConfig, LaserMountConfig
 from explore_slam.settings import Section, section, setting
+from explore_slam.sweeps import LONGEST_SWEEP
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,24 @@ class SimulatedLaserConfig(Section):
     simulated_scan_noise: float = setting(
         0.01, 'Standard deviation of a range', unit='m', low=0.0, high=1.0
     )
+    simulated_sweep_time: float = setting(
+        0.0,
+        'Time from the first to the last beam of a scan, which is stamped at its first beam; 0: '
+        'all at one moment. A spinning lidar takes as long as from scan to scan',
+        unit='s',
+        low=0.0,
+        high=LONGEST_SWEEP,
+        tier='basic',
+    )
     simulated_laser_z: float = setting(0.3, 'Laser above the ground', unit='m', low=0.02, high=3.0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.simulated_sweep_time * self.simulated_scan_rate > 1.0:
+            raise ConfigError(
+                f'simulated_sweep_time is {self.simulated_sweep_time} s, expected at most the '
+                f'{1.0 / self.simulated_scan_rate:.3f} s between scans (simulated_scan_rate)'
+            )
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ import numpy as np
 
 from explore_slam.data import FollowerState, LaserScan, OdometryReading, Plan
 from explore_slam.geometry import Array, Pose2, to_world
+from explore_slam.sweeps import SweepJudge, deskewed
 from explore_slam.vehicle.clearance import free_distance, scan_points
 from explore_slam.vehicle.config import PathFollowerConfig
 from explore_slam.vehicle.dead_reckoning import DeadReckoning
@@ -27,6 +28,9 @@ _TURN_GAIN = 2.0  # 1/s, turn rate per bearing when turning on the spot
 _TURN_HYSTERESIS = 0.35  # of turn_in_place_angle: turning on the spot ends at this bearing
 _GENTLE_CURVATURE = 0.5  # 1/m; below it the straight line ahead must be free too
 _BRAKING_SHARE = 0.6  # of follow_acceleration, relied upon for braking before obstacles
+_SWEEP_STEP = (
+    0.02  # s between the poses by which beams are placed; odometry comes at 50 Hz or less
+)
 _RESTART_ROOM = 0.05  # m more than the stop distance to start again after an obstacle
 
 
@@ -85,8 +89,12 @@ class PathFollower:
     is measured by times of receipt, geometry uses stamps.
     """
 
-    def __init__(self, config: PathFollowerConfig | None = None) -> None:
+    def __init__(
+        self, config: PathFollowerConfig | None = None, vehicle: str = 'the vehicle'
+    ) -> None:
+        """Create a follower; vehicle: its name in messages."""
         self.config = config or PathFollowerConfig()
+        self._sweeps = SweepJudge(vehicle)
         self.progress = FollowerProgress()
         self.plan: Plan | None = None
         self._path: ReferencePath | None = None
@@ -138,10 +146,22 @@ class PathFollower:
         self._reckoning.add_odometry(reading)
 
     def set_scan(self, scan: LaserScan, received: float | None = None) -> None:
-        """Replace the scan that shows obstacles."""
+        """Replace the scan that shows obstacles.
+
+        Beams that were measured one after the other are placed by odometry at their own times.
+        Obstacles cannot wait for odometry: where it has not come yet, it is extrapolated.
+        """
         self._times.scan = scan.stamp if received is None else received
+        laser = scan.mount or self.config.laser_mount.pose
+        sweep = self._sweeps.sweep_of(scan)
+        if sweep is not None:
+            begin = scan.stamp + sweep.begin
+            count = max(math.ceil(sweep.duration / _SWEEP_STEP), 1) + 1
+            at = np.linspace(begin, begin + sweep.duration, count)
+            path = np.array([self._reckoning.odometry_at(float(stamp)) for stamp in at])
+            scan = deskewed(scan, sweep, at, path, laser)
         self._scan_stamp = scan.stamp
-        self._points = scan_points(scan, scan.mount or self.config.laser_mount.pose)
+        self._points = scan_points(scan, laser)
 
     def map_pose(self, now: float) -> Pose2 | None:
         """Return the dead-reckoned pose in the map, None before the first map pose."""

@@ -47,6 +47,14 @@ def test_scan_keeps_rep_117_values():
     assert back.range_max == pytest.approx(8.0)
 
 
+def test_scan_keeps_the_times_of_its_beams():
+    ranges = np.ones(5, np.float32)
+    scan = LaserScan(1.0, -1.5, 0.75, ranges, 0.05, 8.0, time_increment=1.9e-4, scan_time=0.18)
+    back = messages.scan_record(over_the_wire(messages.scan_message(MESSAGES, scan, 'l')))
+    assert back.time_increment == pytest.approx(1.9e-4)
+    assert back.scan_time == pytest.approx(0.18)
+
+
 @pytest.mark.parametrize('encoding', ['rgb8', 'bgr8', 'rgba8', 'mono8'])
 def test_colour_encodings(encoding):
     rng = np.random.default_rng(0)

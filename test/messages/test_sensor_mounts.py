@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from explore_slam import messages
-from explore_slam.data import LaserScan
+from explore_slam.data import LaserScan, SweepTiming
 from explore_slam.errors import ConfigError
 from explore_slam.geometry import (
     Pose2,
@@ -27,6 +27,7 @@ from explore_slam.messages.vehicle_settings import (
 )
 from explore_slam.mounts import ExplicitMounts
 from explore_slam.recording.rosbags_types import MESSAGES
+from explore_slam.sweeps import SweepConfig
 from explore_slam.vision import CameraMount
 
 SCAN = LaserScan(1.0, -1.0, 0.5, np.ones(5, np.float32), 0.1, 8.0)
@@ -55,6 +56,14 @@ def message_of(*links):
 
 def odometry(base='base_link', frame='odom'):
     return SimpleNamespace(child_frame_id=base, header=SimpleNamespace(frame_id=frame))
+
+
+def test_a_scan_gets_the_settings_of_the_vehicle_for_its_sweeps():
+    own = VehicleConfig(sweep=SweepConfig(0.1, 'backward', 'last'))
+    scan = LaserScan(1.0, -1.0, 0.1, np.ones(21, np.float32), 0.0, 8.0, time_increment=1e-4)
+    placed = SensorMounts('r', TransformTree(), own).place_scan(scan, 'laser')
+    assert placed.timing == SweepTiming(0.1, 'backward', 'last')
+    assert placed.time_increment == 1e-4
 
 
 def test_a_frame_is_found_through_its_ancestors():

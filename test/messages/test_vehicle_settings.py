@@ -2,7 +2,7 @@
 
 import pytest
 
-from explore_slam.data import VehicleBody
+from explore_slam.data import SweepTiming, VehicleBody
 from explore_slam.errors import ConfigError
 from explore_slam.messages.vehicle_settings import VehicleConfig, settings_of_vehicles
 
@@ -15,11 +15,21 @@ def test_size_and_speed_are_those_of_the_team_unless_a_vehicle_has_its_own():
     assert settings_of_vehicles({}, ['robot1'])['robot1'].body.record == VehicleBody()
 
 
+def test_sweeps_are_those_of_the_team_unless_a_vehicle_has_its_own():
+    values = {'sweep_time': 0.1, 'robot2.sweep_time': 0.2, 'robot2.sweep_stamp': 'last'}
+    made = settings_of_vehicles(values, ('robot1', 'robot2'))
+    assert made['robot1'].sweep.record == SweepTiming(0.1)
+    assert made['robot2'].sweep.record == SweepTiming(0.2, 'auto', 'last')
+    assert settings_of_vehicles({}, ['robot1'])['robot1'].sweep.record == SweepTiming()
+
+
 @pytest.mark.parametrize(
     ('name', 'value', 'words'),
     [
         ('robot2.vehicle_radius', 0.0, 'robot2: vehicle_radius is 0.0, expected 0.05 to 2.0'),
         ('robot2.follow_speed', float('nan'), 'robot2: follow_speed is nan'),
+        ('robot2.sweep_stamp', 'middle', 'robot2: sweep_stamp'),
+        ('robot2.sweep_time', 1.5, 'robot2: sweep_time is 1.5, expected -1.0 to 1.0'),
         ('robot2.vehicle_radios', 0.3, "did you mean 'vehicle_radius'"),
     ],
 )

@@ -1,10 +1,11 @@
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from explore_slam.data import LaserScan, OdometryReading, Plan
+from explore_slam.data import LaserScan, OdometryReading, Plan, SweepTiming
 from explore_slam.geometry import IDENTITY, Pose2
 from explore_slam.settings import with_values
 from explore_slam.vehicle import FollowerState, PathFollower, PathFollowerConfig
@@ -420,3 +421,45 @@ def test_another_path_to_the_same_goal_is_no_progress_either(first, again, x):
         locate(made, now, Pose2(x, 0.0, 0.0))
         made.set_scan(scan_of(None), now)
         assert (made.command(now).state is FollowerState.BLOCKED) == blocked
+
+
+@pytest.mark.parametrize('wheels', [20.0, 5.0])
+@pytest.mark.parametrize(
+    ('begin', 'timing', 'stated'),
+    [(0.0, SweepTiming(), 0.4), (0.4, SweepTiming(0.4, 'backward', 'last'), 0.0)],
+)
+def test_obstacles_are_where_they_are_although_the_beams_are_measured_one_by_one(
+    begin, timing, stated, wheels
+):
+    """A wall at 4 m is seen while the vehicle drives 0.5 m/s and turns a little."""
+    follower = PathFollower()
+    follower.set_plan(
+        Plan(0.0, 'robot1', Pose2(6.0, 0.0, 0.0), np.array([[0.0, 0.0], [6.0, 0.0]]))
+    )
+
+    def pose(time):
+        return Pose2(0.5 * time, 0.0, 0.3 * (time - 2.4))
+
+    for stamp in np.arange(0.0, 2.3, 1.0 / wheels):
+        follower.set_odometry(OdometryReading(float(stamp), pose(stamp)))
+        follower.set_pose(float(stamp), pose(stamp))
+    beams = 720
+    angles = -math.pi + 2.0 * math.pi / beams * np.arange(beams)
+    shares = np.arange(beams) / (beams - 1)
+    at = [pose(2.0 + 0.4 * share) for share in (1.0 - shares if begin else shares)]
+    x, heading = np.array([(place.x + 0.1 * math.cos(place.theta), place.theta) for place in at]).T
+    with np.errstate(divide='ignore'):
+        ranges = (4.0 - x) / np.cos(angles + heading)
+    ranges[(ranges < 0.0) | (ranges > 8.0)] = np.inf
+    scan = LaserScan(
+        2.0 + begin, angles[0], angles[1] - angles[0], ranges.astype(np.float32), 0.02, 8.0,
+        time_increment=stated / (beams - 1), timing=timing,
+    )  # fmt: skip
+    follower.set_scan(scan)
+    command = follower.command(2.4)
+    assert command.state is FollowerState.DRIVING
+    radius = follower.config.body.vehicle_radius
+    assert follower.progress.free == pytest.approx(4.0 - 1.2 - radius, abs=0.012)
+    follower.set_scan(replace(scan, timing=SweepTiming(0.0)))
+    follower.command(2.4)
+    assert follower.progress.free != pytest.approx(4.0 - 1.2 - radius, abs=0.05)

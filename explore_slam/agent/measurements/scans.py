@@ -10,6 +10,23 @@ from explore_slam.registration import scan_cloud
 
 
 def enqueue_scan(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
+    """Queue a scan: as it is, or until its sweep is complete and its motion can be undone."""
+    sweep = track.sweeps.judge.sweep_of(scan)
+    if sweep is None:
+        _enqueue_scan_of_one_moment(team, track, scan)
+    elif track.sweeps.push(scan, sweep, team.config.inputs.measurement_queue_length):
+        track.count('dropped_without_odometry')
+
+
+def release_sweeps(team: Team, track: VehicleTrack) -> None:
+    """Undo the motion within the sweeps that odometry covers by now."""
+    laser = team.config.laser_mount.pose
+    while (scan := track.sweeps.pop(track.odometry, laser)) is not None:
+        track.count('deskewed_scans')
+        _enqueue_scan_of_one_moment(team, track, scan)
+
+
+def _enqueue_scan_of_one_moment(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
     """Queue a scan for the map and, if scan matching is on, for matching."""
     if team.config.scan_matching.scan_matching:
         track.unmatched.push(scan, team.config.inputs.measurement_queue_length)
@@ -33,7 +50,7 @@ def process(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
         track.name,
         scan,
         moved.compose(scan.mount or team.config.laser_mount.pose),
-        _bodies(team, track, scan.stamp),
+        _bodies(team, track, scan),
     )
     _close_loops(team, track, scan, moved)
 
@@ -48,7 +65,7 @@ def _close_loops(team: Team, track: VehicleTrack, scan: LaserScan, moved: Pose2)
     if not matching.scan_matching:
         laser = scan.mount or team.config.laser_mount.pose
         cloud = scan_cloud(scan, laser, matching.matching_range)
-        cloud = cloud.masked(team.discs(track, scan.stamp))
+        cloud = cloud.masked(team.discs(track, scan))
     if cloud is None or track.keyframe is None:
         return
     counts = team.loops.add_scan(team.belief, track.name, track.keyframe, moved, cloud, scan.stamp)
@@ -82,19 +99,19 @@ def _add_keyframe_without_vision(team: Team, track: VehicleTrack, stamp: float) 
         team.add_keyframe(track, stamp)
 
 
-def _bodies(team: Team, track: VehicleTrack, stamp: float) -> list[VehicleDisc]:
+def _bodies(team: Team, track: VehicleTrack, scan: LaserScan) -> list[VehicleDisc]:
     """Return the positions of the other vehicles, so that they do not become walls."""
     bodies = []
     for other in team.tracks.values():
         if other is track:
             continue
-        radius = team.body_radius(other)
+        radius = team.body_radius(other, scan)
         if other.keyframe is None:
             if other.start is None:
                 continue
             bodies.append(VehicleDisc(MAP_FRAME, other.start, radius))
         else:
-            moved = other.moved_since_keyframe(stamp)
+            moved = other.moved_since_keyframe(scan.stamp)
             bodies.append(VehicleDisc(other.keyframe.number, moved, radius))
     return bodies
 

@@ -5,6 +5,7 @@ in front of obstacles and of each other. Their pose is known exactly, or with an
 """
 
 import math
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -18,6 +19,7 @@ from explore_slam.settings import Section, setting
 from explore_slam.simulation.grid import kernels
 from explore_slam.simulation.records import WALL, Collision
 from explore_slam.simulation.worlds.grid_world import FREE, GridWorld
+from explore_slam.sweeps import LONGEST_SWEEP
 
 MAX_VEHICLES = 31  # each has a bit in the 32-bit mask of who has seen a cell
 RANGE_MIN = 0.02  # m, minimum range in a scan
@@ -71,6 +73,12 @@ class GridSimulatorConfig(Section):
     range_noise: float = setting(
         0.01, 'Standard deviation of a range', unit='m', low=0.0, high=0.5
     )
+    sweep_time: float = setting(
+        0.0,
+        'Time from the first to the last beam of a scan, which ends when it is asked for and is '
+        'stamped at its first beam; 0: all at one moment',
+        unit='s', low=0.0, high=LONGEST_SWEEP,
+    )  # fmt: skip
     position_noise: float = setting(
         0.0, 'Standard deviation of x and y of the known pose', unit='m', low=0.0, high=1.0
     )
@@ -130,6 +138,7 @@ class GridSimulator:
         self._rng = np.random.default_rng(seed)
         self._ticks = 0
         self._poses = np.array([tuple(pose) for pose in starts.values()], dtype=np.float64)
+        self._past = deque([(0.0, self._poses.copy())])  # times (s) and poses in the last sweep
         origin = np.array(world.origin, dtype=np.float64)
         self._cells = kernels.Cells(world.cells, world.resolution, origin)
         self._clearance = kernels.ClearanceField(world.clearance, world.resolution, origin)
@@ -222,13 +231,18 @@ class GridSimulator:
         drive.arrived = False
 
     def scan(self, vehicle: str) -> LaserScan:
-        """Return a scan from the vehicle's centre; the cells it crosses count as seen."""
+        """Return a scan from the vehicle's centre; the cells it crosses count as seen.
+
+        With a sweep_time, it has begun that long ago, at most when the simulation began, and each
+        beam starts where the vehicle was at its time. Other vehicles are where they are now.
+        """
         index, config = self._index[vehicle], self.config
         others = np.delete(self._poses, index, axis=0)
         bodies = np.column_stack([others[:, :2], np.full(len(others), config.disc_radius)])
+        stamp, poses = self._sweep(index)
         own, team = kernels.cast_beams(
             self._cells,
-            kernels.Sweep(self._poses[index], self._angles, config.beam_range),
+            kernels.Sweep(poses, self._angles, config.beam_range),
             bodies,
             kernels.Coverage(self.reachable, self._seen, np.uint32(1 << index)),
             self._ranges,
@@ -241,13 +255,26 @@ class GridSimulator:
             ranges[ranges >= config.beam_range] = np.inf
         step = self._angles[1] - self._angles[0] if ranges.size > 1 else 0.0
         return LaserScan(
-            stamp=self.time,
+            stamp=stamp,
             angle_min=float(self._angles[0]),
             angle_increment=float(step),
             ranges=np.maximum(ranges, RANGE_MIN).astype(np.float32),
             range_min=RANGE_MIN,
             range_max=config.beam_range,
+            time_increment=(self.time - stamp) / max(ranges.size - 1, 1),
         )
+
+    def _sweep(self, index: int) -> tuple[float, Array]:
+        """Return when the first beam of a scan is measured (s), and the pose (B, 3) at each."""
+        begin = max(self.time - self.config.sweep_time, 0.0)
+        if begin == self.time:
+            return begin, np.tile(self._poses[index], (self._angles.size, 1))
+        at = np.array([time for time, _ in self._past])
+        past = np.array([poses[index] for _, poses in self._past])
+        times = np.linspace(begin, self.time, self._angles.size)
+        columns = (past[:, 0], past[:, 1], np.unwrap(past[:, 2]))
+        poses = np.stack([np.interp(times, at, column) for column in columns], axis=1)
+        return begin, poses
 
     # -- motion ------------------------------------------------------------------------------
 
@@ -259,6 +286,9 @@ class GridSimulator:
             self._drift(index)
             self._steer(index)
             self._move(index)
+        self._past.append((self.time, self._poses.copy()))
+        while len(self._past) > 2 and self._past[1][0] <= self.time - self.config.sweep_time:
+            self._past.popleft()
 
     def _drift(self, index: int, stationary: bool = False) -> None:
         """Advance the error of the known pose (Ornstein-Uhlenbeck process).

@@ -37,9 +37,9 @@ class ClearanceField(NamedTuple):
 
 
 class Sweep(NamedTuple):
-    """A scan to take: sensor pose (3,), beam angles (B,) in the sensor frame, range (m)."""
+    """A scan to take: sensor pose (B, 3) and angle (B,) in its frame of each beam, range (m)."""
 
-    pose: Floats
+    poses: Floats
     angles: Floats
     max_range: float
 
@@ -96,12 +96,12 @@ def cast_beams(
     Grid traversal after Amanatides and Woo, "A fast voxel traversal algorithm", 1987.
     """
     values, resolution, origin = cells.values, cells.resolution, cells.origin
-    pose, max_range = laser.pose, laser.max_range
+    max_range = laser.max_range
     reachable, seen, bit = coverage.reachable, coverage.seen, coverage.bit
     height, width = values.shape
     new_own, new_team = 0, 0
     for beam in range(laser.angles.size):
-        angle = pose[2] + laser.angles[beam]
+        pose, angle = laser.poses[beam], laser.poses[beam, 2] + laser.angles[beam]
         dx, dy = math.cos(angle), math.sin(angle)
         limit = max_range
         hit_body = False
@@ -278,7 +278,7 @@ def warm_up() -> None:
     field = ClearanceField(np.ones((6, 6), np.float32), 0.05, origin)
     cast_beams(
         Cells(free, 0.05, origin),
-        Sweep(pose, np.zeros(2), 1.0),
+        Sweep(np.stack([pose, pose]), np.zeros(2), 1.0),
         np.zeros((0, 3)),
         Coverage(free == SOLID, np.zeros((6, 6), np.uint32), np.uint32(1)),
         np.zeros(2),

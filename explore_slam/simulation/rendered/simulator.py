@@ -15,7 +15,7 @@ from explore_slam.simulation.records import Collision, Record, SimEvent, TruePos
 from explore_slam.simulation.rendered.base import DifferentialDrive, WheelOdometry
 from explore_slam.simulation.rendered.contacts import Contacts
 from explore_slam.simulation.rendered.kinect import KinectSensor, camera_intrinsics
-from explore_slam.simulation.rendered.laser import LaserScanner
+from explore_slam.simulation.rendered.laser import LaserScanner, TimedPose
 from explore_slam.simulation.rendered.model import build_model
 from explore_slam.simulation.rendered.mujoco_import import mujoco
 from explore_slam.simulation.rendered.renderer import Renderer
@@ -45,10 +45,14 @@ class _Schedule:
 
 @dataclass
 class _Vehicle:
-    """One simulated vehicle; touching: the obstacle in contact, '' for none."""
+    """One simulated vehicle.
+
+    before: its pose before the last time step. touching: the obstacle in contact, '' for none.
+    """
 
     name: str
     pose: Pose2
+    before: Pose2
     drive: DifferentialDrive
     odometry: WheelOdometry
     laser: LaserScanner
@@ -152,7 +156,8 @@ class Simulator:
         others = {v.name: v.pose for v in self._vehicles.values() if v.name != vehicle}
         moved = self._find(vehicle)
         self._contacts.check_poses({**others, vehicle: pose})
-        moved.pose, moved.touching = pose, ''
+        moved.pose = moved.before = pose
+        moved.touching = ''
 
     def step(self) -> list[SimEvent]:
         """Advance by one tick; return the records of its sensors in a fixed order."""
@@ -164,6 +169,10 @@ class Simulator:
         placed = False
         for vehicle in self._vehicles.values():
             due = {name for name, plan in vehicle.schedules.items() if plan.due(self.time)}
+            if 'laser' in due and self.config.laser.simulated_sweep_time > 0.0:
+                vehicle.laser.begin(self.time)
+            if vehicle.laser.is_sweeping:
+                due.add('laser')
             if due & {'laser', 'kinect'} and not placed:
                 self._place_bodies()
                 placed = True
@@ -208,6 +217,7 @@ class Simulator:
             made[name] = _Vehicle(
                 name,
                 pose,
+                pose,
                 DifferentialDrive(config.base),
                 WheelOdometry(config.odometry, rngs[0]),
                 LaserScanner(
@@ -229,7 +239,7 @@ class Simulator:
         increment = vehicle.drive.advance(seconds)
         if increment.x != 0.0 or increment.y != 0.0:
             increment = self._free_part(vehicle, increment)
-        vehicle.pose = vehicle.pose.compose(increment)
+        vehicle.before, vehicle.pose = vehicle.pose, vehicle.pose.compose(increment)
         vehicle.odometry.move(increment)
 
     def _free_part(self, vehicle: _Vehicle, increment: Pose2) -> Pose2:
@@ -264,7 +274,13 @@ class Simulator:
             odometry, drive = vehicle.odometry, vehicle.drive
             records.append(OdometryReading(now, odometry.pose, odometry.covariance))
             records.append(TruePose(now, vehicle.pose, drive.linear, drive.angular))
-        if 'laser' in due:
+        if vehicle.laser.is_sweeping:
+            before = TimedPose(now - 1.0 / self.config.tick_rate, vehicle.before)
+            step = before, TimedPose(now, vehicle.pose)
+            scan = vehicle.laser.advance(*step, self._rendered, self._data)
+            if scan is not None:
+                records.append(scan)
+        elif 'laser' in due:
             records.append(vehicle.laser.measure(now, vehicle.pose, self._rendered, self._data))
         if 'kinect' in due and self._renderer is not None and vehicle.kinect is not None:
             camera = list(self._vehicles).index(vehicle.name)

@@ -13,6 +13,7 @@ import numpy as np
 
 from explore_slam.errors import SimulationError
 from explore_slam.geometry import Array, Pose2, wrap_angle
+from explore_slam.simulation.worlds.walls import Point, box, distances_along, line
 
 PERIODS = (3.0, 4.0, 6.0)  # m; of the worlds with seeds 0, 1, 2, 3 ...
 ROOMS = 12  # of each corridor
@@ -20,8 +21,6 @@ HALF_WIDTH = 1.0  # m, of a corridor
 SECOND = 8.0  # m; y of the axis of the second corridor, the first one is at 0
 LOBBY = 4.0  # m, depth of the lobbies along x
 AISLE = 1.5  # m; the way through a lobby keeps this distance from the ends of the corridors
-
-Point = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -45,17 +44,7 @@ class TwinCorridors:
 
     def ranges(self, pose: Pose2, angles: Array) -> Array:
         """Return the distances (B,) m to the walls along beams at angles (rad); inf: none."""
-        directions = np.stack([np.cos(angles + pose.theta), np.sin(angles + pose.theta)], axis=1)
-        edges = self.walls[:, 2:] - self.walls[:, :2]
-        starts = self.walls[:, :2] - (pose.x, pose.y)
-        across = np.outer(directions[:, 0], edges[:, 1]) - np.outer(directions[:, 1], edges[:, 0])
-        with np.errstate(divide='ignore', invalid='ignore'):
-            far = (starts[:, 0] * edges[:, 1] - starts[:, 1] * edges[:, 0]) / across
-            along = np.outer(directions[:, 1], starts[:, 0])
-            along = (along - np.outer(directions[:, 0], starts[:, 1])) / across
-        hit = (far > 0.0) & (along >= 0.0) & (along <= 1.0)
-        found: Array = np.where(hit, far, np.inf).min(axis=1)
-        return found
+        return distances_along(self.walls, np.array([[pose.x, pose.y]]), angles + pose.theta)
 
 
 def twin_corridors(seed: int) -> TwinCorridors:
@@ -69,7 +58,7 @@ def twin_corridors(seed: int) -> TwinCorridors:
     parts = []
     for y, side in ((0.0, -1.0), (SECOND, 1.0)):
         inner = y - side * HALF_WIDTH
-        parts.append(_line((0.0, inner), (length, inner)))
+        parts.append(line((0.0, inner), (length, inner)))
         for number in range(ROOMS):
             at = room.copy()
             at[:, [0, 2]] += number * period
@@ -80,17 +69,6 @@ def twin_corridors(seed: int) -> TwinCorridors:
     return TwinCorridors(np.concatenate(parts), period, length)
 
 
-def _line(*corners: Point) -> Array:
-    """Return the segments (n, 4) of a line through corners."""
-    points = np.array(corners)
-    return np.concatenate([points[:-1], points[1:]], axis=1)
-
-
-def _box(x: float, y: float, width: float, depth: float) -> Array:
-    right, far = x + width, y + depth
-    return _line((x, y), (right, y), (right, far), (x, far), (x, y))
-
-
 def _room(period: float, random: np.random.Generator) -> Array:
     """Return a room along x from 0 to the period, y away from the axis of its corridor."""
     door = random.uniform(0.4, period - 1.6)
@@ -98,11 +76,11 @@ def _room(period: float, random: np.random.Generator) -> Array:
     cupboard = random.uniform(0.2, period - 1.0)
     return np.concatenate(
         [
-            _line((0.0, HALF_WIDTH), (door, HALF_WIDTH)),
-            _line((door + 1.0, HALF_WIDTH), (period, HALF_WIDTH)),
-            _line((0.1, HALF_WIDTH), (0.1, depth), (period - 0.1, depth)),
-            _line((period - 0.1, depth), (period - 0.1, HALF_WIDTH)),
-            _box(cupboard, depth - 0.5, 0.7, 0.4),
+            line((0.0, HALF_WIDTH), (door, HALF_WIDTH)),
+            line((door + 1.0, HALF_WIDTH), (period, HALF_WIDTH)),
+            line((0.1, HALF_WIDTH), (0.1, depth), (period - 0.1, depth)),
+            line((period - 0.1, depth), (period - 0.1, HALF_WIDTH)),
+            box(cupboard, depth - 0.5, 0.7, 0.4),
         ]
     )
 
@@ -118,11 +96,11 @@ def _lobby(x: float, outward: float, random: np.random.Generator) -> Array:
         corners += [(far, y), (far, above)]
         y = above
     corners.append((x, high))
-    parts = [_line(*corners), _line((x, HALF_WIDTH), (x, SECOND - HALF_WIDTH))]
+    parts = [line(*corners), line((x, HALF_WIDTH), (x, SECOND - HALF_WIDTH))]
     for centre in (1.5, 4.0, 6.5):
         near = x + outward * random.uniform(2.4, 2.8)
         bottom = centre + random.uniform(-0.8, 0.4)
-        parts.append(_box(near - 0.2, bottom, random.uniform(0.3, 0.5), random.uniform(0.3, 0.9)))
+        parts.append(box(near - 0.2, bottom, random.uniform(0.3, 0.5), random.uniform(0.3, 0.9)))
     return np.concatenate(parts)
 
 

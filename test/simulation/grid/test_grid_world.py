@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,9 +19,10 @@ from explore_slam.simulation.grid.grid_simulator import (
     GridSimulator,
     GridSimulatorConfig,
 )
-from explore_slam.simulation.worlds.grid_world import GridWorld
+from explore_slam.simulation.worlds.grid_world import SOLID, GridWorld
 from explore_slam.simulation.worlds.loading import load_grid_world
 from explore_slam.simulation.worlds.world import Block, World
+from explore_slam.sweeps import Sweep, deskewed
 
 ROOM = ['##########', *['#........#'] * 6, '##########']  # 4 m x 3 m inside
 EXACT = GridSimulatorConfig(range_noise=0.0)
@@ -91,6 +93,37 @@ def test_range_noise_has_the_deviation_asked_for():
     errors = np.concatenate([simulator.scan('a').ranges - exact.ranges for _ in range(20)])
     assert errors.std() == pytest.approx(0.03, rel=0.05)
     assert abs(errors.mean()) < 0.002
+
+
+def test_beams_of_a_sweep_start_where_the_vehicle_is_at_their_time():
+    cells = np.zeros((200, 260), np.int8)
+    cells[:, [0, -1]] = cells[[0, -1]] = cells[60:90, 180:] = SOLID
+    world = GridWorld(cells, 0.02)
+    config = GridSimulatorConfig(
+        range_noise=0.0, sweep_time=0.2, beams=360, field_of_view=2.0 * math.pi
+    )
+    simulator = GridSimulator(world, {'a': Pose2(1.5, 2.0, 0.0)}, config)
+    first = simulator.scan('a')  # nothing has moved before the simulation began
+    assert (first.stamp, first.time_increment) == (0.0, 0.0)
+    behind = Plan(0.0, 'a', Pose2(0.8, 2.0, math.pi), np.array([[1.5, 2.0], [0.8, 2.0]]))
+    simulator.set_plan('a', behind)
+    truth = []
+    while simulator.time < 1.0:
+        simulator.step()
+        truth.append((simulator.time, *simulator.true_pose('a')))
+    path = np.array(truth)
+    assert path[-1, 3] - path[-3, 3] > 0.19  # it turns on the spot at 1 rad/s
+    scan = simulator.scan('a')
+    assert scan.stamp == pytest.approx(0.8)
+    assert scan.time_increment * 359 == pytest.approx(0.2)
+    still = deskewed(scan, Sweep(0.2), path[:, 0], path[:, 1:], Pose2(0.0, 0.0, 0.0))
+    middle = Pose2(*(float(np.interp(0.9, path[:, 0], column)) for column in path[:, 1:].T))
+    at_once = GridSimulator(world, {'a': middle}, replace(config, sweep_time=0.0)).scan('a')
+    seen = np.interp(at_once.angles, still.angles, still.ranges, period=2.0 * math.pi)
+    off = np.abs(seen - at_once.ranges)
+    skew = np.abs(scan.ranges - at_once.ranges)
+    assert np.quantile(off, 0.9) < 0.02
+    assert np.quantile(skew, 0.9) > 0.1
 
 
 def test_coverage_counts_every_reachable_cell_once():

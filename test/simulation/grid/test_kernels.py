@@ -56,7 +56,7 @@ def cast(values, pose, angles, max_range=10.0, bodies=(), seen=None, bit=1, reac
     ranges = np.zeros(len(angles))
     counts = cast_beams(
         cells,
-        Sweep(np.array(pose), np.array(angles), max_range),
+        Sweep(np.tile(pose, (len(angles), 1)), np.array(angles), max_range),
         np.array(bodies, dtype=np.float64).reshape(-1, 3),
         Coverage(reachable, seen, np.uint32(bit)),
         ranges,

@@ -35,6 +35,7 @@ OTHER = {
     'laser_x': 0.0,
     'laser_y': 0.2,
     'laser_yaw': 0.3,
+    'simulated_sweep_time': 0.05,
     'simulated_laser_z': 0.1,
     'simulated_camera_rate': 4.0,
     'simulated_image_width': 80,

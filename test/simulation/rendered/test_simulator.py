@@ -4,9 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from explore_slam.data import LaserScan, OdometryReading, RgbdFrame
-from explore_slam.errors import SimulationError
+from explore_slam.errors import ConfigError, SimulationError
 from explore_slam.geometry import Pose2, to_world
 from explore_slam.settings import with_values
 from explore_slam.simulation import (
@@ -18,6 +19,7 @@ from explore_slam.simulation import (
 )
 from explore_slam.simulation.config import SimulatedOdometryConfig
 from explore_slam.simulation.rendered.base import WheelOdometry
+from explore_slam.sweeps import Sweep, deskewed
 
 BLIND = {'simulated_camera_rate': 0.0}
 SMALL = {'simulated_image_width': 160, 'simulated_image_height': 120}
@@ -190,6 +192,47 @@ def test_depth_agrees_with_the_laser_and_colour_with_depth(world):
     angle = -np.arctan((columns - camera.cx) / camera.fx)
     expected = np.interp(angle, scan.angles, scan.ranges) * np.cos(angle)
     assert np.median(np.abs(depth[columns] - expected)) < 0.002
+
+
+LASER = Pose2(0.1, 0.0, 0.0)  # the usual mount
+
+
+def returns(scan):
+    """The returns of a scan as points (N, 2) in the vehicle frame."""
+    seen = np.isfinite(scan.ranges)
+    directions = np.stack([np.cos(scan.angles), np.sin(scan.angles)], axis=1)
+    return to_world(LASER, directions[seen] * scan.ranges[seen, None])
+
+
+def test_beams_of_a_sweep_start_where_the_vehicle_is_at_their_time(world):
+    values = {
+        **BLIND, 'simulated_field_of_view': 358.0, 'simulated_scan_noise': 0.0,
+        'simulated_odometry_rate': 50.0,
+    }  # fmt: skip
+    spinning = config(**values, simulated_beams=180, simulated_sweep_time=0.18,
+                      simulated_scan_rate=5.5)  # fmt: skip
+    with Simulator(world, {'a': Pose2(1.5, 1.5, 0.5)}, spinning) as simulator:
+        simulator.set_velocity('a', 0.2, 0.9)
+        records = run(simulator, 2.0)
+    truth = [record for record in records if isinstance(record, TruePose)]
+    scans = [record for record in records if isinstance(record, LaserScan)]
+    assert len(scans) == 11  # the last one has begun at 1.82 s
+    assert scans[3].time_increment == pytest.approx(0.18 / 179)
+    assert scans[3].scan_time == pytest.approx(1.0 / 5.5)
+    at, path = np.array([t.stamp for t in truth]), np.array([t.pose for t in truth])
+    still = deskewed(scans[8], Sweep(0.18), at, path, LASER)
+    middle = Pose2(*(float(np.interp(still.stamp, at, column)) for column in path.T))
+    dense = config(**values, simulated_beams=3000)
+    with Simulator(world, {'a': middle}, dense) as simulator:
+        (exact,) = run(simulator, 0.02, LaserScan)
+    walls = cKDTree(returns(exact))
+    assert np.quantile(walls.query(returns(still))[0], 0.95) < 0.006
+    assert np.quantile(walls.query(returns(scans[8]))[0], 0.5) > 0.02
+
+
+def test_a_sweep_cannot_take_longer_than_the_time_between_scans():
+    with pytest.raises(ConfigError, match=r'simulated_sweep_time is 0.2 s, expected at most the'):
+        config(simulated_sweep_time=0.2, simulated_scan_rate=10.0)
 
 
 def test_depth_is_valid_from_0_8_to_3_5_m_with_noise_that_grows(world):

@@ -1,0 +1,55 @@
+"""`explore_slam benchmark sensors`: accuracy with sensors as people have them."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from explore_slam.cli.arguments import named_settings, whole_numbers
+
+HELP = 'measure pose and map with spinning lidars on a turning vehicle'
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument(
+        '--seeds', type=whole_numbers, default=list(range(5)), help='one run each (default 0..4)'
+    )
+    parser.add_argument(
+        '--case',
+        action='append',
+        default=[],
+        metavar='TEXT',
+        help='only cases whose title contains this; may be repeated',
+    )
+    parser.add_argument('--output', type=Path, help='folder for sensors.json and pictures')
+    parser.add_argument(
+        '--set',
+        action='append',
+        default=[],
+        metavar='NAME=VALUE',
+        help='another value for a setting of the agent; may be repeated',
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Make the runs, report each as it ends, print the table."""
+    from explore_slam.studies.sensor_study import SensorStudy, markdown_table, run_study
+
+    study = SensorStudy(
+        arguments.seeds, titles=arguments.case, settings=named_settings(arguments, ())
+    )
+    total = len(study.cases()) * len(study.seeds)
+    runs = []
+    for done in run_study(study, arguments.output):
+        runs.append(done)
+        print(
+            f'[{len(runs)}/{total}] {done.title}, seed {done.seed}: '
+            f'{done.position_rms:.3f} m, {100.0 * done.wrong_cells:.1f} % of the cells off, '
+            f'{done.unmatched} scans unmatched, {done.scan_ms:.1f} ms per scan',
+            file=sys.stderr,
+            flush=True,
+        )
+    print(markdown_table(runs), end='')
+    if arguments.output is not None:
+        print(f'written: {arguments.output / "sensors.json"}', file=sys.stderr)
+    return 0

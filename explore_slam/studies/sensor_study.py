@@ -1,0 +1,302 @@
+"""How accurate pose and map are with sensors as people have them: the cases of the sensor rig.
+
+A case is a row of the table. Further sensors are further cases.
+"""
+
+import itertools
+import json
+import math
+import tempfile
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from explore_slam.agent import Agent, AgentConfig, warm_up
+from explore_slam.data import LaserScan, OdometryReading
+from explore_slam.errors import EvaluationError
+from explore_slam.files import write_text
+from explore_slam.geometry import Array, Pose2, wrap_angle
+from explore_slam.mapping import OccupancyGrid
+from explore_slam.messages.topics import TopicKind
+from explore_slam.recording import BagReader, Replay
+from explore_slam.recording.events import Event
+from explore_slam.recording.importers.importing import write_bag
+from explore_slam.results import tables
+from explore_slam.settings import with_values
+from explore_slam.simulation.worlds.walls import distances_from
+from explore_slam.studies.figures import new_figure
+from explore_slam.studies.sensor_rig import (
+    FLOOR,
+    START,
+    Drive,
+    Laser,
+    in_order_of_arrival,
+    odometry,
+    scans,
+)
+
+VEHICLE = 'robot1'
+OFF_WALL = 0.10  # m; occupied cells whose centre is farther from the true walls are wrong
+SOURCES = ('live', 'bag')
+
+
+@dataclass(frozen=True)
+class Case:
+    """One row of the table.
+
+    turn_rate: rad/s on the spot. odometry_turn: what the wheels measure of a turn of 1.
+    source: live, records in the order of arrival; bag, the messages of a bag through its replay.
+    """
+
+    title: str
+    laser: Laser = field(default_factory=Laser)
+    turn_rate: float = 0.9
+    odometry_turn: float = 1.05
+    source: str = 'live'
+
+    def __post_init__(self) -> None:
+        if self.source not in SOURCES:
+            raise EvaluationError(f'source is {self.source!r}, expected one of {SOURCES}')
+
+
+def _sweep_cases() -> Iterator[Case]:
+    """Yield the cases of motion within a sweep."""
+    for rate in (5.5, 10.0):
+        yield Case(f'one moment, {rate:g} Hz', Laser(rate, spinning=False))
+    for rate, turn_rate, backward, last, stated in itertools.product(
+        (5.5, 10.0), (0.9, 0.45), (False, True), (False, True), (True, False)
+    ):
+        direction, stamp = 'backward' if backward else 'forward', 'last' if last else 'first'
+        title = (
+            f'spinning, {rate:g} Hz, {turn_rate:g} rad/s, {direction}, {stamp} beam, '
+            f'{"stated" if stated else "not stated"}'
+        )
+        laser = Laser(rate, backward=backward, last=last, stated=stated)
+        yield Case(title, laser, turn_rate)
+    for rate, stated in itertools.product((5.5, 10.0), (True, False)):
+        title = f'spinning, {rate:g} Hz, {"stated" if stated else "not stated"}, from a bag'
+        yield Case(title, Laser(rate, stated=stated), source='bag')
+    yield Case('spinning, 5.5 Hz, exact wheels', odometry_turn=1.0)
+
+
+CASES: dict[str, tuple[Case, ...]] = {'sweeps': tuple(_sweep_cases())}
+
+
+class CaseRun(NamedTuple):
+    """Figures of one run.
+
+    position_rms (m) and heading_rms (rad): of the estimates after every scan, against the truth.
+    wrong_cells: share of the occupied cells that are more than OFF_WALL from the true walls.
+    occupied: number of these cells. matched, unmatched: scans. scan_ms: the agent's time per scan
+    (ms).
+    """
+
+    title: str
+    seed: int
+    position_rms: float
+    heading_rms: float
+    wrong_cells: float
+    occupied: int
+    matched: int
+    unmatched: int
+    scan_ms: float
+
+
+@dataclass(frozen=True)
+class SensorStudy:
+    """Definition of a study: groups of cases, parts of titles (all cases if empty), settings."""
+
+    seeds: Sequence[int] = tuple(range(5))
+    groups: Sequence[str] = tuple(CASES)
+    titles: Sequence[str] = ()
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        unknown = sorted(set(self.groups) - CASES.keys())
+        if unknown:
+            raise EvaluationError(f'sensor study: groups {unknown}, expected some of {[*CASES]}')
+        if not self.cases():
+            raise EvaluationError(
+                f'sensor study: no title of a case contains {" or ".join(self.titles)!r}'
+            )
+        self.config()
+
+    def cases(self) -> list[Case]:
+        """Return the cases in the order of the table."""
+        found = [case for group in self.groups for case in CASES[group]]
+        return [
+            case
+            for case in found
+            if not self.titles or any(part in case.title for part in self.titles)
+        ]
+
+    def config(self) -> AgentConfig:
+        """Return the settings of the agent; ConfigError for a wrong one."""
+        return with_values(AgentConfig(), dict(self.settings))
+
+
+class _Watch:
+    """Passes records to an agent and notes its estimates after every scan."""
+
+    def __init__(self, agent: Agent) -> None:
+        self.agent = agent
+        self.seconds = 0.0
+        self.rows: list[tuple[float, float, float, float]] = []
+        self.scans = 0
+
+    def add(self, vehicle: str, record: Any) -> None:
+        """Add a record of a vehicle."""
+        began = time.perf_counter()
+        self.agent.add(vehicle, record)
+        self.seconds += time.perf_counter() - began
+        if isinstance(record, LaserScan):
+            self.scans += 1
+        else:
+            return
+        track = self.agent.track(vehicle)
+        if len(track.odometry):
+            self.rows.append((track.odometry.last, *self.agent.map_pose(vehicle)))
+
+    def advance(self, stamp: float) -> None:
+        """Set the time (s)."""
+        self.agent.advance(stamp)
+
+    def set_pose(self, vehicle: str, pose: Pose2, covariance: Array) -> None:
+        """Set the pose of a vehicle in the map."""
+        self.agent.set_pose(vehicle, pose, covariance)
+
+
+def run_case(case: Case, seed: int, config: AgentConfig) -> tuple[CaseRun, OccupancyGrid]:
+    """Drive the tour of a seed; return the figures and the map."""
+    warm_up()
+    random = np.random.default_rng(seed)
+    drive = Drive(case.turn_rate)
+    readings = odometry(drive, case.odometry_turn, random)
+    sweeps = scans(drive, case.laser, random)
+    watch = _Watch(Agent(config, {VEHICLE: START}, seed))
+    if case.source == 'live':
+        for record in in_order_of_arrival(readings, sweeps, case.laser):
+            watch.add(VEHICLE, record)
+    else:
+        _replay(watch, readings, sweeps, case.laser)
+    table = np.array(watch.rows)
+    off = table[:, 1:] - drive.at(table[:, 0])
+    turn = [wrap_angle(value) for value in off[:, 2]]
+    grid = watch.agent.grid
+    occupied = np.argwhere(grid.to_trinary() == 100)
+    far = distances_from(FLOOR, grid.to_point(occupied)) > OFF_WALL
+    counts = watch.agent.summary()[VEHICLE]
+    run = CaseRun(
+        case.title,
+        seed,
+        float(np.sqrt((off[:, :2] ** 2).sum(axis=1).mean())),
+        float(np.sqrt(np.mean(np.square(turn)))),
+        float(far.mean()) if len(far) else math.nan,
+        len(occupied),
+        counts.get('matched_scans', 0),
+        counts.get('unmatched_scans', 0),
+        1e3 * watch.seconds / max(watch.scans, 1),
+    )
+    return run, grid
+
+
+def _replay(
+    watch: _Watch,
+    readings: Sequence[OdometryReading],
+    sweeps: Sequence[LaserScan],
+    laser: Laser,
+) -> None:
+    """Write the records as a bag, and feed its replay."""
+    with tempfile.TemporaryDirectory(prefix='explore_slam_') as folder:
+        path = Path(folder) / 'bag'
+        streams: list[Iterable[Event]] = [
+            (Event(item.stamp, VEHICLE, TopicKind.ODOMETRY, item) for item in readings),
+            (Event(item.stamp, VEHICLE, TopicKind.SCAN, item) for item in sweeps),
+        ]
+        write_bag(path, streams, {})
+        timing = laser.timing
+        settings = {'sweep_direction': timing.direction, 'sweep_stamp': timing.stamp}
+        with BagReader(path) as bag:
+            Replay(bag, starts={VEHICLE: START}, settings=settings).feed(watch)
+
+
+def run_study(study: SensorStudy, output: Path | None = None) -> Iterator[CaseRun]:
+    """Yield the run of every case and seed, in order; sensors.json grows with them.
+
+    output: folder for sensors.json and a picture of the map of the first seed of every case.
+    """
+    if output is not None:
+        output.mkdir(parents=True, exist_ok=True)
+    runs: list[CaseRun] = []
+    for number, case in enumerate(study.cases()):
+        for seed in study.seeds:
+            run, grid = run_case(case, seed, study.config())
+            runs.append(run)
+            if output is not None:
+                save_runs(study, runs, output)
+                if seed == study.seeds[0]:
+                    plot_map(grid, case.title, output / f'{number:02d}.png')
+            yield run
+
+
+HEADER = (
+    'case', 'position RMS (m)', 'heading RMS (°)', 'cells off the walls', 'scans unmatched',
+    'ms per scan',
+)  # fmt: skip
+
+
+def markdown_table(runs: Sequence[CaseRun]) -> str:
+    """Return the table of a study: per case the range of its seeds."""
+    rows = []
+    for title, group in itertools.groupby(runs, key=lambda run: run.title):
+        own = list(group)
+        scanned = sum(run.matched + run.unmatched for run in own)
+        rows.append(
+            (
+                title,
+                _span([run.position_rms for run in own], '.3f'),
+                _span([math.degrees(run.heading_rms) for run in own], '.2f'),
+                _span([100.0 * run.wrong_cells for run in own], '.1f') + ' %',
+                f'{sum(run.unmatched for run in own)} of {scanned}',
+                _span([run.scan_ms for run in own], '.1f'),
+            )
+        )
+    return tables.markdown_table(HEADER, rows) + '\n'
+
+
+def _span(values: Sequence[float], form: str) -> str:
+    low, high = format(min(values), form), format(max(values), form)
+    return low if low == high else f'{low}–{high}'
+
+
+def save_runs(study: SensorStudy, runs: Sequence[CaseRun], folder: Path) -> Path:
+    """Write sensors.json into a folder; return its path. A figure that is not finite is null."""
+    content = {
+        'settings': dict(study.settings),
+        'seeds': list(study.seeds),
+        'runs': [run._asdict() for run in runs],
+    }
+    path = folder / 'sensors.json'
+    write_text(path, json.dumps(tables.json_value(content), indent=2, allow_nan=False) + '\n')
+    return path
+
+
+def plot_map(grid: OccupancyGrid, title: str, path: Path) -> None:
+    """Draw the map of a run, with the true walls over it."""
+    figure, axes = new_figure(width=7.0, height=4.8)
+    axis = axes[0, 0]
+    (x, y), (rows, cols) = grid.origin, grid.shape
+    extent = (x, x + cols * grid.resolution, y, y + rows * grid.resolution)
+    axis.imshow(
+        np.where(grid.known(), 1.0 - grid.probability(), 0.6),
+        extent=extent, origin='lower', cmap='gray', vmin=0.0, vmax=1.0,
+    )  # fmt: skip
+    for x0, y0, x1, y1 in FLOOR:
+        axis.plot((x0, x1), (y0, y1), color='#c0392b', linewidth=0.6)
+    axis.set(title=title, xlabel='x (m)', ylabel='y (m)', aspect='equal')
+    axis.grid(visible=False)
+    figure.savefig(path, dpi=110)
