@@ -24,6 +24,7 @@ logger = logging.getLogger(__name__)
 LONGEST_SWEEP = 1.0  # s; the slowest spinning lidars turn at 1 Hz
 # A sweep may take this many intervals between scans: stamps jitter, and scans are lost in pairs.
 _LONGEST_SHARE = 1.5
+_ALL_AROUND = math.radians(350.0)  # field of view from which a laser counts as a spinning one
 _INTERVALS = 9  # newest ones, of which the median counts
 _FEWEST_INTERVALS = 3
 
@@ -168,7 +169,7 @@ class SweepJudge:
         return float(np.median(np.diff(self._stamps)))
 
     def sweep_of(self, scan: LaserScan) -> Sweep | None:
-        """Return when the beams of the next scan were measured; None: at one moment, or unknown.
+        """Return when the beams of the newest scan were measured; None: at one moment, or unknown.
 
         Settings count before what the scans have shown, and that before the messages.
         """
@@ -176,6 +177,10 @@ class SweepJudge:
             self._stamps.clear()  # the clock has jumped back
         if not self._stamps or scan.stamp > self._stamps[-1]:
             self._stamps.append(scan.stamp)
+        return self.known_sweep(scan)
+
+    def known_sweep(self, scan: LaserScan) -> Sweep | None:
+        """Return when the beams of a scan were measured, by what is known now; see sweep_of."""
         timing, found = scan.timing, self.found
         duration = timing.duration
         if duration is None:
@@ -187,6 +192,25 @@ class SweepJudge:
             backward = found.backward if timing.direction == 'auto' else backward
             last = found.last if timing.stamp == 'auto' else last
         return Sweep(duration, backward, last)
+
+    def doubtful(self, scan: LaserScan) -> float:
+        """Return how long (s) a sweep takes if its beams are measured one after the other.
+
+        0 where that need not be found out: settings say all, the scans have shown it, or the laser
+        does not look all around, as spinning lidars do, so that its beams count as measured at
+        one moment unless the message says otherwise. To be called after `sweep_of`.
+        """
+        beams, timing = scan.ranges.size, scan.timing
+        if self.found is not None or timing.duration == 0.0 or beams < 2:
+            return 0.0
+        if beams * abs(scan.angle_increment) < _ALL_AROUND:
+            return 0.0
+        known = timing.duration or self._stated(scan)
+        if known and 'auto' not in (timing.direction, timing.stamp):
+            return 0.0
+        if known or self.interval is None:
+            return known
+        return min(self.interval, LONGEST_SWEEP) * (beams - 1) / beams
 
     def _stated(self, scan: LaserScan) -> float:
         """Return the duration of a sweep by the message (s); 0 where it does not tell."""

@@ -81,8 +81,14 @@ class Agent:
         self._team.configure(config)
 
     def reset(self) -> None:
-        """Forget filter, map and odometry; the vehicles are at their start poses again."""
+        """Forget filter, map and odometry; the vehicles are at their start poses again.
+
+        What the scans have shown of the sweeps of the lasers is kept.
+        """
+        before = self.tracks
         self._team = Team(self.config, self.start_poses, self.seed, self.bodies)
+        for name, track in self.tracks.items():
+            track.sweeps.keep_knowledge(before[name].sweeps)
         self.now = 0.0
 
     # -- records in ----------------------------------------------------------------------------
@@ -140,11 +146,15 @@ class Agent:
 
     def _add_odometry(self, track: VehicleTrack, reading: OdometryReading) -> None:
         before, restarts = track.odometry.last, track.odometry.restarts
+        resets = track.odometry.resets
         if not len(track.odometry):
             track.placement.check_first_reading(reading.pose)
         if not track.odometry.add(reading):
             track.count('late_odometry')
             return
+        if track.odometry.resets != resets:
+            track.sweeps.detector.clear()
+        track.sweeps.detector.add_odometry(reading)
         if track.odometry.restarts != restarts:
             track.placement.displace()
             self.belief.displace(track.name, DISPLACED)

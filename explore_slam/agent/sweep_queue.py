@@ -1,57 +1,125 @@
 """Scans whose beams were measured one after the other: they wait for odometry of the sweep."""
 
+from collections import deque
+
 import numpy as np
 
 from explore_slam.agent.measurement_queue import MeasurementQueue
 from explore_slam.agent.odometry import OdometryBuffer
+from explore_slam.agent.sweep_detection import SweepDetector
 from explore_slam.data import LaserScan
 from explore_slam.geometry import Pose2
 from explore_slam.sweeps import Sweep, SweepJudge, deskewed
 
+# Scans of a turning vehicle are held back once until they have shown how their sweeps go.
+_LONGEST_HOLD = 4.0  # s; the first turn of the sensor rig tells in less
+_MOST_HELD = 40  # scans; fewer than the 50 that may wait for odometry by default
+_DISTORTED = 0.01  # rad; a turn within a sweep from which a scan is held back: half a cell at 3 m
+
 
 class _Waiting:
-    """A scan with its sweep; stamp: that of the scan as of one moment."""
+    """A scan with its sweep, None: of one moment; stamp: that of the scan as of one moment.
 
-    def __init__(self, scan: LaserScan, sweep: Sweep) -> None:
-        self.scan, self.sweep = scan, sweep
-        self.stamp = scan.stamp + sweep.middle
-        self.end = scan.stamp + sweep.begin + sweep.duration
+    test: duration (s) of its sweep, if its beams are measured one after the other and that is to
+    be found out; 0 otherwise.
+    """
+
+    def __init__(self, scan: LaserScan, sweep: Sweep | None, test: float) -> None:
+        self.scan, self.sweep, self.test = scan, sweep, test
+        self.stamp = self.end = scan.stamp
+        if sweep is not None:
+            self.stamp += sweep.middle
+            self.end += sweep.begin + sweep.duration
+        if test:
+            self.end = max(self.end, scan.stamp + test)
 
 
 class SweepQueue:
     """Undoes the motion within the sweeps of one vehicle's laser.
 
     A scan waits until odometry has reached its last beam, at most a second of odometry after its
-    first one: no sweep takes longer. It then leaves as a scan of one moment.
+    first one: no sweep takes longer. It then leaves as a scan of one moment. Where it is not known
+    how its sweeps go, the scans of the first turn are held back until they have shown it.
     """
 
     def __init__(self, vehicle: str) -> None:
         self.judge = SweepJudge(vehicle)
+        self.detector = SweepDetector(vehicle)
         self._waiting: MeasurementQueue[_Waiting] = MeasurementQueue()
+        self._held: deque[LaserScan] = deque()
+        self._may_hold = True
 
     @property
     def first(self) -> float:
-        """Stamp (s) at which the oldest waiting scan will count as measured; inf when empty."""
+        """Stamp (s) at which the oldest waiting scan will count as measured; inf when empty.
+
+        Scans that are held back do not count: nothing else waits for them.
+        """
         return self._waiting.first
 
-    def push(self, scan: LaserScan, sweep: Sweep, capacity: int) -> bool:
-        """Queue a scan; return whether the oldest was dropped to keep the capacity."""
-        return self._waiting.push(_Waiting(scan, sweep), capacity)
+    def takes(self, scan: LaserScan, capacity: int) -> bool | None:
+        """Queue a scan if the motion within its sweep may have to be undone.
+
+        Return None for a scan that can be used as it is, else whether the oldest one was dropped
+        to keep the capacity.
+        """
+        sweep = self.judge.sweep_of(scan)
+        test = 0.0 if self.detector.is_done else self.judge.doubtful(scan)
+        if sweep is None and not test:
+            return None
+        return self._waiting.push(_Waiting(scan, sweep, test), capacity)
 
     def pop(self, odometry: OdometryBuffer, laser: Pose2) -> LaserScan | None:
         """Return the oldest scan whose sweep odometry covers, as of one moment, or None.
 
         laser: its pose in the vehicle frame, for scans without mount.
         """
-        if not len(self._waiting) or self._waiting.oldest.end > odometry.last:
-            return None
-        item = self._waiting.pop()
-        begin = item.scan.stamp + item.sweep.begin
-        at, poses = odometry.path(begin, item.end)
-        return deskewed(
-            item.scan, item.sweep, np.array(at), np.array(poses), item.scan.mount or laser
-        )
+        while len(self._waiting) and self._waiting.oldest.end <= odometry.last:
+            item = self._waiting.pop()
+            scan, mount = item.scan, item.scan.mount or laser
+            sweep = item.sweep
+            if item.test:
+                held = self._holds(scan, item.test)
+                if not self.detector.is_done:
+                    self.detector.add(scan, item.test, mount)
+                    self.judge.found = self.detector.found
+                if held:
+                    self._hold(scan)
+                    continue
+                sweep = self.judge.known_sweep(scan)
+            if sweep is None:
+                return scan
+            begin = scan.stamp + sweep.begin
+            at, poses = odometry.path(begin, begin + sweep.duration)
+            return deskewed(scan, sweep, np.array(at), np.array(poses), mount)
+        return None
+
+    def _holds(self, scan: LaserScan, duration: float) -> bool:
+        """Return whether a scan is to be held back: the vehicle turns, or those before it are."""
+        if not self._may_hold or self.detector.is_done:
+            return False
+        turn = self.detector.turn_within(scan, duration)
+        return bool(self._held) or turn >= _DISTORTED
+
+    def _hold(self, scan: LaserScan) -> None:
+        """Hold a scan back; queue all again when it is known how the sweeps go, or in the end."""
+        self._held.append(scan)
+        waited = scan.stamp - self._held[0].stamp
+        if self.detector.is_done or waited > _LONGEST_HOLD or len(self._held) >= _MOST_HELD:
+            self._may_hold = False
+            for one in self._held:
+                again = _Waiting(one, self.judge.known_sweep(one), 0.0)
+                self._waiting.push(again, len(self._waiting) + 1)
+            self._held.clear()
+
+    def keep_knowledge(self, other: 'SweepQueue') -> None:
+        """Take over what the scans have shown to another queue of the same laser."""
+        self.judge, self.detector = other.judge, other.detector
+        self._may_hold = other._may_hold
+        self.detector.clear()
 
     def clear(self) -> None:
         """Drop what waits: the clock has jumped."""
         self._waiting.clear()
+        self._held.clear()
+        self.detector.clear()

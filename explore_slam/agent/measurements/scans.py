@@ -11,10 +11,10 @@ from explore_slam.registration import scan_cloud
 
 def enqueue_scan(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
     """Queue a scan: as it is, or until its sweep is complete and its motion can be undone."""
-    sweep = track.sweeps.judge.sweep_of(scan)
-    if sweep is None:
+    dropped = track.sweeps.takes(scan, team.config.inputs.measurement_queue_length)
+    if dropped is None:
         _enqueue_scan_of_one_moment(team, track, scan)
-    elif track.sweeps.push(scan, sweep, team.config.inputs.measurement_queue_length):
+    elif dropped:
         track.count('dropped_without_odometry')
 
 
@@ -22,7 +22,7 @@ def release_sweeps(team: Team, track: VehicleTrack) -> None:
     """Undo the motion within the sweeps that odometry covers by now."""
     laser = team.config.laser_mount.pose
     while (scan := track.sweeps.pop(track.odometry, laser)) is not None:
-        track.count('deskewed_scans')
+        track.count_many('deskewed_scans', int(scan.bearings is not None))
         _enqueue_scan_of_one_moment(team, track, scan)
 
 

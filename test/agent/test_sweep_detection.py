@@ -1,0 +1,207 @@
+"""What scans show of when their beams are measured, and what the agent does until they have."""
+
+import logging
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from explore_slam.agent import Agent, AgentConfig
+from explore_slam.agent.sweep_detection import SweepDetector
+from explore_slam.data import LaserScan, OdometryReading, SweepTiming
+from explore_slam.geometry import IDENTITY, Pose2
+from explore_slam.settings import with_values
+from explore_slam.simulation.worlds.walls import box, distances_along, distances_from
+from explore_slam.sweeps import Sweep
+
+ROOM = np.concatenate(
+    [box(-4.0, -3.0, 8.0, 6.0), box(1.5, 1.0, 1.0, 1.0), box(-3.0, -2.6, 0.8, 1.4)]
+)
+BEAMS = 180
+MOUNT = Pose2(0.1, 0.0, 0.0)
+FEW = with_values(AgentConfig(), {'particles': 20})
+MOMENT = Sweep(0.0)
+
+
+def heading(stamp, rate):
+    """The vehicle stands for 1.5 s and then turns; it accelerates for half a second."""
+    moving = max(stamp - 1.5, 0.0)
+    return rate * (min(moving, 0.5) ** 2 + max(moving - 0.5, 0.0))
+
+
+def records(sweep, interval=0.2, until=6.0, rate=0.9, wheels=1.05, span=2.0 * math.pi, **changes):
+    """Odometry at 20 Hz and scans with noise in the order of their arrival."""
+    random = np.random.default_rng(0)
+    angles = -0.5 * span + span / BEAMS * np.arange(BEAMS)
+    found = []
+    for number in range(int(until / interval) - 1):
+        begin = 0.03 + interval * number
+        stamp = begin - sweep.begin
+        poses = [Pose2(0.0, 0.0, heading(stamp + t, rate)) for t in sweep.times(BEAMS)]
+        lasers = np.array([pose.compose(MOUNT) for pose in poses])
+        ranges = distances_along(ROOM, lasers[:, :2], angles + lasers[:, 2])
+        ranges += 0.01 * random.standard_normal(BEAMS)
+        scan = LaserScan(
+            stamp, angles[0], angles[1] - angles[0], ranges.astype(np.float32), 0.1, 9.0, MOUNT,
+            **changes,
+        )  # fmt: skip
+        found.append((begin + sweep.duration, 1, scan))
+    for tick in range(round(20.0 * until)):
+        pose = Pose2(0.0, 0.0, wheels * heading(0.05 * tick, rate))
+        found.append((0.05 * tick, 0, OdometryReading(0.05 * tick, pose)))
+    found.sort(key=lambda item: item[:2])
+    return [record for _, _, record in found]
+
+
+def detected(found, duration):
+    """A detector after all records, each scan as soon as odometry covers it."""
+    detector, waiting = SweepDetector('robot1'), []
+    for record in found:
+        if isinstance(record, LaserScan):
+            waiting.append(record)
+            continue
+        detector.add_odometry(record)
+        while waiting and waiting[0].stamp + duration <= record.stamp:
+            detector.add(waiting.pop(0), duration, MOUNT)
+    return detector
+
+
+@pytest.mark.parametrize('rate', [0.9, -0.45])
+@pytest.mark.parametrize('wheels', [0.8, 1.05, 1.2])
+@pytest.mark.parametrize(
+    'sweep',
+    [
+        Sweep(0.199),
+        Sweep(0.199, True),
+        Sweep(0.199, False, True),
+        Sweep(0.199, True, True),
+        MOMENT,
+    ],
+)
+def test_scans_at_different_turn_rates_show_their_sweep(sweep, wheels, rate, caplog):
+    caplog.set_level(logging.INFO)
+    detector = detected(records(sweep, rate=rate, wheels=wheels), 0.199)
+    assert detector.found == sweep
+    assert caplog.text.count('the scans show') == 1
+    assert ('at one moment' in caplog.text) is (sweep == MOMENT)
+
+
+@pytest.mark.parametrize('sweep', [Sweep(0.199), MOMENT])
+def test_a_vehicle_that_does_not_turn_shows_nothing(sweep):
+    detector = detected(records(sweep, rate=0.0), 0.199)
+    assert detector.found is None
+    assert detector.comparisons == 0
+
+
+def test_equal_turn_rates_show_nothing():
+    found = [record for record in records(Sweep(0.199)) if record.stamp > 2.1]
+    assert detected(found, 0.199).comparisons == 0
+
+
+def test_a_sweep_of_another_duration_is_not_taken_for_one_of_the_time_between_scans():
+    """Every second scan of a laser that turns twice as fast: no hypothesis is right."""
+    assert detected(records(Sweep(0.0995)), 0.199).found is None
+
+
+def test_in_a_round_room_there_is_no_decision(caplog):
+    caplog.set_level(logging.INFO)
+    plain = np.full(BEAMS, 3.0, np.float32)
+    found = [
+        replace(r, ranges=plain) if isinstance(r, LaserScan) else r
+        for r in records(Sweep(0.199), until=10.0)
+    ]
+    assert detected(found, 0.199).found is None
+
+
+def test_odometry_that_jumps_back_is_forgotten():
+    detector = SweepDetector('robot1')
+    detector.add_odometry(OdometryReading(5.0, Pose2(0.0, 0.0, 1.0)))
+    detector.add_odometry(OdometryReading(5.1, Pose2(0.0, 0.0, 1.4)))
+    (scan,) = [r for r in records(MOMENT, until=0.5) if isinstance(r, LaserScan)][:1]
+    late = LaserScan(5.1, -3.0, 0.1, scan.ranges, 0.1, 9.0)
+    assert detector.turn_within(late, 0.1) == pytest.approx(0.4)
+    detector.add_odometry(OdometryReading(1.0, IDENTITY))
+    assert detector.turn_within(late, 0.1) == 0.0
+
+
+# -- in the agent -------------------------------------------------------------------------------
+
+
+def run(found):
+    agent = Agent(FEW, {'a': IDENTITY})
+    for record in found:
+        agent.add('a', record)
+    return agent
+
+
+def wrong_cells(agent):
+    occupied = np.argwhere(agent.grid.to_trinary() == 100)
+    assert len(occupied) > 200
+    return float(np.mean(distances_from(ROOM, agent.grid.to_point(occupied)) > 0.1))
+
+
+@pytest.mark.parametrize('sweep', [Sweep(0.199), Sweep(0.199, True, True)])
+def test_the_map_is_right_although_nothing_tells_how_the_sweeps_go(sweep):
+    agent = run(records(sweep, until=9.0))
+    assert wrong_cells(agent) <= 0.01
+    counts = agent.summary()['a']
+    assert counts['deskewed_scans'] > 30
+    assert counts['matched_scans'] >= 35
+    assert 'unmatched_scans' not in counts
+
+
+def test_a_statement_that_the_scans_contradict_is_corrected():
+    increment = 0.199 / (BEAMS - 1)
+    agent = run(records(Sweep(0.199, backward=True), until=9.0, time_increment=increment))
+    assert agent.track('a').sweeps.judge.found == Sweep(pytest.approx(0.199), True)
+    assert wrong_cells(agent) <= 0.01
+
+
+@pytest.mark.parametrize('interval', [0.1, 0.2])
+def test_scans_of_one_moment_give_the_same_map_as_if_that_were_known(interval):
+    unknown = run(records(MOMENT, interval))
+    known = run(records(MOMENT, interval, timing=SweepTiming(0.0)))
+    assert unknown.track('a').sweeps.judge.found == MOMENT
+    assert known.track('a').sweeps.judge.found is None
+    assert unknown.grid.evidence().tobytes() == known.grid.evidence().tobytes()
+    scans = [item.scan for item in unknown.laser_map.scans]
+    assert [scan.stamp for scan in scans] == [item.scan.stamp for item in known.laser_map.scans]
+    assert all(scan.bearings is None for scan in scans)
+    assert unknown.summary() == known.summary()
+
+
+def test_a_scanner_that_does_not_look_all_around_is_never_taken_for_a_spinning_one():
+    agent = run(records(MOMENT, span=math.pi))
+    detector = agent.track('a').sweeps.detector
+    assert (detector.comparisons, detector.found) == (0, None)
+    assert 'deskewed_scans' not in agent.summary()['a']
+
+
+def test_known_sweeps_are_not_tested():
+    timing = SweepTiming(None, 'forward', 'first')
+    increment = 0.199 / (BEAMS - 1)
+    agent = run(records(Sweep(0.199), timing=timing, time_increment=increment))
+    assert agent.track('a').sweeps.detector.comparisons == 0
+
+
+def test_scans_of_the_first_turn_are_held_back_for_a_few_seconds_at_most():
+    """Nothing is shown in a round room; the scans enter the map all the same."""
+    agent = Agent(FEW, {'a': IDENTITY})
+    plain = np.full(BEAMS, 3.0, np.float32)
+    newest = []
+    for record in records(MOMENT, until=9.0):
+        round_room = isinstance(record, LaserScan)
+        agent.add('a', replace(record, ranges=plain) if round_room else record)
+        if agent.laser_map.scans:
+            newest.append((record.stamp, agent.laser_map.scans[-1].scan.stamp))
+    delays = [now - stamp for now, stamp in newest]
+    assert 3.0 < max(delays) < 4.0 + 2.0 + 0.5  # at rest, a scan enters the map every 2 s
+    assert delays[-1] < 0.6
+
+
+def test_a_reset_keeps_what_the_scans_have_shown():
+    agent = run(records(Sweep(0.199, True)))
+    agent.reset()
+    assert agent.track('a').sweeps.judge.found == Sweep(pytest.approx(0.2 * 179 / 180), True)
+    assert agent.track('a').sweeps.detector.is_done
