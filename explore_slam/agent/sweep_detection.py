@@ -43,8 +43,10 @@ _HEADING_DEVIATION = 0.01  # rad, of an alignment; in a round room it does not s
 _WEAK = np.diag([1.0 / 0.3**2, 1.0 / 0.3**2, 1.0 / 0.45**2])  # information of the odometry
 _FEWEST = 6  # comparisons before a decision
 _MOST = 60  # comparisons after which there is no decision
-_BETTER = 2.0  # times as large are the squared residuals of every other sweep at least
-_WINS = 0.8  # share of the comparisons in which every other sweep is worse
+# A shape is found when the squared residuals under every other one are so many times as large, and
+# larger in this share of the comparisons. The second row is for real rooms, where edges and rough
+# surfaces leave residuals under the right shape too; it asks for more comparisons.
+_CRITERIA = ((_FEWEST, 2.0, 0.8), (12, 1.5, 0.95))  # comparisons, factor, share
 # The delay of the stamps in units of the sweep: 0 is stamped at the first beam, 1 at the last.
 _FIRST, _LAST, _DELAY_DEVIATION = 0.35, 0.65, 0.12
 
@@ -263,8 +265,12 @@ class SweepDetector:
         best = int(np.argmin(total))
         others = np.delete(costs, best, axis=1)
         wins = (others > costs[:, [best]]).mean(axis=0)
-        better = np.delete(total, best) > _BETTER * total[best]
-        return _SHAPES[best] if better.all() and (wins >= _WINS).all() else None
+        worse = np.delete(total, best) / total[best]
+        found = any(
+            len(costs) >= fewest and (worse >= factor).all() and (wins >= share).all()
+            for fewest, factor, share in _CRITERIA
+        )
+        return _SHAPES[best] if found else None
 
     def _delay(self, shape: str, duration: float) -> tuple[float, float]:
         """Return by how many sweeps the stamps are late, and the standard deviation of that."""
