@@ -165,10 +165,11 @@ class SweepDetector:
         self._probes.append(probe)
         if not others:
             return
-        # the newest of those whose turn rate differs most: little turn lies between the two
+        # of those whose turn rates differ most each in its turn, the newest first: the errors of
+        # wheels and stamps can be told apart where the turns between the scans differ
         most = max(abs(other.rate - probe.rate) for other in others)
-        chosen = [other for other in others if abs(other.rate - probe.rate) > 0.9 * most][-1]
-        self._compare(chosen, probe)
+        chosen = [other for other in others if abs(other.rate - probe.rate) > 0.9 * most]
+        self._compare(chosen[-1 - self.comparisons % len(chosen)], probe)
         self._decide(duration)
 
     def _probe(self, scan: LaserScan, duration: float, laser: Pose2) -> _Probe | None:

@@ -1,5 +1,6 @@
 """Scans whose beams were measured one after the other: they wait for odometry of the sweep."""
 
+import logging
 from collections import deque
 
 import numpy as np
@@ -10,6 +11,8 @@ from explore_slam.agent.sweep_detection import SweepDetector
 from explore_slam.data import LaserScan
 from explore_slam.geometry import Pose2
 from explore_slam.sweeps import Sweep, SweepJudge, deskewed
+
+logger = logging.getLogger(__name__)
 
 # Scans of a turning vehicle are held back once until they have shown how their sweeps go.
 _LONGEST_HOLD = 4.0  # s; the first turn of the sensor rig tells in less
@@ -65,8 +68,8 @@ class SweepQueue:
         """
         sweep = self.judge.sweep_of(scan)
         test = 0.0 if self.detector.is_done else self.judge.doubtful(scan)
-        if sweep is None and not test:
-            return None
+        if sweep is None and not test and not len(self._waiting):
+            return None  # else it waits behind earlier scans, so that they stay in order
         return self._waiting.push(_Waiting(scan, sweep, test), capacity)
 
     def pop(self, odometry: OdometryBuffer, laser: Pose2) -> LaserScan | None:
@@ -81,8 +84,7 @@ class SweepQueue:
             if item.test:
                 held = self._holds(scan, item.test)
                 if not self.detector.is_done:
-                    self.detector.add(scan, item.test, mount)
-                    self.judge.found = self.detector.found
+                    self._test(scan, item.test, mount, held)
                 if held:
                     self._hold(scan)
                     continue
@@ -93,6 +95,20 @@ class SweepQueue:
             at, poses = odometry.path(begin, begin + sweep.duration)
             return deskewed(scan, sweep, np.array(at), np.array(poses), mount)
         return None
+
+    def _test(self, scan: LaserScan, duration: float, laser: Pose2, held: bool) -> None:
+        """Compare a scan with earlier ones, which may show how the sweeps go."""
+        self.detector.add(scan, duration, laser)
+        found = self.detector.found
+        if found is None:
+            return
+        if not held and self.judge.known_sweep(scan) != found and found.duration > 0.0:
+            logger.warning(
+                '%s: the motion within its sweeps was not undone rightly until now; call the '
+                'service reset if the map so far is distorted',
+                self.judge.vehicle,
+            )
+        self.judge.found = found
 
     def _holds(self, scan: LaserScan, duration: float) -> bool:
         """Return whether a scan is to be held back: the vehicle turns, or those before it are."""

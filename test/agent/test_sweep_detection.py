@@ -30,7 +30,16 @@ def heading(stamp, rate):
     return rate * (min(moving, 0.5) ** 2 + max(moving - 0.5, 0.0))
 
 
-def records(sweep, interval=0.2, until=6.0, rate=0.9, wheels=1.05, span=2.0 * math.pi, **changes):
+def records(
+    sweep,
+    interval=0.2,
+    until=6.0,
+    rate=0.9,
+    wheels=1.05,
+    span=2.0 * math.pi,
+    turn=heading,
+    **changes,
+):
     """Odometry at 20 Hz and scans with noise in the order of their arrival."""
     random = np.random.default_rng(0)
     angles = -0.5 * span + span / BEAMS * np.arange(BEAMS)
@@ -38,7 +47,7 @@ def records(sweep, interval=0.2, until=6.0, rate=0.9, wheels=1.05, span=2.0 * ma
     for number in range(int(until / interval) - 1):
         begin = 0.03 + interval * number
         stamp = begin - sweep.begin
-        poses = [Pose2(0.0, 0.0, heading(stamp + t, rate)) for t in sweep.times(BEAMS)]
+        poses = [Pose2(0.0, 0.0, turn(stamp + t, rate)) for t in sweep.times(BEAMS)]
         lasers = np.array([pose.compose(MOUNT) for pose in poses])
         ranges = distances_along(ROOM, lasers[:, :2], angles + lasers[:, 2])
         ranges += 0.01 * random.standard_normal(BEAMS)
@@ -48,7 +57,7 @@ def records(sweep, interval=0.2, until=6.0, rate=0.9, wheels=1.05, span=2.0 * ma
         )  # fmt: skip
         found.append((begin + sweep.duration, 1, scan))
     for tick in range(round(20.0 * until)):
-        pose = Pose2(0.0, 0.0, wheels * heading(0.05 * tick, rate))
+        pose = Pose2(0.0, 0.0, wheels * turn(0.05 * tick, rate))
         found.append((0.05 * tick, 0, OdometryReading(0.05 * tick, pose)))
     found.sort(key=lambda item: item[:2])
     return [record for _, _, record in found]
@@ -205,3 +214,25 @@ def test_a_reset_keeps_what_the_scans_have_shown():
     agent.reset()
     assert agent.track('a').sweeps.judge.found == Sweep(pytest.approx(0.2 * 179 / 180), True)
     assert agent.track('a').sweeps.detector.is_done
+
+
+def test_a_map_that_was_drawn_before_it_was_known_is_named(caplog):
+    """The vehicle turns at one rate from the start on, longer than scans are held back."""
+    found = records(
+        Sweep(0.199), until=14.0, turn=lambda stamp, rate: rate * (stamp if stamp < 8.0 else 8.0)
+    )
+    agent = run(found)
+    assert agent.track('a').sweeps.judge.found == Sweep(pytest.approx(0.2 * 179 / 180))
+    assert caplog.text.count('call the service reset if the map so far is distorted') == 1
+
+
+def test_scans_stay_in_order_when_it_becomes_known():
+    found = records(MOMENT, until=9.0)
+    agent = Agent(FEW, {'a': IDENTITY})
+    stamps = []
+    for record in found:
+        agent.add('a', record)
+        stamps += [item.scan.stamp for item in agent.laser_map.scans[len(stamps) :]]
+    assert agent.track('a').sweeps.judge.found == MOMENT
+    assert len(stamps) > 30
+    assert stamps == sorted(stamps)

@@ -21,7 +21,7 @@ from explore_slam.simulation.worlds.walls import distances_from
 from explore_slam.studies import sensor_rig
 from explore_slam.studies.sensor_rig import FLOOR, LASER, START, Drive, Laser
 
-DOMAIN = own_domain(87)
+DOMAIN = own_domain(86)
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
 

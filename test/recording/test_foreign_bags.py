@@ -6,16 +6,20 @@ import math
 import numpy as np
 import pytest
 from foreign_robots import HALF_HEIGHT, HALF_WIDTH, Robot
+from scipy import ndimage
 
 from explore_slam import messages
+from explore_slam.agent import Agent, AgentConfig
 from explore_slam.cli.main import main
 from explore_slam.data import LaserScan, OdometryReading
 from explore_slam.geometry import Pose2, quaternion_from_rotation, rotation_matrix
 from explore_slam.messages.topics import TopicKind
-from explore_slam.recording import BagReader, BagWriter
+from explore_slam.recording import BagReader, BagWriter, Replay
 from explore_slam.recording.recorded_transforms import recorded_transforms
 from explore_slam.recording.rosbags_types import MESSAGES
 from explore_slam.results.replay_run import replay_bag
+from explore_slam.settings import with_values
+from explore_slam.sweeps import Sweep
 
 TF = 'tf2_msgs/msg/TFMessage'
 SCAN, ODOMETRY = TopicKind.SCAN.message_type, TopicKind.ODOMETRY.message_type
@@ -151,3 +155,50 @@ def test_the_turtlebot_with_a_turned_lidar_matches_all_its_scans(recordings):
     assert counts['matched_scans'] > 250
     assert counts.get('unmatched_scans', 0) <= 1
     assert 'yaw 90.0°, from /tf_static' in data.metrics['mounts']['robot1']['rplidar_link']
+
+
+def replayed(folder, settings):
+    """The agent after the replay of a bag."""
+    with BagReader(folder) as bag:
+        replay = Replay(bag, settings=settings)
+        agent = Agent(with_values(AgentConfig(), {'particles': 20}), replay.start_poses())
+        replay.feed(agent)
+    return agent
+
+
+def entropy_near(cells, grid):
+    """Mean entropy (bit) of the known cells of a grid at points (N, 2) m."""
+    rows = grid.to_cell(cells)
+    rows = rows[grid.contains(rows)]
+    known = grid.known()[rows[:, 0], rows[:, 1]]
+    p = np.clip(grid.probability()[rows[:, 0], rows[:, 1]][known].astype(float), 1e-6, 1 - 1e-6)
+    return float(-(p * np.log2(p) + (1.0 - p) * np.log2(1.0 - p)).mean())
+
+
+@pytest.mark.data
+def test_the_lidar_of_the_turtlebot_measures_its_beams_against_their_order(recordings):
+    """Its messages state time_increment, but their scans agree when it is taken backward."""
+    folder = recordings('bags/turtlebot_lidar_turned')
+    cases = {
+        'moment': {'sweep_time': 0.0},
+        'forward': {'sweep_direction': 'forward', 'sweep_stamp': 'last'},
+        'backward': {'sweep_direction': 'backward', 'sweep_stamp': 'last'},
+        'found': {},
+    }
+    agents = {name: replayed(folder, settings) for name, settings in cases.items()}
+    found = agents['found'].track('robot1').sweeps.judge.found
+    assert found == Sweep(pytest.approx(0.134, abs=0.001), backward=True, last=True)
+    grids = {name: agent.grid for name, agent in agents.items()}
+    near = np.concatenate(
+        [
+            grid.to_point(
+                np.argwhere(ndimage.binary_dilation(grid.to_trinary() == 100, iterations=3))
+            )
+            for grid in grids.values()
+        ]
+    )
+    near = np.unique(np.floor(near / 0.05).astype(int), axis=0) * 0.05 + 0.025
+    entropy = {name: entropy_near(near, grid) for name, grid in grids.items()}
+    assert entropy['forward'] > 1.02 * entropy['moment']
+    assert entropy['backward'] < 0.98 * entropy['moment']
+    assert entropy['found'] < 0.98 * entropy['moment']
