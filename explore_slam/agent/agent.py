@@ -27,8 +27,8 @@ from explore_slam.agent.config import AgentConfig
 from explore_slam.agent.loop_closing import Join, LoopClosing
 from explore_slam.agent.measurement_queue import Stamped
 from explore_slam.agent.measurements import kind_of
-from explore_slam.agent.placement import DISPLACED
 from explore_slam.agent.measurements.scans import release_sweeps
+from explore_slam.agent.placement import DISPLACED
 from explore_slam.agent.scan_odometry import refine_by_scan
 from explore_slam.agent.team import KeyframeEvent, Team
 from explore_slam.agent.vehicle_track import VehicleTrack

@@ -216,8 +216,8 @@ class SweepDetector:
             if found is None:
                 costs.append(_NO_PARTNER**2)
                 continue
-            costs.append(found.share * found.rms**2 + (1.0 - found.share) * _NO_PARTNER**2)
-            if found.share >= _LEAST_SHARE and _shows_turn(found.information):
+            costs.append(found.overlap * found.rms**2 + (1.0 - found.overlap) * _NO_PARTNER**2)
+            if found.overlap >= _LEAST_SHARE and _shows_turn(found.information):
                 further = wrap_angle(found.pose.theta - prior.theta)
                 turns[shape] = (prior.theta, b.rate - a.rate, further)
         if turns:

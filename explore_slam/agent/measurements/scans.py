@@ -22,7 +22,7 @@ def release_sweeps(team: Team, track: VehicleTrack) -> None:
     """Undo the motion within the sweeps that odometry covers by now."""
     laser = team.config.laser_mount.pose
     while (scan := track.sweeps.pop(track.odometry, laser)) is not None:
-        track.count_many('deskewed_scans', int(scan.bearings is not None))
+        track.count('deskewed_scans', int(scan.bearings is not None))
         _enqueue_scan_of_one_moment(team, track, scan)
 
 
