@@ -127,8 +127,8 @@ def extraction(folder: Path | None) -> tuple[list[RgbdFrame], str]:
         for number, association in enumerate(chosen):
             rgb = cv2.imread(str(folder / association.color_file))[:, :, ::-1].copy()
             depth = cv2.imread(str(folder / association.depth_file), cv2.IMREAD_UNCHANGED)
-            meters = depth.astype(np.float32) / 5000.0
-            frames.append(RgbdFrame(float(number), rgb, meters, intrinsics))
+            metres = depth.astype(np.float32) / 5000.0
+            frames.append(RgbdFrame(float(number), rgb, metres, intrinsics))
         return frames, str(folder.name)
     random = np.random.default_rng(0)
     frames = []

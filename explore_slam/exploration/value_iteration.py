@@ -103,10 +103,10 @@ def spread(
     charge_left: charge the cell that a step comes from instead of the one it leads to.
     """
     low, high = _finite_range(padded.ravel())
-    dearest = high * math.sqrt(2.0)
+    costliest_move = high * math.sqrt(2.0)
     # a bucket is slightly narrower than the cheapest move, so that rounding cannot refill it
-    width = max(low * 0.999, dearest / (_MAXIMUM_BUCKETS - 3), 1e-12)
-    count = int(dearest / width) + 3
+    width = max(low * 0.999, costliest_move / (_MAXIMUM_BUCKETS - 3), 1e-12)
+    count = int(costliest_move / width) + 3
     values = np.full(padded.shape, np.inf, np.float32)
     sources = rows * padded.shape[1] + cols
     final = width < low

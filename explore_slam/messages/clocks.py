@@ -8,7 +8,7 @@ from statistics import median
 
 # Chosen by hand; test_clocks shows what they decide.
 CLOCKS_APART = 1.0  # s of difference that is named
-_SAMPLES = 20  # newest stamps per topic that are compared; one late message is no other clock
+_SAMPLES = 20  # newest stamps per topic that are compared; one late message must not count
 _NUMBER = re.compile(r'[0-9]+(?:\.[0-9]+)?(?= s | messages)')  # amount (s) or count
 _MINIMUM = 5  # stamps before a topic is judged
 
@@ -26,11 +26,12 @@ class StampWatch:
     def add(self, topic: str, stamp: float, now: float) -> bool:
         """Add a stamp (s) received at a time (s); return whether it is usable.
 
-        A stamp of zero is counted and not usable, unless the clock of the receiver is there too.
+        A stamp of zero is counted and not usable, unless the receiver's clock is near zero too, as
+        simulated time is at first.
         """
         if stamp == 0.0 and now > CLOCKS_APART:
             self.unstamped[topic] = self.unstamped.get(topic, 0) + 1
-            self._ahead.pop(topic, None)  # what was wrong before is not what is wrong now
+            self._ahead.pop(topic, None)  # its stamps before no longer matter
             return False
         self._ahead.setdefault(topic, deque(maxlen=_SAMPLES)).append(stamp - now)
         return True
@@ -64,15 +65,15 @@ class StampWatch:
 
 
 class NamedProblems:
-    """Which problems of stamps have been named; one that changes or returns is named again."""
+    """The problems of stamps that have been named; one that changes or returns is named again."""
 
     def __init__(self) -> None:
         self._named: dict[str, str] = {}
 
     def news(self, problems: Mapping[str, str]) -> list[str]:
-        """Return 'topic: problem' of what has not been named yet; those that ended are forgotten.
+        """Return 'topic: problem' for each problem not named yet, and forget those that ended.
 
-        A problem is another one in other words, or with twice or half the amount (s).
+        A problem is named again when its text changes, or its amount (s) doubles or halves.
         """
         self._named = {topic: text for topic, text in self._named.items() if topic in problems}
         found = []

@@ -110,11 +110,11 @@ class FramePairing:
             self.without_camera_info += 1
             return None
         rgb = _pixels(color, color_array)
-        meters = _pixels(depth, depth_array)
+        metres = _pixels(depth, depth_array)
         mount = None
         if self._mounts is not None:
             mount = self._mounts.optical_pose(color.header.frame_id)
-        return RgbdFrame(seconds(color.header.stamp), rgb, meters, self._intrinsics, mount)
+        return RgbdFrame(seconds(color.header.stamp), rgb, metres, self._intrinsics, mount)
 
 
 def _pixels(message: Any, raw: Callable[[Any], Any]) -> Any:

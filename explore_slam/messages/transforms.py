@@ -28,16 +28,17 @@ def transform_pose(transform: Any) -> Pose3 | None:
 class TransformTree:
     """The newest pose of every frame in its parent.
 
-    What a vehicle's own topics say goes before what is on those that all vehicles share, where
-    others may have frames of the same names. Messages do not tell who has published them: of
-    static transforms that contradict each other it is only known that they do.
+    Transforms on a vehicle's own topics take precedence over those on topics that all vehicles
+    share, where another vehicle may use the same frame names. A message does not name its
+    publisher; so when shared static transforms of one frame contradict each other, the tree can
+    only report that (`is_contradicted`).
     """
 
     def __init__(self) -> None:
         self._parents: dict[str, tuple[str, Pose3]] = {}
         self._own: set[str] = set()
-        self._static: set[str] = set()  # with a static pose on a topic of all
-        self._contradicted: set[str] = set()  # with several of them
+        self._static: set[str] = set()  # frames with a static pose on a shared topic
+        self._contradicted: set[str] = set()  # frames with several such poses
 
     def __contains__(self, frame: str) -> bool:
         """Return whether a frame is part of the tree."""
@@ -47,7 +48,7 @@ class TransformTree:
     def add(self, message: Any, shared: bool = False, static: bool = False) -> None:
         """Add the transforms of a tf2_msgs/TFMessage; those that are not finite are omitted.
 
-        shared: it came on a topic of all vehicles. static: its transforms never change.
+        shared: it came on a topic that all vehicles share. static: its transforms never change.
         """
         for stamped in message.transforms:
             child, parent = frame_name(stamped.child_frame_id), frame_name(stamped.header.frame_id)

@@ -14,7 +14,7 @@ from explore_slam.geometry import Array, between
 # Chosen by hand, for the logs of several recorders; test_carmen_stamps shows what they decide.
 FASTEST = 2.5  # m/s; below the speed that the agent takes for a reset of the base
 FASTEST_TURN = 4.0  # rad/s
-LONGEST_NEEDED = 1.0  # s: what needs longer between two lines is a jump of the odometry, no motion
+LONGEST_NEEDED = 1.0  # s; a motion that takes longer at full speed is a jump of the odometry
 SHORTEST_STEP = 1e-4  # s
 NEIGHBOURS = 5  # lines whose median gives the time
 NAMED_LINES = 5  # lines that notes name; the others are counted

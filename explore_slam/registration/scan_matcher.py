@@ -33,13 +33,13 @@ _MINIMUM_POINTS = 15  # returns; five times the unknowns
 # scans are 6.5 with 0.2, 4.0 with 0.35 and 2.9 with 0.5; in the simulated office they are half as
 # large.
 WINDOW_DRIFT = 0.35
-# rad; at 6 m half a step is one cell of 0.05 m off, which the alignment corrects.
+# rad; half a step moves a return at 6 m by 0.08 m, which the alignment corrects.
 _ANGLE_STEP = math.radians(1.5)
 _SIGMAS = 3.0  # the window covers the odometry's error
 _MINIMUM_WINDOW = (0.1, 0.03)  # m, rad
 _MAXIMUM_WINDOW = (0.6, 0.5)  # m, rad
 _MINIMUM_SCORE = 0.1  # mean likelihood of the returns
-_ROUNDING = 1e-9  # asymmetry of a product of matrices, to its largest entry, that is no matter
+_ROUNDING = 1e-9  # asymmetry of a product of matrices, to its largest entry, that is tolerated
 # The score falls by this at two standard deviations of the odometry from the prediction.
 _PENALTY = 0.025
 _REACH = 0.4  # m, of the alignment at first
@@ -112,7 +112,7 @@ class ScanMatcher:
 
     @property
     def started(self) -> bool:
-        """Return whether there are scans to match with."""
+        """Whether there are scans to match with."""
         return bool(self._kept)
 
     def reset(self) -> None:

@@ -41,8 +41,8 @@ class TeamBelief(Checkpointed):
                 for number, (name, pose) in enumerate(start_poses.items())
             ]
             self._filter_of = {name: number for number, name in enumerate(self.vehicles)}
-        self._keyframes: list[int] = []  # the filter of each
-        self._own_numbers: list[int] = []  # and its number there
+        self._keyframes: list[int] = []  # the filter of each keyframe
+        self._own_numbers: list[int] = []  # the number of each keyframe in its filter
 
     def filter_of(self, vehicle: str) -> FastSlam:
         """Return the filter that holds a vehicle."""
@@ -139,7 +139,7 @@ class TeamBelief(Checkpointed):
         )
 
     def add_keyframe(self, vehicle: str, stamp: float) -> int:
-        """See FastSlam.add_keyframe; keyframes are numbered over all vehicles with any maps."""
+        """See FastSlam.add_keyframe; numbers run over all vehicles, with dedicated maps too."""
         self._own_numbers.append(self.filter_of(vehicle).add_keyframe(vehicle, stamp))
         self._keyframes.append(self._filter_of[vehicle])
         return len(self._keyframes) - 1

@@ -73,7 +73,7 @@ class StudyConfig(Section):
 
 @dataclass(frozen=True)
 class ExplorationRun:
-    """Result of one run; lengths in meters, times in simulated seconds unless named wall."""
+    """Result of one run; lengths in metres, times in simulated seconds unless named wall."""
 
     strategy: str
     vehicles: int

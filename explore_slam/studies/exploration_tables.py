@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from explore_slam.errors import EvaluationError
+from explore_slam.files import atomic, write_text
 from explore_slam.geometry import Array
 from explore_slam.results import tables
 from explore_slam.results.coverage import Spread
@@ -128,9 +129,12 @@ def save_study(runs: Sequence[ExplorationRun], folder: Path) -> list[Path]:
         raise EvaluationError('study: no runs to save')
     folder.mkdir(parents=True, exist_ok=True)
     table, curves = folder / 'table.md', folder / 'curves.json'
-    table.write_text(markdown_table(runs), encoding='utf-8')
+    write_text(table, markdown_table(runs))
     rows = [run_values(run) for run in runs]
-    with (folder / 'runs.csv').open('w', newline='', encoding='utf-8') as stream:
+    with (
+        atomic(folder / 'runs.csv') as partial,
+        partial.open('w', newline='', encoding='utf-8') as stream,
+    ):
         writer = csv.DictWriter(stream, fieldnames=list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
@@ -138,7 +142,7 @@ def save_study(runs: Sequence[ExplorationRun], folder: Path) -> list[Path]:
         {**row, 'stamps': run.curve.stamps, 'team': run.curve.team, 'paths': list(run.paths)}
         for row, run in zip(rows, runs, strict=True)
     ]
-    curves.write_text(json.dumps(content, default=str), encoding='utf-8')
+    write_text(curves, json.dumps(content, default=str))
     pictures = [folder / 'coverage.png', folder / 'times.png']
     plot_coverage(runs, pictures[0])
     plot_times(runs, pictures[1])

@@ -18,6 +18,7 @@ from explore_slam.errors import EvaluationError
 from explore_slam.files import write_text
 from explore_slam.geometry import Array, Pose2, compose
 from explore_slam.messages.vehicle_settings import split_vehicle_values
+from explore_slam.polyline import arc_lengths
 from explore_slam.recording import BagReader, Replay
 from explore_slam.results import tables
 from explore_slam.results.plots import save_map_picture
@@ -184,8 +185,7 @@ def _met_after(logs: Mapping[str, VehicleLog], name: str) -> float | None:
     log = logs[name]
     if log.reference is None:
         return None
-    steps = np.hypot(*np.diff(log.reference[:, :2], axis=0).T)
-    distances = np.concatenate([[0.0], np.cumsum(steps)])
+    distances = arc_lengths(log.reference[:, :2])
     for stamp, pose, distance in zip(log.scan_stamps, log.reference, distances, strict=True):
         for other in logs.values():
             if other is log or other.reference is None:

@@ -20,7 +20,7 @@ ROOMS = 12  # of each corridor
 HALF_WIDTH = 1.0  # m, of a corridor
 SECOND = 8.0  # m; y of the axis of the second corridor, the first one is at 0
 LOBBY = 4.0  # m, depth of the lobbies along x
-AISLE = 1.5  # m; the way through a lobby keeps this distance from the ends of the corridors
+AISLE = 1.5  # m from the ends of the corridors to where a lap crosses the lobbies
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class TwinCorridors:
 
 
 def twin_corridors(seed: int) -> TwinCorridors:
-    """Return the world of a seed; the period is PERIODS in turn, all else is drawn."""
+    """Return the world of a seed; seeds take PERIODS in turn, all else is drawn at random."""
     if seed < 0:
         raise SimulationError(f'seed is {seed}, expected 0 or more')
     random = np.random.default_rng(seed)

@@ -1,4 +1,4 @@
-"""Candidate search: the landmarks that an observation may be of, by descriptor and position.
+"""Candidate search: the landmarks that an observation may belong to, by descriptor and position.
 
 Step 2.2 of the paper's algorithm, for all particles at once: descriptors belong to landmarks, and
 the particles of one group differ little compared to the search radius.
@@ -36,8 +36,8 @@ class _Nearby(NamedTuple):
 class _Expected(NamedTuple):
     """Observations in the map as seen from the mean pose.
 
-    points (K, 3) m, radius (K,) m how far off they may be, vectors (K, D), first (K,): the first
-    nearby landmark that is not left of the radius.
+    points (K, 3) m; radius (K,) m of the search around each; vectors (K, D); first (K,): index of
+    the first nearby landmark whose x is not below that of the point minus the radius.
     """
 
     points: Array
@@ -115,7 +115,7 @@ def _compare_near(
 
 
 class _Search:
-    """One candidate search: observations at points (K, 3), off by up to a radius (K,) m."""
+    """One candidate search: around each expected point (K, 3) m within its radius (K,) m."""
 
     def __init__(
         self,

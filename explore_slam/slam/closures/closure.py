@@ -75,7 +75,7 @@ class Closure:
 
 
 def acceptable(found: Alignment | None, config: ClosureConfig) -> bool:
-    """Return whether enough returns lie well enough on the surfaces."""
+    """Return whether overlap and residual of an alignment are within the configured limits."""
     return (
         found is not None
         and found.overlap >= config.closure_overlap

@@ -50,10 +50,10 @@ RelativeCovariance = Callable[[int, Integers], Array]
 # `benchmarks/laser_graph_slam.py` shows what a change does.
 # m/m and rad/m: growth of the errors of position and heading where no covariance is given
 _DRIFT: Array = np.array([0.012, 0.0015])
-_SIGMAS = 3.0  # of the relative pose, that the search window covers
+_SIGMAS = 3.0  # standard deviations of the relative pose that the search window covers
 _MINIMUM_WINDOW = (0.5, 0.08)  # m, rad
 _WIDEST_TURN = 0.7  # rad
-_NEAR = 2.5  # m beyond the window at which a region still overlaps
+_NEAR = 2.5  # m; up to so far outside the window, a region may still overlap the query
 _WIDE = 3.0  # m; a wider window is searched more coarsely, in more regions and less often
 _ANGLE_STEP, _WIDE_ANGLE_STEP = math.radians(1.0), math.radians(1.5)
 _REGIONS, _WIDE_REGIONS = 3, 9
@@ -94,7 +94,7 @@ class LoopSearch:
         self.closures: list[Closure] = []
         self.pending: list[Candidate] = []
         self._closed_at: dict[int, float] = {}  # vehicle -> distance driven at its last closure
-        # of the closures that may share scans with the next
+        # ends of the closures that may share scans with the next one
         self._accepted: list[ClosureEnds] = []
         self._inconsistent: dict[tuple[int, int], int] = {}
 

@@ -155,7 +155,7 @@ class OdometryCalibration(NamedTuple):
 class Segment(NamedTuple):
     """A part of a motion: mean and covariance (3, 3) in the vehicle frame before it.
 
-    The mean is that for the calibration which the increments were corrected by; with calibration
+    The mean holds for the calibration with which the increments were corrected; with calibration
     c (3,) it is mean + sensitivity (3, 3) c − offset (3,).
     """
 
@@ -166,7 +166,7 @@ class Segment(NamedTuple):
 
     @classmethod
     def empty(cls) -> 'Segment':
-        """Return no motion."""
+        """Return a segment without motion."""
         return cls(IDENTITY, np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3))
 
     def is_motion(self) -> bool:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from explore_slam.errors import EvaluationError
+from explore_slam.files import write_text
 from explore_slam.results.run_folder import RunFolder
 from explore_slam.results.tables import markdown_table
 
@@ -98,7 +99,7 @@ class ExperimentReport:
     def save(self, base: Path) -> Path:
         """Write report.md, metrics.json and the plots into a new run folder below base."""
         run = RunFolder.create(base)
-        (run.path / 'report.md').write_text(self.markdown(), encoding='utf-8')
+        write_text(run.path / 'report.md', self.markdown())
         run.write_metrics(self.metrics)
         for name, figure in self.figures.items():
             figure.savefig(run.path / f'{name}.png', dpi=130)

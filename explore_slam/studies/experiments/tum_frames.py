@@ -22,7 +22,7 @@ from explore_slam.vision.camera_mount import OPTICAL_TO_BODY, CameraMount
 
 logger = logging.getLogger(__name__)
 
-# Meters per unit of the depth images (Sturm et al., section III).
+# Metres per unit of the depth images (Sturm et al., section III).
 DEPTH_SCALE = np.float32(1.0 / 5000.0)
 # Calibration of the freiburg1 Kinect with its lens distortion, from the page of the data set.
 FREIBURG1 = Intrinsics(
@@ -95,8 +95,8 @@ def _frame(
     except OSError as error:
         raise EvaluationError(f'{folder}: {error}') from error
     stamp = association.color_stamp
-    meters = depth.astype(np.float32) * DEPTH_SCALE
-    seen = extractor.extract(RgbdFrame(stamp, color, meters, FREIBURG1))
+    metres = depth.astype(np.float32) * DEPTH_SCALE
+    seen = extractor.extract(RgbdFrame(stamp, color, metres, FREIBURG1))
     rotation, position = truth.at(association.depth_stamp + TRUTH_OFFSET)
     heading = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
     # From the camera body to the planar vehicle frame: undo the heading, keep roll and pitch.
