@@ -1,4 +1,4 @@
-"""Where sensors sit on a vehicle: one section of settings per sensor, for all that use it.
+"""Poses of the sensors on a vehicle: one section of settings per sensor, for all that use it.
 
 Vehicle frame: x forward, y left, z up, origin midway between the drive wheels on the ground
 (REP-103, REP-105).

@@ -22,7 +22,7 @@ _RESTART_GAP = 0.4  # s without readings; no driver restarts faster, and they co
 _RESTART_INTERVALS = 2.0  # usual intervals between readings; a shorter gap is none for that driver
 _SLOWEST = 1.0  # s between readings; as long as nothing is known about a driver
 _LOST_SHARE = 0.5  # of the readings that a gap has room for; if more were sent, the driver ran on
-# m and rad; a driver that has just started reads zero, but for a gyroscope that drifts. A base
+# m and rad; a driver that has just started reads zero, apart from the drift of a gyroscope. A base
 # that drives through its origin comes as close only where a reading happens to be taken there.
 _ORIGIN_EXACT = 0.005
 # The first readings may be lost (best effort), and the base may have moved since: at a manoeuvring
@@ -65,7 +65,7 @@ def _from_origin(pose: Pose2) -> float:
 def _returns_to_origin(reading: Pose2, last: Pose2, tolerance: float) -> bool:
     """Return whether a reading is near zero, and the last one was far from it.
 
-    tolerance: m and rad. The heading does not count where the position tells: an IMU may keep it.
+    tolerance: m and rad. The heading is ignored where the position shows it: an IMU may keep it.
     """
     distance, last_distance = _from_origin(reading), _from_origin(last)
     if distance <= tolerance and last_distance > _RESTART_CONTRAST * max(distance, _ORIGIN_NOISE):

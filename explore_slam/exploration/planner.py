@@ -126,8 +126,8 @@ class Planner:
     def _cannot_search(self, reason: str) -> PlanningResult:
         """Withdraw all plans; this is neither an empty search nor the end.
 
-        No vehicle is known to stand where it may drive, so that none may follow an older plan:
-        each is silent, lost, or in a place that has become impassable, such as a keep-out area.
+        No vehicle is known to be in a place from which it may drive, so none may follow an older
+        plan: each is silent, lost, or where cells became impassable, such as a keep-out area.
         """
         self._tasks, self._retreats = {}, {}
         text = f'cannot search now: {reason}'

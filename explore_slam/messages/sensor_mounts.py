@@ -1,4 +1,4 @@
-"""Where the sensors of one vehicle sit: from /tf_static, or from the vehicle's settings.
+"""Mounts of the sensors of one vehicle: from /tf_static, or from the vehicle's settings.
 
 The frame of a message (header.frame_id) is looked up below the vehicle's base frame, which its
 odometry messages name (child_frame_id). Where the tree of transforms does not hold it, the mount
@@ -207,7 +207,7 @@ class SensorMounts:
         if self._mapping and last is None and mount.pose is None:
             logger.warning(
                 '%s: no transform leads from %s to %s, and %s.%s is not set: the default mount '
-                'is used, and the map is wrong if the sensor sits elsewhere; publish the '
+                'is used, and the map is wrong if the sensor is elsewhere; publish the '
                 'transform on /tf_static (robot_state_publisher), or set it',
                 self.vehicle, self.base, name, self.vehicle, setting,
             )  # fmt: skip
@@ -261,7 +261,7 @@ def shared_frames(mounts: Iterable[SensorMounts], own_transforms: Container[str]
         if len(names) > 1
     ] + [
         f'{" and ".join(names)} have the same sensor frame {frame!r}: all use the mount that was '
-        f'published last on /tf_static, which is wrong unless their sensors sit alike; {advice}, '
+        f'published last on /tf_static, which is wrong unless their mounts are equal; {advice}, '
         f'or set {settings(names)}, which are used where transforms contradict each other'
         for frame, names in sensors.items()
         if len(names) > 1

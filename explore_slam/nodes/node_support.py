@@ -379,7 +379,7 @@ def _spin(node: StoppableNode) -> int:
         node.get_logger().fatal(f'stopping the vehicle: {type(error).__name__}: {error}')
         return 1
     finally:
-        node.executor = None  # what is left to be done is done at once: nothing spins any more
+        node.executor = None  # nothing spins any more: callbacks that remain run at once
     return 0
 
 

@@ -22,7 +22,7 @@ from explore_slam.registration.likelihood_grid import FULL, RESOLUTION, Levels, 
 ANGLE_STEP = math.radians(1.0)  # half a step moves a return at 6 m by one cell of 0.05 m
 _MAXIMUM_LEVELS = 7  # squares of 64 cells, 3.2 m
 _BLOCKS_ACROSS = 6  # of the coarsest level over the window: fewer bounds say nothing
-_CHUNK = 32  # points summed before it is asked whether the bound can still be reached
+_CHUNK = 32  # points summed between checks of whether the bound can still be reached
 
 
 @dataclass(frozen=True)

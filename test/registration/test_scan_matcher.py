@@ -17,7 +17,7 @@ from explore_slam.registration import (
     ScanMatchingConfig,
 )
 from explore_slam.registration.alignment import Alignment
-from explore_slam.registration.scan_matcher import _scan_match
+from explore_slam.registration.scan_matcher import _scan_match, _window
 from explore_slam.slam.checks import check_motion_covariance
 
 ROOM = np.vstack(
@@ -193,6 +193,17 @@ def test_errors_of_a_match_are_covariances_whatever_the_rounding():
         np.testing.assert_allclose(
             match.covariance, total, rtol=0.0, atol=1e-3 * np.abs(total).max()
         )
+
+
+def test_the_window_covers_three_deviations_of_the_odometry_within_limits():
+    window = _window(IDENTITY, np.diag([0.02, 0.04, 0.05]) ** 2)
+    assert (window.reach, window.turn) == pytest.approx((0.12 + 0.1, 0.15 + 0.03))
+    # at two standard deviations the score is lower by 0.025
+    assert window.position_penalty * 0.08**2 == pytest.approx(0.025)
+    assert window.heading_penalty * 0.1**2 == pytest.approx(0.025)
+    exact, unknown = (_window(IDENTITY, d**2 * np.eye(3)) for d in (1e-6, 10.0))
+    assert (exact.reach, exact.turn) == pytest.approx((0.1, 0.03), abs=1e-5)
+    assert (unknown.reach, unknown.turn) == (0.6, 0.5)
 
 
 def test_other_vehicles_are_masked():

@@ -25,7 +25,7 @@ class MeasurementHandler[M: Stamped]:
     process: use a measurement; odometry has reached its stamp.
     check: raise AgentError for a record that can never be used.
     enqueue: store a new measurement until it is due.
-    draws_map: those of a vehicle that may stand anywhere are left out, since they would spoil it.
+    draws_map: the record enters the map; it is ignored while its vehicle is displaced.
     """
 
     record: type[M]

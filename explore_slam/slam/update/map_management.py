@@ -203,8 +203,8 @@ class MapManager:
         """Keep the landmarks of one place few: limit insertion, and remove what is replaced.
 
         z (K, 3) observed from a pose (3,); wanted (K, M). Landmarks that were matched stay; the
-        rest of a cell's places belongs to the newest of the others. Returns what is left of
-        `wanted`, and the ids (n,) of the landmarks removed.
+        places of a cell that they leave go to the newest of the others. Returns `wanted` without
+        the landmarks that find no place, and the ids (n,) of the landmarks removed.
         """
         new = np.flatnonzero(wanted.any(axis=1))
         if not len(new):
