@@ -128,31 +128,6 @@ class PointCloud:
         )
         return self._from_poses(poses)
 
-    def deskewed_along(self, times: ArrayLike, poses: ArrayLike) -> Self:
-        """Return the cloud as measured at one moment, by poses of the vehicle during the sweep.
-
-        times (m,) s after the stamp, ascending; poses (m, 3) in any common frame.
-        """
-        at = np.asarray(times, dtype=np.float64)
-        path = np.asarray(poses, dtype=np.float64)
-        if at.ndim != 1 or not len(at) or path.shape != (len(at), 3):
-            raise RegistrationError(
-                f'poses have shape {path.shape} and times {at.shape}, expected (m, 3) and (m,)'
-            )
-        if not np.isfinite(path).all() or not (np.diff(at) > 0.0).all():
-            raise RegistrationError('deskewing needs finite poses and ascending times')
-        heading = np.unwrap(path[:, 2])
-
-        def interpolated(moments: Array) -> Array:
-            columns = (path[:, 0], path[:, 1], heading)
-            return np.stack([np.interp(moments, at, column) for column in columns], axis=1)
-
-        origin = Pose2.from_array(interpolated(np.zeros(1))[0])
-        c, s = math.cos(origin.theta), math.sin(origin.theta)
-        off = interpolated(self.times) - (origin.x, origin.y, origin.theta)
-        own = np.stack([c * off[:, 0] + s * off[:, 1], c * off[:, 1] - s * off[:, 0], off[:, 2]])
-        return self._from_poses(own.T)
-
     def _from_poses(self, poses: Array) -> Self:
         """Move each point from its own pose (n, 3) of the vehicle to the pose at the stamp."""
         c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
