@@ -25,7 +25,7 @@ LONGEST_SWEEP = 1.0  # s; the slowest spinning lidars turn at 1 Hz
 # A sweep may take this many intervals between scans: stamps jitter, and scans are lost in pairs.
 _LONGEST_SHARE = 1.5
 _ALL_AROUND = math.radians(350.0)  # field of view from which a laser counts as a spinning one
-_INTERVALS = 9  # newest ones, of which the median counts
+_INTERVALS = 9  # newest intervals between scans; their median is used
 _FEWEST_INTERVALS = 3
 
 
@@ -150,9 +150,9 @@ def deskewed(scan: LaserScan, sweep: Sweep, at: Array, poses: Array, laser: Pose
 
 
 class SweepJudge:
-    """Says when the beams of one laser are measured; doubtful statements are logged once.
+    """Determines when the beams of one laser are measured; implausible messages are logged once.
 
-    found: what its scans have shown, where messages and settings do not tell.
+    found: the sweep that its scans have shown, where messages and settings do not give it.
     """
 
     def __init__(self, vehicle: str) -> None:
@@ -171,7 +171,7 @@ class SweepJudge:
     def sweep_of(self, scan: LaserScan) -> Sweep | None:
         """Return when the beams of the newest scan were measured; None: at one moment, or unknown.
 
-        Settings count before what the scans have shown, and that before the messages.
+        Settings take precedence over what the scans have shown, and that over the messages.
         """
         if self._stamps and scan.stamp < self._stamps[-1] - LONGEST_SWEEP:
             self._stamps.clear()  # the clock has jumped back
@@ -180,7 +180,7 @@ class SweepJudge:
         return self.known_sweep(scan)
 
     def known_sweep(self, scan: LaserScan) -> Sweep | None:
-        """Return when the beams of a scan were measured, by what is known now; see sweep_of."""
+        """Return when the beams of a scan were measured, as far as known now; see sweep_of."""
         timing, found = scan.timing, self.found
         duration = timing.duration
         if duration is None:
@@ -196,9 +196,9 @@ class SweepJudge:
     def doubtful(self, scan: LaserScan) -> float:
         """Return how long (s) a sweep takes if its beams are measured one after the other.
 
-        0 where that need not be found out: settings say all, the scans have shown it, or the laser
-        does not look all around, as spinning lidars do, so that its beams count as measured at
-        one moment unless the message says otherwise. To be called after `sweep_of`.
+        0 where no test is needed: the settings give the sweep, the scans have shown it, or the
+        field of view is not that of a spinning lidar, so that the beams count as measured at one
+        moment unless the message says otherwise. Call it after `sweep_of`.
         """
         beams, timing = scan.ranges.size, scan.timing
         if self.found is not None or timing.duration == 0.0 or beams < 2:
@@ -213,7 +213,7 @@ class SweepJudge:
         return min(self.interval, LONGEST_SWEEP) * (beams - 1) / beams
 
     def _stated(self, scan: LaserScan) -> float:
-        """Return the duration of a sweep by the message (s); 0 where it does not tell."""
+        """Return the duration of a sweep by the message (s), 0 if it gives none."""
         increment = scan.time_increment
         if increment == 0.0:
             return 0.0

@@ -29,7 +29,7 @@ logger = logging.getLogger(__name__)
 _HISTORY = 4.0  # s of scans that a new one is compared with
 _ODOMETRY = 8.0  # s of odometry kept
 _FARTHEST = 20.0  # m; returns beyond it are few and far apart
-# rad; difference of the turns within two sweeps from which their shapes tell: 6 cm at 3 m
+# rad; difference of the turns within two sweeps from which their shapes differ: 6 cm at 3 m
 _LEAST_SKEW = 0.04
 _MOST_TURN = 2.0  # rad between two scans that are compared: odometry is the first guess
 _MOST_TRAVEL = 1.0  # m
@@ -95,7 +95,7 @@ class _Probe:
 
 
 class SweepDetector:
-    """Compares the scans of one laser until they have shown how its sweeps go.
+    """Compares the scans of one laser until they have shown the timing of its sweeps.
 
     found: what they have shown; of duration 0: all beams at one moment. None: nothing yet.
     gave_up: they did not show it in many comparisons.

@@ -14,17 +14,17 @@ from explore_slam.sweeps import Sweep, SweepJudge, deskewed
 
 logger = logging.getLogger(__name__)
 
-# Scans of a turning vehicle are held back once until they have shown how their sweeps go.
-_LONGEST_HOLD = 4.0  # s; the first turn of the sensor rig tells in less
+# Scans of a turning vehicle are held back once, until they have shown the timing of sweeps.
+_LONGEST_HOLD = 4.0  # s; the first turn of the sensor rig takes less
 _MOST_HELD = 40  # scans; fewer than the 50 that may wait for odometry by default
 _DISTORTED = 0.01  # rad; a turn within a sweep from which a scan is held back: half a cell at 3 m
 
 
 class _Waiting:
-    """A scan with its sweep, None: of one moment; stamp: that of the scan as of one moment.
+    """A scan that waits for odometry.
 
-    test: duration (s) of its sweep, if its beams are measured one after the other and that is to
-    be found out; 0 otherwise.
+    sweep: None if all beams were measured at one moment. stamp: of the scan after deskewing (s).
+    test: assumed duration (s) of the sweep while its timing is unknown; 0 if it is known.
     """
 
     def __init__(self, scan: LaserScan, sweep: Sweep | None, test: float) -> None:
@@ -41,8 +41,8 @@ class SweepQueue:
     """Undoes the motion within the sweeps of one vehicle's laser.
 
     A scan waits until odometry has reached its last beam, at most a second of odometry after its
-    first one: no sweep takes longer. It then leaves as a scan of one moment. Where it is not known
-    how its sweeps go, the scans of the first turn are held back until they have shown it.
+    first one: no sweep takes longer. It then leaves as a scan of one moment. Where the timing of
+    the sweeps is unknown, the scans of the first turn are held back until they have shown it.
     """
 
     def __init__(self, vehicle: str) -> None:
@@ -97,7 +97,7 @@ class SweepQueue:
         return None
 
     def _test(self, scan: LaserScan, duration: float, laser: Pose2, held: bool) -> None:
-        """Compare a scan with earlier ones, which may show how the sweeps go."""
+        """Compare a scan with earlier ones, which may show the timing of the sweeps."""
         self.detector.add(scan, duration, laser)
         found = self.detector.found
         if found is None:
@@ -118,7 +118,7 @@ class SweepQueue:
         return bool(self._held) or turn >= _DISTORTED
 
     def _hold(self, scan: LaserScan) -> None:
-        """Hold a scan back; queue all again when it is known how the sweeps go, or in the end."""
+        """Hold a scan back; queue all again when the timing is known, or in the end."""
         self._held.append(scan)
         waited = scan.stamp - self._held[0].stamp
         if self.detector.is_done or waited > _LONGEST_HOLD or len(self._held) >= _MOST_HELD:

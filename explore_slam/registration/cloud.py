@@ -11,7 +11,7 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from explore_slam.compiled import kernel
 from explore_slam.data import LaserScan
@@ -33,7 +33,7 @@ _QUERY_SPACING = 0.2  # m; half the points find the same peak
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
-    """Points (n, 2) m, unit normals (n, 2) and times (n,) s after the stamp.
+    """Points (n, 2) m as measured at one moment, and unit normals (n, 2).
 
     The normal points towards the laser: the two faces of a thin wall differ. It is zero where
     the neighbouring returns do not form a line (edges, clutter, lone returns).
@@ -41,19 +41,14 @@ class PointCloud:
 
     points: Array
     normals: Array
-    times: Array
 
     def __post_init__(self) -> None:
         count = len(self.points)
-        for name, shape in (
-            ('points', (count, 2)),
-            ('normals', (count, 2)),
-            ('times', (count,)),
-        ):
+        for name in ('points', 'normals'):
             values = getattr(self, name)
-            if values.shape != shape:
+            if values.shape != (count, 2):
                 raise RegistrationError(
-                    f'PointCloud: {name} has shape {values.shape}, expected {shape}'
+                    f'PointCloud: {name} has shape {values.shape}, expected {(count, 2)}'
                 )
             if not np.isfinite(values).all():
                 raise RegistrationError(f'PointCloud: {name} holds values that are not finite')
@@ -105,43 +100,12 @@ class PointCloud:
 
     def only(self, keep: NDArray[np.bool_]) -> Self:
         """Return the points under a mask (n,)."""
-        return replace(
-            self, points=self.points[keep], normals=self.normals[keep], times=self.times[keep]
-        )
-
-    def deskewed(self, twist: ArrayLike) -> Self:
-        """Return the cloud as measured at one moment, by a constant twist of the vehicle.
-
-        twist (3,): velocity forward and to the left (m/s) and turn rate (rad/s).
-        """
-        v = np.asarray(twist, dtype=np.float64)
-        if v.shape != (3,) or not np.isfinite(v).all():
-            raise RegistrationError(f'twist is {twist!r}, expected three finite velocities')
-        turn = v[2] * self.times
-        # exponential map of SE(2): the vehicle drives on a circle
-        straight = np.abs(turn) < 1e-9
-        safe = np.where(straight, 1.0, turn)
-        along = np.where(straight, 1.0, np.sin(safe) / safe) * self.times
-        across = np.where(straight, 0.5 * turn, (1.0 - np.cos(safe)) / safe) * self.times
-        poses = np.stack(
-            [along * v[0] - across * v[1], across * v[0] + along * v[1], turn], axis=1
-        )
-        return self._from_poses(poses)
-
-    def _from_poses(self, poses: Array) -> Self:
-        """Move each point from its own pose (n, 3) of the vehicle to the pose at the stamp."""
-        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-
-        def turned(v: Array) -> Array:
-            return np.stack([c * v[:, 0] - s * v[:, 1], s * v[:, 0] + c * v[:, 1]], axis=1)
-
-        points = turned(self.points) + poses[:, :2]
-        return replace(self, points=points, normals=turned(self.normals))
+        return replace(self, points=self.points[keep], normals=self.normals[keep])
 
     @classmethod
     def empty(cls) -> Self:
         """Make a cloud without points."""
-        return cls(np.empty((0, 2)), np.empty((0, 2)), np.empty(0))
+        return cls(np.empty((0, 2)), np.empty((0, 2)))
 
 
 def merged(clouds: Sequence[PointCloud]) -> PointCloud:
@@ -151,7 +115,6 @@ def merged(clouds: Sequence[PointCloud]) -> PointCloud:
     return PointCloud(
         np.concatenate([cloud.points for cloud in clouds]),
         np.concatenate([cloud.normals for cloud in clouds]),
-        np.concatenate([cloud.times for cloud in clouds]),
     )
 
 
@@ -170,26 +133,20 @@ def scan_cloud(
     scan: LaserScan,
     laser: Pose2 = IDENTITY,
     farthest: float = math.inf,
-    beam_times: Array | None = None,
 ) -> PointCloud:
     """Return the valid returns of a scan in the vehicle frame, with the normals of surfaces.
 
     Readings that are not finite, outside [range_min, range_max] or beyond farthest (m) are no
-    returns. laser: its pose on the vehicle. beam_times (B,): s after the stamp of the scan at
-    which each beam was measured; all 0 if absent.
+    returns. laser: its pose on the vehicle. All beams count as measured at one moment, see
+    `explore_slam.sweeps.deskewed`.
     """
     ranges = scan.ranges.astype(np.float64)
-    if beam_times is not None and beam_times.shape != ranges.shape:
-        raise RegistrationError(
-            f'beam_times has shape {beam_times.shape}, expected {ranges.shape} as the ranges'
-        )
     valid = np.isfinite(ranges) & (ranges >= max(scan.range_min, _MINIMUM_RANGE))
     valid &= ranges <= min(scan.range_max, farthest)
     ranges, angles = ranges[valid], scan.angles[valid]
     points = np.stack([np.cos(angles), np.sin(angles)], axis=1) * ranges[:, None]
-    times = np.zeros(len(ranges)) if beam_times is None else beam_times[valid].astype(np.float64)
     normals = _line_normals(points, ranges) if len(points) else points
-    cloud = PointCloud(points, normals, times)
+    cloud = PointCloud(points, normals)
     return cloud if laser == IDENTITY else cloud.moved(laser)
 
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from explore_slam.data import LaserScan
 from explore_slam.errors import RegistrationError
@@ -127,20 +126,15 @@ class ScanMatcher:
         prior: Pose2,
         covariance: Array,
         *,
-        beam_times: Array | None = None,
-        twist: ArrayLike | None = None,
         bodies: Sequence[tuple[float, float, float]] = (),
     ) -> ScanMatch | RefusedScan:
         """Return the pose of the vehicle at a scan, or why there is none.
 
         laser: its pose on the vehicle; prior: pose by the odometry, with covariance (3, 3) of
-        the motion since the last match in the vehicle frame. beam_times (B,) s and twist (3,)
-        m/s, m/s, rad/s undo the motion within the sweep. bodies: discs (x, y, radius) in the
+        the motion since the last match in the vehicle frame. bodies: discs (x, y, radius) in the
         vehicle frame that hide other vehicles.
         """
-        cloud = scan_cloud(scan, laser, self.config.matching_range, beam_times)
-        if twist is not None:
-            cloud = cloud.deskewed(twist)
+        cloud = scan_cloud(scan, laser, self.config.matching_range)
         return self.match_cloud(cloud.masked(bodies), prior, covariance)
 
     def match_cloud(

@@ -248,7 +248,7 @@ class PioneerRobot:
         turning = 0.5 * (right - left) * f.velocity * f.difference
         return BaseState(
             odometry=OdometryReading(stamp, pose, self._covariance.value(pose)),
-            linear=0.0005 * f.velocity * (left + right),
+            linear=0.0005 * f.velocity * (left + right),  # mean of both wheels, mm/s to m/s
             angular=turning if status.rotational_velocity is None else status.rotational_velocity,
             received=received,
             motors_on=status.motors_on,

@@ -45,37 +45,6 @@ def test_a_lone_return_has_no_normal():
     assert not cloud.on_surfaces.any()
 
 
-def sweep(twist, seconds, beams=181):
-    """Return a scan in the room in which each beam is measured from the pose at its own time."""
-    times = np.linspace(0.0, seconds, beams)
-    ranges = np.empty(beams, np.float32)
-    pose, step = IDENTITY, times[1]
-    fine = 50
-    for k in range(beams):
-        ranges[k] = scan_of(ROOM, pose).ranges[k]
-        for _ in range(fine):  # small steps: independent of the exponential map that is tested
-            small = Pose2(*(np.asarray(twist) * step / fine))
-            pose = pose.compose(small)
-    still = scan_of(ROOM, IDENTITY)
-    scan = LaserScan(0.0, still.angle_min, still.angle_increment, ranges, 0.0, 30.0)
-    return scan, times
-
-
-@pytest.mark.parametrize('twist', [(0.5, 0.0, 0.9), (0.4, -0.2, -0.6), (0.5, 0.1, 0.0)])
-def test_deskewing_puts_the_points_on_the_walls(twist):
-    scan, times = sweep(twist, 0.2)
-    skewed = scan_cloud(scan, beam_times=times)
-
-    def off_walls(cloud):
-        x, y = np.abs(cloud.points).T
-        return np.minimum(np.abs(x - 3.0), np.abs(y - 2.0)).max()
-
-    assert off_walls(skewed) > 0.03
-    level = skewed.deskewed(twist)
-    assert off_walls(level) < 2e-3
-    np.testing.assert_allclose(np.hypot(*level.surfaces[1].T), 1.0)
-
-
 def test_bodies_are_masked():
     cloud = scan_cloud(scan_of(np.vstack([ROOM, box(1.0, -0.2, 1.4, 0.2)]), IDENTITY))
     inside = np.hypot(cloud.points[:, 0] - 1.2, cloud.points[:, 1]) < 0.4
@@ -111,12 +80,6 @@ def test_thinning_leaves_one_point_in_a_square():
 def test_bad_input_is_named():
     points = np.zeros((3, 2))
     with pytest.raises(match=r'normals has shape \(2, 2\)'):
-        PointCloud(points, np.zeros((2, 2)), np.zeros(3))
+        PointCloud(points, np.zeros((2, 2)))
     with pytest.raises(match='points holds'):
-        PointCloud(np.full((3, 2), np.nan), points, np.zeros(3))
-    scan = scan_of(ROOM, IDENTITY)
-    with pytest.raises(match='beam_times'):
-        scan_cloud(scan, beam_times=np.zeros(3))
-    cloud = scan_cloud(scan)
-    with pytest.raises(match='twist'):
-        cloud.deskewed([0.0, np.inf, 0.0])
+        PointCloud(np.full((3, 2), np.nan), points)

@@ -161,22 +161,6 @@ def test_a_drive_drifts_far_less_than_wheel_odometry_and_its_error_is_consistent
     assert 0.3 < np.mean(distances) < 6.0
 
 
-def test_the_motion_within_a_sweep_is_undone():
-    twist, beams, seconds = np.array([0.4, 0.0, 0.9]), 181, 0.2
-    times = np.linspace(0.0, seconds, beams)
-    true, matcher = Pose2(0.2, 0.1, 0.3), started(ROOM)
-    ranges = np.empty(beams, np.float32)
-    for k, t in enumerate(times):
-        ranges[k] = scan_of(ROOM, true.compose(Pose2(*(twist * t)))).ranges[k]
-    still = scan_of(ROOM, true)
-    scan = LaserScan(0.0, still.angle_min, still.angle_increment, ranges, 0.0, 30.0)
-    skewed = matcher.match(scan, IDENTITY, true, WHEELS)
-    matcher = started(ROOM)
-    undone = matcher.match(scan, IDENTITY, true, WHEELS, beam_times=times, twist=twist)
-    assert abs(skewed.pose.theta - true.theta) > 0.05
-    np.testing.assert_allclose(undone.pose, true, atol=0.01)
-
-
 def test_errors_of_a_match_are_covariances_whatever_the_rounding():
     """Along a corridor, one direction is measured well and another one hardly at all."""
     random = np.random.default_rng(0)

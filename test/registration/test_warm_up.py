@@ -27,8 +27,7 @@ ranges = (2.0 + np.sin(np.arange(361) / 20.0)).astype(np.float32)
 scan = LaserScan(0.0, -1.5, 0.01, ranges, 0.0, 10.0)
 matcher = registration.ScanMatcher(registration.ScanMatchingConfig())
 for x in (0.0, 0.1, 3.0, 0.5):
-    matcher.match(scan, Pose2(0.1, 0.0, 0.2), Pose2(x, 0.0, 0.0), 1e-4 * np.eye(3),
-                  twist=(0.1, 0.0, 0.2), beam_times=np.linspace(0.0, 0.1, 361))
+    matcher.match(scan, Pose2(0.1, 0.0, 0.2), Pose2(x, 0.0, 0.0), 1e-4 * np.eye(3))
 for name, kernel in kernels.items():
     if len(kernel.signatures) != before[name]:
         print(name, kernel.signatures)

@@ -26,7 +26,7 @@ def _paint(gains: Gains, leaves: NDArray[np.float64]) -> None:
     for k in range(leaves.shape[0]):
         cx, cy, radius = leaves[k, 0], leaves[k, 1], leaves[k, 2]
         cos, sin, aspect, kind = leaves[k, 3], leaves[k, 4], leaves[k, 5], leaves[k, 6]
-        reach = 1.42 * radius
+        reach = 1.42 * radius  # √2, rounded up: to the corners of a square
         for y in range(max(0, int(cy - reach)), min(rows, int(cy + reach) + 2)):
             for x in range(max(0, int(cx - reach)), min(columns, int(cx + reach) + 2)):
                 u = cos * (x - cx) + sin * (y - cy)
@@ -35,7 +35,7 @@ def _paint(gains: Gains, leaves: NDArray[np.float64]) -> None:
                     inside = u * u + (v / aspect) ** 2 < radius * radius
                 elif kind == RECTANGLE:
                     inside = abs(u) < radius and abs(v) < aspect * radius
-                else:
+                else:  # a wedge, 1.68 aspect radius wide at its base
                     inside = abs(u) < radius and abs(v) < 0.42 * aspect * (radius - u)
                 if inside:
                     for channel in range(3):

@@ -141,7 +141,7 @@ class Anchors:
             'stamps': table.stamps,
             'counts': np.array([len(cloud) for cloud in clouds], np.int64),
             'clouds': np.concatenate(
-                [np.c_[c.points, c.normals, c.times] for c in clouds] or [np.empty((0, 5))]
+                [np.c_[c.points, c.normals] for c in clouds] or [np.empty((0, 4))]
             ),
             'added': np.array([(v, trail.added) for v, trail in self._trails.items()], np.int64),
             'regions': text_array(regions),
@@ -160,8 +160,7 @@ class Anchors:
         for (keyframe, vehicle, distance_driven, stamp), part in zip(
             zip(*columns, strict=True), parts, strict=False
         ):
-            points, normals, times = np.split(part, (2, 4), axis=1)
-            cloud = PointCloud(points.copy(), normals.copy(), times.ravel())
+            cloud = PointCloud(part[:, :2].copy(), part[:, 2:4].copy())
             made.add(Anchor(keyframe, vehicle, distance_driven, stamp, cloud))
         for vehicle, added in state['added'].tolist():
             made._trails.setdefault(vehicle, _Trail()).added = added

@@ -11,7 +11,7 @@ from explore_slam.slam.closures import Anchor, Anchors, Closure, ClosureThinning
 
 LAP = 40  # m and keyframes
 UNEVALUATED = 15  # m and keyframes, the newest
-EMPTY = PointCloud(np.empty((0, 2)), np.empty((0, 2)), np.empty(0))
+EMPTY = PointCloud.empty()
 
 
 def on_the_ring(k):
