@@ -225,10 +225,6 @@ class Anchors:
         """Return how many anchors of a vehicle were ever added."""
         return self._trails[vehicle].added
 
-    def newest_distance(self, vehicle: int) -> float:
-        """Return the distance driven (m) of a vehicle at its newest anchor."""
-        return self._trails[vehicle].distances_driven[-1]
-
     def query(self, anchor: Anchor, poses: Array, distance_driven: float = QUERY_LENGTH) -> Query:
         """Return the anchor and those just passed as one cloud in its frame."""
         trail = self._trails[anchor.vehicle]
