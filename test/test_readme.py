@@ -16,11 +16,12 @@ from synthetic import SyntheticVehicle, SyntheticWorld
 from explore_slam.cli.main import COMMANDS, build_parser
 from explore_slam.geometry import Pose2
 from explore_slam.messages.topics import TopicKind
+from explore_slam.messages.vehicle_settings import settings_of_vehicles, split_vehicle_values
 from explore_slam.nodes.agent_parameters import AgentNodeConfig
 from explore_slam.nodes.driver_parameters import DriverNodeConfig
 from explore_slam.recording.bag import BagWriter
 from explore_slam.recording.events import Event, odometry_event, start_event, write_event
-from explore_slam.settings import save_settings, values_of
+from explore_slam.settings import read_parameters, save_settings, values_of, with_values
 from explore_slam.vehicle import PathFollowerConfig
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -155,6 +156,19 @@ def test_every_python_block_is_run_above():
     for path in DOCUMENTS:
         for code in blocks(path, 'python'):
             ast.parse(code)
+
+
+def test_every_parameter_file_is_one(tmp_path):
+    texts = [text for path in DOCUMENTS for text in blocks(path, 'yaml')]
+    assert len(texts) == 1
+    for text in texts:
+        (tmp_path / 'agent.yaml').write_text(text)
+        own, team = split_vehicle_values(read_parameters(tmp_path / 'agent.yaml'))
+        config = with_values(AgentNodeConfig(), team)
+        vehicles = settings_of_vehicles(own, config.vehicles)
+        assert [vehicle.vision for vehicle in vehicles.values()] == ['none', 'agent']
+        assert vehicles['robot2'].laser_mount == pytest.approx((-0.1, 0.0, 3.1416))
+        assert list(config.poses()) == ['robot1', 'robot2']
 
 
 @pytest.fixture

@@ -1,7 +1,6 @@
 """Point clouds of laser scans: points with the normals of the surfaces that they lie on.
 
-A cloud is in the frame of its vehicle at the stamp of the scan. Each point knows when it was
-measured, so that the motion within a sweep can be undone.
+A cloud is in the frame of its vehicle at the stamp of the scan.
 """
 
 import math
