@@ -4,9 +4,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from explore_slam.errors import ConfigError
+from explore_slam.files import read_mapping
 from explore_slam.messages.topics import TopicKind
 from explore_slam.settings import read_parameters, unknown_name
 
@@ -132,12 +131,9 @@ def remappings(given: Mapping[str, str], vehicles: Iterable[str] = ('',)) -> lis
 
 def start_poses_of(world: Path, count_text: str) -> dict[str, list[float]]:
     """Return vehicle -> start pose of the first vehicles of a world file."""
-    try:
-        starts = yaml.safe_load(world.read_text(encoding='utf-8'))['starts']
-    except (OSError, KeyError, TypeError, yaml.YAMLError) as error:
-        raise ConfigError(
-            f'world {str(world)!r} cannot be read as a world file: {error}'
-        ) from None
+    starts = read_mapping(world, ConfigError, 'a world').get('starts')
+    if not isinstance(starts, dict) or not starts:
+        raise ConfigError(f'{world}: starts is {starts!r}, expected a pose for each vehicle')
     count = whole_number('vehicles', count_text, 1, len(starts))
     return {name: [float(v) for v in starts[name]] for name in list(starts)[:count]}
 

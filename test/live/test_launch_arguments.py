@@ -37,7 +37,7 @@ def test_any_yaml_boolean_is_read(word):
             lambda: read.start_poses_of(WORLDS / 'small.yaml', '9'),
             'vehicles is 9, expected .* 1 to',
         ),
-        (lambda: read.start_poses_of(WORLDS / 'none.yaml', '1'), 'cannot be read as a world file'),
+        (lambda: read.start_poses_of(WORLDS / 'none.yaml', '1'), 'none.yaml: no such file'),
         (lambda: read.world_file('offize', WORLDS), "one of .*; did you mean 'office'"),
         (lambda: read.remappings({'scan_topic': '/scan'}, ['a', 'b']), 'would share one topic'),
     ],
@@ -46,6 +46,22 @@ def test_what_cannot_be_read_is_one_sentence(call, sentence):
     with pytest.raises(ConfigError, match=sentence) as error:
         call()
     assert '\n' not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ('content', 'sentence'),
+    [
+        ('starts: [1, 2]', r'starts is \[1, 2\], expected a pose for each vehicle'),
+        ('walls: {}', 'starts is None'),
+        ('- 1', 'holds list, expected a world'),
+        ('\xff', 'cannot be read'),
+    ],
+)
+def test_world_files_without_starts_are_refused(tmp_path, content, sentence):
+    path = tmp_path / 'world.yaml'
+    path.write_bytes(content.encode('latin-1'))
+    with pytest.raises(ConfigError, match=sentence):
+        read.start_poses_of(path, '1')
 
 
 def test_topics_are_remapped_in_the_namespace_of_each_vehicle():
