@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from explore_slam.slam.descriptors.index import BruteForceIndex
-from explore_slam.slam.descriptors.kd_forest import KdForestIndex
+from explore_slam.slam.descriptors.kd_forest import BUCKET, KdForestIndex
 from explore_slam.slam.descriptors.kd_tree import KdTreeIndex
 
 INDICES = [BruteForceIndex, KdTreeIndex, KdForestIndex]
@@ -83,6 +83,14 @@ def test_recall_of_the_forest_against_brute_force():
     found, _ = forest.query(queries, 0.4, 1)
     exact, _ = brute.query(queries, 0.4, 1)
     assert np.mean(found == exact) >= 0.98
+
+
+def test_every_vector_lies_in_the_leaf_that_its_descent_ends_in():
+    rows = like_sift(np.random.default_rng(6), 1000)
+    tree = KdForestIndex(128, checks=BUCKET, trees=1)  # one leaf is compared
+    tree.add(np.arange(1000), rows)
+    found, _ = tree.query(rows, 1e-3, 1)
+    np.testing.assert_array_equal(found[:, 0], np.arange(1000))
 
 
 def test_the_same_insertions_make_the_same_forest():
