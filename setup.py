@@ -5,8 +5,11 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
+from setuptools.command.develop import develop
 
-manifest = ElementTree.parse(Path(__file__).parent / 'package.xml').getroot()
+# `colcon build --symlink-install` runs a link to this file, in a folder with links to some others
+SOURCE = Path(__file__).resolve().parent
+manifest = ElementTree.parse(SOURCE / 'package.xml').getroot()
 name = manifest.findtext('name')
 
 
@@ -16,8 +19,18 @@ def files(pattern):
 
 
 def requirements(path):
-    lines = Path(__file__).with_name(path).read_text().splitlines()
+    lines = (SOURCE / path).read_text().splitlines()
     return [line for line in lines if line and not line.startswith(('#', '-'))]
+
+
+class Develop(develop):
+    """Honour [build_scripts] in `colcon build --symlink-install`, too."""
+
+    def write_script(self, script_name, contents, mode='t', blockers=()):
+        interpreter, end, rest = contents.partition('\n')
+        if interpreter.startswith('#!'):
+            interpreter = f'#!{self.get_finalized_command("build_scripts").executable}'
+        super().write_script(script_name, f'{interpreter}{end}{rest}', mode, blockers)
 
 
 setup(
@@ -40,6 +53,7 @@ setup(
     install_requires=['setuptools', *requirements('requirements.txt')],
     extras_require={'kinect': ['freenect']},  # compiles against libfreenect-dev
     zip_safe=True,
+    cmdclass={'develop': Develop},
     tests_require=['pytest'],
     entry_points={
         'console_scripts': [

@@ -24,6 +24,11 @@ _IN_WORDS: Mapping[type, str] = {
 }  # fmt: skip
 
 
+_LISTS_IN_WORDS: Mapping[type, str] = {
+    float: 'a list of numbers', int: 'a list of whole numbers', str: 'a list of texts',
+}  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Setting:
     """The declaration of one setting; low and high are inclusive."""
@@ -62,6 +67,8 @@ class Setting:
     def _expected(self) -> str:
         if self.choices:
             return f'one of {list(self.choices)}'
+        if isinstance(self.default, tuple) and self.default:
+            return _LISTS_IN_WORDS[type(self.default[0])]
         return _IN_WORDS[type(self.default)]
 
     def _hint(self, value: Any) -> str:
@@ -84,8 +91,8 @@ def _as_type_of(default: Value, value: Any) -> Value | None:
     if isinstance(default, tuple):
         if isinstance(value, str) or not hasattr(value, '__iter__'):
             return None
-        numeric = bool(default) and isinstance(default[0], float)
-        return tuple(float(item) if numeric else item for item in value)
+        items = [_as_type_of(default[0], item) if default else item for item in value]
+        return None if None in items else tuple(items)
     if isinstance(default, bool) or isinstance(value, bool):
         return value if isinstance(value, type(default)) and isinstance(default, bool) else None
     if isinstance(default, float) and isinstance(value, int | float):

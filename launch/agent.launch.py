@@ -74,7 +74,7 @@ def start_agent(context):
         Node(
             package='explore_slam',
             executable='agent',
-            namespace=given['namespace'],
+            namespace=given['namespace'] and read.ros_name('namespace', given['namespace']),
             parameters=[file, parameters],
             remappings=read.remappings(topics, vehicles),
             output='screen',

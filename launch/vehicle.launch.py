@@ -50,7 +50,7 @@ def start(context):
     given = values(ARGUMENTS, context)
     common = {
         'package': 'explore_slam',
-        'namespace': given['name'],
+        'namespace': read.ros_name('name', given['name']),
         'remappings': read.remappings({name: given[name] for name in read.TOPICS}),
         'output': 'screen',
     }

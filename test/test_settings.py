@@ -35,6 +35,7 @@ class Outer(Section):
     resolution: float = setting(0.05, 'Cell size', unit='m', low=0.01)
     draw: bool = setting(True, 'Draw it')
     vehicles: tuple[str, ...] = setting(('robot1',), 'Names')
+    size: tuple[float, ...] = setting((1.0, 2.0), 'Size')
 
 
 def test_values_are_found_and_replaced_by_leaf_name():
@@ -46,6 +47,7 @@ def test_values_are_found_and_replaced_by_leaf_name():
         'resolution': 1.0,
         'draw': True,
         'vehicles': ('a', 'b'),
+        'size': (1.0, 2.0),
     }
 
 
@@ -59,7 +61,12 @@ def test_values_are_found_and_replaced_by_leaf_name():
         ({'resolution': float('nan')}, 'resolution is nan, expected at least 0.01 m'),
         ({'draw': 1}, 'draw is 1, expected true or false'),
         ({'particle': 3}, "no setting 'particle'; did you mean 'particles'"),
-        ({'vehicles': 'robot1'}, "vehicles is 'robot1', expected a list"),
+        ({'vehicles': 'robot1'}, "vehicles is 'robot1', expected a list of texts"),
+        ({'vehicles': [1, 2]}, r'vehicles is \[1, 2\], expected a list of texts'),
+        ({'vehicles': [True]}, r'vehicles is \[True\], expected a list of texts'),
+        ({'size': ['a', 2.0]}, r"size is \['a', 2.0\], expected a list of numbers"),
+        ({'size': [False, 1]}, r'size is \[False, 1\], expected a list of numbers'),
+        ({'size': 3.0}, 'size is 3.0, expected a list of numbers'),
     ],
 )
 def test_bad_values_are_named(values, message):

@@ -1,5 +1,6 @@
 """Arguments of the launch files: text in, values out, one sentence for what cannot be read."""
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,8 @@ from explore_slam.messages.topics import TopicKind
 from explore_slam.settings import read_parameters, unknown_name
 
 TRUE, FALSE = ('true', 'yes', 'on', '1'), ('false', 'no', 'off', '0')
+# names of topics and namespaces; rcl would answer another one with an error in its own terms
+_ROS_NAME = re.compile(r'/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*', re.ASCII)
 # argument of the launch files -> topic in a vehicle's namespace that it stands for
 TOPICS = {
     'scan_topic': TopicKind.SCAN.value,
@@ -99,6 +102,16 @@ def choice(name: str, word: str, choices: Sequence[str]) -> str:
     return word
 
 
+def ros_name(name: str, text: str) -> str:
+    """Return the name of a topic or of a namespace."""
+    if not _ROS_NAME.fullmatch(text):
+        raise ConfigError(
+            f'{name} is {text!r}, expected a name of ROS: letters, digits and underscores, parted '
+            'by slashes, none beginning with a digit'
+        )
+    return text
+
+
 def existing_file(name: str, text: str) -> str:
     """Return the path of a file that exists."""
     if not Path(text).expanduser().is_file():
@@ -117,6 +130,7 @@ def remappings(given: Mapping[str, str], vehicles: Iterable[str] = ('',)) -> lis
     for argument, topic in given.items():
         if not topic:
             continue
+        ros_name(argument, topic)
         if topic.startswith('/') and len(team) > 1:
             raise ConfigError(
                 f'{argument} is {topic!r}: all vehicles would share one topic; expected a name '

@@ -24,6 +24,7 @@ from explore_slam.messages.frame_pairing import FRAME, FramePairing
 from explore_slam.messages.topics import GlobalTopic, TopicKind
 from explore_slam.messages.vehicle_settings import VehicleConfig
 from explore_slam.mounts import LaserMountConfig
+from explore_slam.nodes.driver_parameters import DriverNodeConfig
 from explore_slam.nodes.endpoints import publisher, subscribe
 from explore_slam.nodes.inbox import Inbox
 from explore_slam.nodes.node_support import (
@@ -35,10 +36,12 @@ from explore_slam.nodes.node_support import (
     diagnostics_message,
     run_node,
     vehicle_name,
+    warn_of_unknown_vehicle_parameters,
 )
 from explore_slam.nodes.ros_types import MESSAGES
 from explore_slam.nodes.transform_listener import own_mounts
-from explore_slam.settings import Section, section, setting
+from explore_slam.settings import Section, section, setting, values_of
+from explore_slam.vehicle import PathFollowerConfig
 from explore_slam.vision import FeatureExtractor, KeyframeSelector, VisionConfig
 
 _INPUTS = InputConfig()  # the defaults of the agent
@@ -68,6 +71,8 @@ class FeatureExtractorNode(Node):
         sensors = declare_settings(
             self, VehicleConfig(), vehicle=self.vehicle, names=_VEHICLE_SETTINGS
         )
+        others = {**values_of(DriverNodeConfig()), **values_of(PathFollowerConfig())}
+        warn_of_unknown_vehicle_parameters(self, self.vehicle, others)
         self._extractor = FeatureExtractor(self.config.vision)
         self._selector = KeyframeSelector(self.config.vision)
         self._mounts = own_mounts(self, self.vehicle, LaserMountConfig(), sensors)

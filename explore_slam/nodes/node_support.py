@@ -23,6 +23,7 @@ from rcl_interfaces.msg import (
 )
 from rclpy.exceptions import InvalidParameterValueException
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
@@ -41,6 +42,7 @@ from explore_slam.settings import (
 _END_TIMEOUT = 20.0  # s from the end of a node to that of its process, which takes well below 1 s
 _NICENESS = -10  # granted to root, and where limits.conf allows it
 _MISSPELT = 0.85  # similarity (difflib) from which a name is a misspelling of another
+_REFUSED_ARGUMENTS = (rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError)
 SILENCE = 5.0  # s without a message after which its possible causes are logged
 REPORT_PERIOD = 1.0  # s between diagnostics
 WARNING_PERIOD = 5.0  # s between warnings of the same place in the code
@@ -255,8 +257,11 @@ def explain_silence(node: Node, name: str, waited: float) -> str:
 
 
 def vehicle_name(node: Node) -> str:
-    """Return the vehicle's name: the node's namespace without slashes."""
-    return str(node.get_namespace()).strip('/').replace('/', '_') or 'robot'
+    """Return the vehicle's name: the last part of the node's namespace.
+
+    An agent in the namespace `fleet` calls the vehicle in `fleet/robot1` by this name, too.
+    """
+    return str(node.get_namespace()).rpartition('/')[2] or 'robot'
 
 
 class _EndSignals:
@@ -344,7 +349,13 @@ def run_node(make: Callable[[], StoppableNode], arguments: list[str] | None = No
     that has not ended a while later, whatever holds it, prints where it is and ends.
     """
     _end_signals.install()
-    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    except _REFUSED_ARGUMENTS as error:
+        # what is wrong comes first, then the places in the source of rcl
+        what = str(error).partition('. Error: ')[0].partition(', at ')[0]
+        logging.getLogger(__name__).error('arguments of ROS that cannot be read: %s', what)
+        return 1
     with contextlib.ExitStack() as ending:  # each step is taken, whatever another one raises
         ending.callback(_end_in_time)
         ending.callback(rclpy.try_shutdown)

@@ -35,6 +35,7 @@ from explore_slam.nodes.node_support import (
     declare_settings,
     diagnostics_message,
     run_node,
+    warn_of_unknown_parameters,
 )
 from explore_slam.nodes.simulation_pace import Pace, PaceConfig
 from explore_slam.nodes.simulator_outputs import VehicleOutputs, clock_message
@@ -124,6 +125,7 @@ class SimulatorNode(Node):
         self._log_handler = RosLogHandler(self)
         logging.getLogger('explore_slam').addHandler(self._log_handler)
         self.config = declare_settings(self, SimulatorNodeConfig())
+        warn_of_unknown_parameters(self)
         self._worker = ThreadPoolExecutor(1, thread_name_prefix='simulator')
         self._hardware: HardwareBridge | None = None
         self._wake = threading.Condition()

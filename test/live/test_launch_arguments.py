@@ -40,6 +40,10 @@ def test_any_yaml_boolean_is_read(word):
         (lambda: read.start_poses_of(WORLDS / 'none.yaml', '1'), 'none.yaml: no such file'),
         (lambda: read.world_file('offize', WORLDS), "one of .*; did you mean 'office'"),
         (lambda: read.remappings({'scan_topic': '/scan'}, ['a', 'b']), 'would share one topic'),
+        (lambda: read.remappings({'scan_topic': 'my scan'}), "scan_topic is 'my scan', expected"),
+        (lambda: read.remappings({'odom_topic': 'odom/'}, ['a']), "odom_topic is 'odom/', exp"),
+        (lambda: read.ros_name('name', '9bot'), "name is '9bot', expected a name of ROS"),
+        (lambda: read.ros_name('namespace', '/a//b'), "namespace is '/a//b', expected a name"),
     ],
 )
 def test_what_cannot_be_read_is_one_sentence(call, sentence):
@@ -95,7 +99,7 @@ def test_every_argument_is_described(path):
     assert 'DeclareLaunchArgument(name, default_value=default, description=text)' in shared
 
 
-def entities_of(name, **given):
+def entities_of(name, /, **given):
     """What a launch file starts, as ros2 launch would see it."""
     pytest.importorskip('launch_ros', reason="ROS's launch is not installed")
     from launch import LaunchContext
@@ -218,5 +222,9 @@ def test_arguments_that_are_not_given_are_no_parameters():
 def test_wrong_values_and_names_of_the_launch_files_are_one_sentence():
     with pytest.raises(ConfigError, match='vehicles is 9, expected a whole number from 1 to 5'):
         entities_of('demo', vehicles='9')
+    with pytest.raises(ConfigError, match="name is 'robot 1', expected a name of ROS"):
+        entities_of('vehicle', name='robot 1')
+    with pytest.raises(ConfigError, match="namespace is '9', expected a name of ROS"):
+        entities_of('agent', namespace='9')
     (first, *_) = entities_of('demo', vehicle='1')
     assert type(first).__name__ == 'LogInfo'

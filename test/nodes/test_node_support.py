@@ -125,10 +125,28 @@ def test_ctrl_c_ends_the_first_start_while_kernels_are_compiled(tmp_path):
         ('pioneer_driver', 'command_timeout:=30.0', 'command_timeout'),
         ('path_follower', 'follow_speed:=fast', "follow_speed is 'fast', expected a number"),
         ('path_follower', 'laser_x:=11.0', 'laser_x'),
+        ('path_follower', "laser_mount:=['a','b','c']", 'laser_mount is'),
+        ('path_follower', 'no_value', "Couldn't parse parameter override rule: '-p no_value'"),
     ],
 )
 def test_a_parameter_that_cannot_be_is_one_clear_message(module, setting, text):
     result = run('-m', f'explore_slam.nodes.{module}', '--ros-args', '-p', setting)
     assert result.returncode == 1
     assert text in result.stderr
+    assert 'Traceback' not in result.stderr
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'text'),
+    [
+        (['-r', 'scan:=my scan'], "Couldn't parse remap rule: '-r scan:=my scan'"),
+        (['--params-file', '/no/file.yaml'], "params file: '--params-file /no/file.yaml'"),
+        (['--no-such-option'], '--no-such-option'),
+    ],
+)
+def test_arguments_of_ros_that_cannot_be_read_are_one_message(arguments, text):
+    result = run('-m', 'explore_slam.nodes.path_follower', '--ros-args', *arguments)
+    assert result.returncode == 1
+    (line,) = [line for line in result.stderr.splitlines() if 'cannot be read' in line]
+    assert text in line
     assert 'Traceback' not in result.stderr

@@ -12,6 +12,7 @@ from explore_slam.errors import ConfigError
 from explore_slam.messages.vehicle_settings import VehicleConfig
 from explore_slam.nodes.agent_parameters import AgentNodeConfig
 from explore_slam.nodes.driver_parameters import DriverNodeConfig
+from explore_slam.nodes.feature_extractor import FeatureExtractorNode
 from explore_slam.nodes.path_follower import PathFollowerNode
 from explore_slam.nodes.pioneer_driver import PioneerDriverNode
 from explore_slam.settings import settings_of, values_of, with_values
@@ -159,6 +160,38 @@ def test_one_file_serves_the_agent_and_the_nodes_of_a_vehicle(tmp_path, capfd):
     assert "no parameter 'robot1.folow_speed'; did you mean 'robot1.follow_speed'?" in log
     assert log.count('there is no parameter') == 2  # the misspelt one, by each node
     assert log.count('does not have (the agent may): particles, vehicles') == 2
+
+
+def test_a_vehicle_in_a_nested_namespace_has_the_name_that_its_agent_knows(tmp_path, capfd):
+    file = tmp_path / 'team.yaml'
+    file.write_text(SHARED)
+    context = rclpy.Context()
+    context.init(domain_id=own_domain(77))
+    arguments = ['--ros-args', '--params-file', str(file), '-p', 'autostart:=false']
+    node = PathFollowerNode(namespace='/fleet/robot1', context=context, cli_args=arguments)
+    try:
+        assert node.config.body.vehicle_radius == 0.4
+        assert "did you mean 'robot1.follow_speed'?" in capfd.readouterr().err
+    finally:
+        node.stop()
+        node.destroy_node()
+        context.try_shutdown()
+
+
+def test_the_feature_extractor_names_misspelt_parameters(tmp_path, capfd):
+    file = tmp_path / 'team.yaml'
+    file.write_text(SHARED + '    compact_descriptor: false\n')
+    context = rclpy.Context()
+    context.init(domain_id=own_domain(77))
+    arguments = ['--ros-args', '--params-file', str(file)]
+    node = FeatureExtractorNode(namespace='/robot1', context=context, cli_args=arguments)
+    node.stop()
+    node.destroy_node()
+    context.try_shutdown()
+    log = capfd.readouterr().err
+    assert "no parameter 'compact_descriptor'; did you mean 'compact_descriptors'?" in log
+    assert "no parameter 'robot1.folow_speed'; did you mean 'robot1.follow_speed'?" in log
+    assert log.count('there is no parameter') == 2
 
 
 def test_the_settings_of_the_agent_do_not_look_like_misspelt_ones_of_a_vehicle():
