@@ -149,6 +149,8 @@ class Agent:
         resets = track.odometry.resets
         if not len(track.odometry):
             track.placement.check_first_reading(reading.pose)
+        if track.odometry.clock_jumps_back(reading):
+            self._add_keyframe_here(track)  # the motion until now has stamps of the old clock
         if not track.odometry.add(reading):
             track.count('late_odometry')
             return

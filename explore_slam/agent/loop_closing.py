@@ -115,6 +115,8 @@ class LoopClosing:
         last = self._last.get(number)
         distance_driven = self._distances_driven.get(number, 0.0)
         if last is not None:
+            if last.keyframe.number == keyframe.number:
+                return ClosureCounts()
             moved = last.keyframe.odometry.between(keyframe.odometry)
             if not moved_enough(moved, _ANCHOR_DISTANCE, _ANCHOR_HEADING):
                 return ClosureCounts()

@@ -159,13 +159,17 @@ class OdometryBuffer:
             return self.pose
         return self._correction.inverse().compose(self.pose)
 
+    def clock_jumps_back(self, reading: OdometryReading) -> bool:
+        """Return whether a reading is of a clock that has jumped back, and not merely late."""
+        return bool(self._stamps) and self.last - reading.stamp >= self._clock_jump_threshold
+
     def add(self, reading: OdometryReading) -> bool:
         """Append a reading; return False if it was discarded because it is late or repeated."""
-        if self._stamps and reading.stamp <= self.last:
-            if self.last - reading.stamp < self._clock_jump_threshold:
-                return False
+        if self.clock_jumps_back(reading):
             self._restart_clock(reading)
             return True
+        if self._stamps and reading.stamp <= self.last:
+            return False
         if self._stamps and self._is_restart(reading):
             logger.warning(
                 '%s: odometry begins at zero again, %.1f s after its last reading: the driver was '
@@ -299,17 +303,37 @@ class OdometryBuffer:
 
     def _restart_clock(self, reading: OdometryReading) -> None:
         """Continue from the last pose at the stamp of a clock that jumped back."""
+        if self._begins_anew(reading):
+            self.restarts += 1
+            outcome = 'odometry begins at zero again: the driver was restarted; the motion since '
+            outcome += 'then is unknown and counts as none'
+        else:
+            outcome = 'continuing with the new time'
         logger.warning(
-            '%s: odometry stamp went back from %.3f s to %.3f s; continuing with the new time',
+            '%s: odometry stamp went back from %.3f s to %.3f s; %s',
             self.vehicle,
             self.last,
             reading.stamp,
+            outcome,
         )
         self._continue_from(reading)
         pose = self.pose
         self._stamps, self._poses, self._covariances, self._fixes = [], [], [], []
         self._append(reading.stamp, pose)
         self._number = reading.number
+
+    def _begins_anew(self, reading: OdometryReading) -> bool:
+        """Return whether the first reading of a clock that jumped back is of a restarted driver.
+
+        The stamps do not tell how long it was silent: odometry near zero by another publisher is a
+        restart, and zero by one without numbers; a publisher that went on has had its clock set.
+        """
+        tolerance = _ORIGIN_EXACT
+        if reading.number is not None and self._number is not None:
+            if reading.number > self._number:
+                return False
+            tolerance = _ORIGIN_TOLERANCE_LIMIT
+        return _returns_to_origin(reading.pose, self.reading, tolerance)
 
     def _append(self, stamp: float, pose: Pose2) -> None:
         self._stamps.append(stamp)

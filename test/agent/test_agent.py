@@ -159,6 +159,34 @@ def test_a_clock_that_jumps_back_loses_nothing(caplog):
         assert vehicle.error_of(agent.estimate(name)[0]) < 0.06
 
 
+def test_the_motion_until_a_clock_jumps_back_is_kept():
+    """Scans go on at the keyframe that was the newest, which has an anchor already."""
+    agent, team = make_team()
+    vehicle = team['robot1']
+    for ticks in (43, 44, 47, 51):
+        for tick in range(ticks):
+            agent.add('robot1', vehicle.advance())
+            if tick % 3 == 0:
+                agent.add('robot1', vehicle.scan())
+        before = agent.estimate('robot1')[0]
+        vehicle.stamp = 0.0
+        agent.add('robot1', OdometryReading(0.01, vehicle.odometry))
+        after = agent.estimate('robot1')[0]
+        assert before.between(after) == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+
+
+def test_a_driver_that_was_restarted_with_an_earlier_clock_leaves_the_vehicle_lost(caplog):
+    agent, team = make_team()
+    drive(agent, team, 60)
+    pose = agent.estimate('robot1')[0]
+    agent.add('robot1', OdometryReading(0.5, IDENTITY))
+    agent.add('robot1', OdometryReading(0.6, Pose2(0.01, 0.0, 0.0)))
+    (state,) = [item.state for item in agent.statuses() if item.vehicle == 'robot1']
+    assert state is VehicleState.LOST
+    assert math.dist(agent.estimate('robot1')[0][:2], pose[:2]) < 0.2
+    assert caplog.text.count('the driver was restarted') == 1
+
+
 def test_a_base_that_is_reset_under_way_does_not_move_the_vehicle(caplog):
     agent, team = make_team()
     drive(agent, team, 60)

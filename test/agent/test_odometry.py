@@ -67,6 +67,30 @@ def test_a_clock_that_jumps_back_goes_on_from_the_same_pose(caplog):
     assert made.first == 5.0
 
 
+@pytest.mark.parametrize(
+    ('last', 'number', 'reading', 'restarted'),
+    [
+        (7, 0, Pose2(0.0, 0.0, 0.0), True),  # the computer of the vehicle was rebooted
+        (7, 3, Pose2(0.1, 0.05, 0.02), True),  # its first readings were missed
+        (7, 8, Pose2(0.0, 0.0, 0.0), False),  # the clock was set while the driver went on
+        (7, 0, Pose2(2.9, 4.1, 1.0), False),  # another publisher of the same odometry
+        (None, None, Pose2(0.0, 0.0, 0.0), True),
+        (None, None, Pose2(0.1, 0.05, 0.02), False),
+        (None, None, Pose2(3.1, 4.0, 1.0), False),
+    ],
+)
+def test_a_driver_that_was_restarted_with_another_clock_is_a_restart(
+    last, number, reading, restarted, caplog
+):
+    made = OdometryBuffer('robot1', 10.0, 2.0, 1.0)
+    made.add(OdometryReading(100.0, Pose2(3.0, 4.0, 1.0), number=last))
+    assert made.add(OdometryReading(5.0, reading, number=number))
+    assert made.restarts == int(restarted)
+    assert made.pose == Pose2(3.0, 4.0, 1.0)
+    assert len(caplog.records) == 1
+    assert ('the driver was restarted' in caplog.text) is restarted
+
+
 def test_the_buffer_is_bounded():
     made = OdometryBuffer('robot1', 10.0, 2.0, 1.0)
     for tick in range(20000):
