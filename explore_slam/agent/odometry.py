@@ -194,10 +194,14 @@ class OdometryBuffer:
             self._continue_from(reading)
             pose = self.pose
         if self._stamps:
-            duration = max(reading.stamp - self.last, _STAMP_JITTER)
+            # where readings were lost, all the motion may have been within the time of one
+            intervals = max(self._lost_before(reading), 0) + 1
+            duration = max((reading.stamp - self.last) / intervals, _STAMP_JITTER)
             moved, turned = self._motion_to(pose)
-            self._top_speed = max(self._top_speed, moved / duration)
-            self._top_turn_rate = max(self._top_turn_rate, turned / duration)
+            speed = min(moved / duration, self._jump_speed)
+            turn_rate = min(turned / duration, _JUMP_TURN_RATE)
+            self._top_speed = max(self._top_speed, speed)
+            self._top_turn_rate = max(self._top_turn_rate, turn_rate)
         self._append(reading.stamp, pose)
         self._number = reading.number
         return True
@@ -345,6 +349,12 @@ class OdometryBuffer:
             del self._stamps[:keep], self._poses[:keep], self._covariances[:keep]
             self._fixes = [fix for fix in self._fixes if fix.stamp >= self._stamps[0]]
 
+    def _lost_before(self, reading: OdometryReading) -> int:
+        """Return how many readings were lost; negative: another publisher; 0: none, or unknown."""
+        if reading.number is None or self._number is None:
+            return 0
+        return reading.number - self._number - 1
+
     def _is_restart(self, reading: OdometryReading) -> bool:
         """Return whether a reading after a gap is the first of a restarted driver.
 
@@ -361,7 +371,7 @@ class OdometryBuffer:
             return False
         last, was_silent = self.reading, False
         if reading.number is not None and self._number is not None:
-            lost = reading.number - self._number - 1  # negative: its publisher has begun anew
+            lost = self._lost_before(reading)
             if lost > 0 and lost >= _LOST_SHARE * (room - 1.0):
                 return False
             was_silent = True
