@@ -330,13 +330,11 @@ class OdometryBuffer:
         """Return whether the first reading of a clock that jumped back is of a restarted driver.
 
         The stamps do not tell how long it was silent: odometry near zero by another publisher is a
-        restart, and zero by one without numbers; a publisher that went on has had its clock set.
+        restart, and so is one still nearer to it by the same one: a simulator was reset, or a
+        recording begins anew.
         """
-        tolerance = _ORIGIN_EXACT
-        if reading.number is not None and self._number is not None:
-            if reading.number > self._number:
-                return False
-            tolerance = _ORIGIN_TOLERANCE_LIMIT
+        is_another = self._lost_before(reading) < 0
+        tolerance = _ORIGIN_TOLERANCE_LIMIT if is_another else _ORIGIN_TOLERANCE
         return _returns_to_origin(reading.pose, self.reading, tolerance)
 
     def _append(self, stamp: float, pose: Pose2) -> None:

@@ -72,7 +72,8 @@ def test_a_clock_that_jumps_back_goes_on_from_the_same_pose(caplog):
     [
         (7, 0, Pose2(0.0, 0.0, 0.0), True),  # the computer of the vehicle was rebooted
         (7, 3, Pose2(0.1, 0.05, 0.02), True),  # its first readings were missed
-        (7, 8, Pose2(0.0, 0.0, 0.0), False),  # the clock was set while the driver went on
+        (7, 8, Pose2(0.01, 0.0, 0.01), True),  # a simulator was reset
+        (7, 8, Pose2(0.1, 0.05, 0.02), False),  # the clock was set while the driver went on
         (7, 0, Pose2(2.9, 4.1, 1.0), False),  # another publisher of the same odometry
         (None, None, Pose2(0.0, 0.0, 0.0), True),
         (None, None, Pose2(0.1, 0.05, 0.02), False),
