@@ -39,6 +39,7 @@ from explore_slam.settings import (
     with_values,
 )
 
+_AGAIN = 0.05  # s until a signal that was lost is sent again; C code has returned by then, or soon
 _END_TIMEOUT = 20.0  # s from the end of a node to that of its process, which takes well below 1 s
 _NICENESS = -10  # granted to root, and where limits.conf allows it
 _MISSPELT = 0.85  # similarity (difflib) from which a name is a misspelling of another
@@ -294,15 +295,31 @@ class _EndSignals:
             yield
             return
         self._interrupting = True
+        usual_hook = sys.unraisablehook
+        sys.unraisablehook = lambda lost: self._try_again(lost, usual_hook)
         try:
             self._raise_if_received()
             yield
-            self._raise_if_received()  # its exception may have been lost in a finalizer
+            self._raise_if_received()
         except Exception:
             self._raise_if_received()  # or may have become another one on its way
             raise
         finally:
             self._interrupting = False
+            sys.unraisablehook = usual_hook
+
+    def _try_again(self, lost: Any, usual_hook: Callable[[Any], object]) -> None:
+        """Send a signal again whose exception was lost, in a finalizer or a callback from C.
+
+        The compiler of the kernels calls back from C.
+        """
+        if not (self.received and issubclass(lost.exc_type, KeyboardInterrupt)):
+            usual_hook(lost)
+            return
+        self._interrupting = True
+        again = threading.Timer(_AGAIN, os.kill, (os.getpid(), self.received[0]))
+        again.daemon = True
+        again.start()
 
     def _raise_if_received(self) -> None:
         if self.received:
