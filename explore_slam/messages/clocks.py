@@ -4,11 +4,10 @@ import math
 import re
 from collections import deque
 from collections.abc import Mapping
-from statistics import median
 
 # Chosen by hand; test_clocks shows what they decide.
 CLOCKS_APART = 1.0  # s of difference that is named
-_SAMPLES = 20  # newest stamps per topic that are compared; one late message must not count
+_SAMPLES = 20  # newest stamps per topic; the least delayed of them counts
 _NUMBER = re.compile(r'[0-9]+(?:\.[0-9]+)?(?= s | messages)')  # amount (s) or count
 _MINIMUM = 5  # stamps before a topic is judged
 
@@ -37,9 +36,13 @@ class StampWatch:
         return True
 
     def ahead(self) -> dict[str, float]:
-        """Return by how much (s) the stamps of each topic are ahead of the clock, as a median."""
+        """Return by how much (s) the stamps of each topic are ahead of the clock.
+
+        Messages come late, as in a burst after start-up, but never early: of the newest, the least
+        delayed one tells the offset of the clocks.
+        """
         return {
-            topic: median(values)
+            topic: max(values)
             for topic, values in self._ahead.items()
             if len(values) >= _MINIMUM
         }

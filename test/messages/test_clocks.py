@@ -36,6 +36,14 @@ def test_one_late_message_is_no_other_clock():
     assert found.problems('odom') == {}
 
 
+def test_a_burst_of_late_messages_does_not_change_the_amount():
+    found = StampWatch()
+    for k in range(5):
+        found.add('odom', 100.0 + 0.1 * k, 100.4)
+        found.add('scan', 130.0 + 0.1 * k, 100.0 + 0.1 * k)
+    assert found.problems('odom') == {'scan': 'stamps are 30.0 s ahead of those of odom'}
+
+
 def test_stamps_of_zero_are_counted_except_where_time_begins():
     found = StampWatch()
     assert not found.add('scan', 0.0, 1e9)
