@@ -25,6 +25,27 @@ def named_settings(arguments: argparse.Namespace, names: Iterable[str]) -> dict[
     return options
 
 
+def add_set_option(parser: argparse.ArgumentParser) -> None:
+    """Declare `--set`, which `named_settings` reads."""
+    parser.add_argument(
+        '--set',
+        action='append',
+        default=[],
+        metavar='NAME=VALUE',
+        help='value of a setting; may be repeated',
+    )
+
+
+def add_seeds_option(parser: argparse.ArgumentParser, default: range) -> None:
+    """Declare `--seeds`, one run each."""
+    parser.add_argument(
+        '--seeds',
+        type=whole_numbers,
+        default=list(default),
+        help=f'such as 0..9 or 3,5; one run each (default {default.start}..{default.stop - 1})',
+    )
+
+
 def add_topic_option(parser: argparse.ArgumentParser) -> None:
     """Declare `--topic`, which says what a topic of a recording or of other nodes is."""
     parser.add_argument(

@@ -6,7 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 from explore_slam.cli import benchmark_mapping, benchmark_sensors
-from explore_slam.cli.arguments import named_settings, whole_numbers
+from explore_slam.cli.arguments import (
+    add_seeds_option,
+    add_set_option,
+    named_settings,
+    whole_numbers,
+)
 
 HELP = 'measure exploration, mapping, consistency, endurance, aliasing, or sensors'
 
@@ -38,31 +43,15 @@ def _configure_exploration(parser: argparse.ArgumentParser) -> None:
         metavar='NAME',
         help='exploration strategy; may be repeated (default: default and nearest)',
     )
-    _add_seeds(parser, range(10))
+    add_seeds_option(parser, range(10))
+    _add_workers(parser)
     parser.add_argument('--output', type=Path, help='folder for table, runs and plots')
-    _add_set(parser)
+    add_set_option(parser)
 
 
-def _add_seeds(parser: argparse.ArgumentParser, default: range) -> None:
-    text = f'{default.start}..{default.stop - 1}'
-    parser.add_argument(
-        '--seeds',
-        type=whole_numbers,
-        default=list(default),
-        help=f'such as 0..9 or 3,5; one run each (default {text})',
-    )
+def _add_workers(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--workers', type=int, default=2, help='number of parallel processes (default 2)'
-    )
-
-
-def _add_set(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        '--set',
-        action='append',
-        default=[],
-        metavar='NAME=VALUE',
-        help='value of a setting; may be repeated',
     )
 
 
@@ -117,11 +106,12 @@ def _configure_consistency(parser: argparse.ArgumentParser) -> None:
         default='agent',
         help='features from the cameras, or laser and odometry alone (default agent)',
     )
-    _add_seeds(parser, range(5))
+    add_seeds_option(parser, range(5))
+    _add_workers(parser)
     parser.add_argument(
         '--output', type=Path, required=True, help='folder for consistency.json, plots and runs'
     )
-    _add_set(parser)
+    add_set_option(parser)
 
 
 def _run_consistency(arguments: argparse.Namespace) -> int:
@@ -172,7 +162,7 @@ def _configure_endurance(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--output', type=Path, required=True, help='folder for endurance.json and its plot'
     )
-    _add_set(parser)
+    add_set_option(parser)
 
 
 def _run_endurance(arguments: argparse.Namespace) -> int:
@@ -220,7 +210,7 @@ def _configure_twins(parser: argparse.ArgumentParser) -> None:
         '--workers', type=int, default=2, help='number of parallel processes (default 2)'
     )
     parser.add_argument('--output', type=Path, help='folder for twins.json')
-    _add_set(parser)
+    add_set_option(parser)
 
 
 def _run_twins(arguments: argparse.Namespace) -> int:

@@ -6,7 +6,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from explore_slam.cli.arguments import named_settings, whole_numbers
+from explore_slam.cli.arguments import add_seeds_option, add_set_option, named_settings
 
 HELP = 'replay a laser log and measure its map against reference relations'
 
@@ -17,9 +17,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         'relations', type=Path, nargs='?', help='reference relations (SLAM benchmark)'
     )
-    parser.add_argument(
-        '--seeds', type=whole_numbers, default=list(range(5)), help='one run each (default 0..4)'
-    )
+    add_seeds_option(parser, range(5))
     parser.add_argument('--output', type=Path, help='folder for mapping.json, table and maps')
     parser.add_argument(
         '--offset',
@@ -39,13 +37,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default='known',
         help='whether the start pose of the second vehicle is given (default known)',
     )
-    parser.add_argument(
-        '--set',
-        action='append',
-        default=[],
-        metavar='NAME=VALUE',
-        help='another value for a setting of the agent; may be repeated',
-    )
+    add_set_option(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -4,16 +4,14 @@ import argparse
 import sys
 from pathlib import Path
 
-from explore_slam.cli.arguments import named_settings, whole_numbers
+from explore_slam.cli.arguments import add_seeds_option, add_set_option, named_settings
 
 HELP = 'measure pose and map with spinning lidars on a turning vehicle'
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument(
-        '--seeds', type=whole_numbers, default=list(range(5)), help='one run each (default 0..4)'
-    )
+    add_seeds_option(parser, range(5))
     parser.add_argument(
         '--case',
         action='append',
@@ -22,13 +20,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help='only cases whose title contains this; may be repeated',
     )
     parser.add_argument('--output', type=Path, help='folder for sensors.json and pictures')
-    parser.add_argument(
-        '--set',
-        action='append',
-        default=[],
-        metavar='NAME=VALUE',
-        help='another value for a setting of the agent; may be repeated',
-    )
+    add_set_option(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -6,6 +6,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from explore_slam.cli.arguments import add_set_option, named_settings
+
 if TYPE_CHECKING:
     from explore_slam.live.live_run import LiveRun
     from explore_slam.live.run_monitor import RunState
@@ -28,13 +30,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         '--maps', choices=('common', 'dedicated'), help='one common map, or one for each vehicle'
     )
     parser.add_argument('--particles', type=int, help='number of particles')
-    parser.add_argument(
-        '--set',
-        action='append',
-        default=[],
-        metavar='NAME=VALUE',
-        help='value of a setting of the agent; may be repeated',
-    )
+    add_set_option(parser)
     parser.add_argument(
         '--vision',
         choices=('agent', 'vehicle'),
@@ -64,7 +60,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run until complete or until Ctrl-C; write the run folder in both cases."""
-    from explore_slam.cli.arguments import named_settings
     from explore_slam.live.live_run import LiveRun, LiveRunOptions
 
     settings = named_settings(arguments, ('engine', 'maps', 'particles'))

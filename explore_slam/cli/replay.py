@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from explore_slam.cli.arguments import add_topic_option
+from explore_slam.cli.arguments import add_set_option, add_topic_option, named_settings
 
 if TYPE_CHECKING:
     from explore_slam.geometry import Pose2
@@ -33,13 +33,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--config', type=Path, help='ROS parameter file; replaces the settings in the bag'
     )
-    parser.add_argument(
-        '--set',
-        action='append',
-        default=[],
-        metavar='NAME=VALUE',
-        help='value of a setting; may be repeated',
-    )
+    add_set_option(parser)
     parser.add_argument('--vehicles', nargs='+', default=(), help='only these vehicles')
     parser.add_argument(
         '--start',
@@ -63,7 +57,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Replay, write the run folder, print errors beside those of odometry alone."""
     _limit_threads(arguments.threads)
-    from explore_slam.cli.arguments import named_settings
     from explore_slam.cli.progress import progress_bar
     from explore_slam.cli.summary import print_summary
     from explore_slam.results.replay_run import replay_bag
