@@ -1,15 +1,25 @@
 """Stamps against the clock of the receiver and against those of other topics of a vehicle."""
 
 import math
-import re
 from collections import deque
 from collections.abc import Mapping
+from typing import NamedTuple
 
 # Chosen by hand; test_clocks shows what they decide.
 CLOCKS_APART = 1.0  # s of difference that is named
 _SAMPLES = 20  # newest stamps per topic; the least delayed of them counts
-_NUMBER = re.compile(r'[0-9]+(?:\.[0-9]+)?(?= s | messages)')  # amount (s) or count
 _MINIMUM = 5  # stamps before a topic is judged
+
+
+class StampProblem(NamedTuple):
+    """What is wrong with the stamps of a topic.
+
+    kind: equal for the same problem, whatever its amount (s; None: it has none that matters).
+    """
+
+    text: str
+    kind: str
+    amount: float | None = None
 
 
 class StampWatch:
@@ -42,28 +52,28 @@ class StampWatch:
         delayed one tells the offset of the clocks.
         """
         return {
-            topic: max(values)
-            for topic, values in self._ahead.items()
-            if len(values) >= _MINIMUM
+            topic: max(values) for topic, values in self._ahead.items() if len(values) >= _MINIMUM
         }
 
-    def problems(self, reference: str) -> dict[str, str]:
-        """Return topic -> what is wrong with its stamps, with the amount.
+    def problems(self, reference: str) -> dict[str, StampProblem]:
+        """Return topic -> what is wrong with its stamps.
 
         reference: topic with which the others are compared first; its own stamps, and those of
         others if it has none, are compared with the clock.
         """
         found = {
-            topic: f'{count} messages have the stamp zero; the time of receipt is used'
+            topic: StampProblem(
+                f'{count} messages have the stamp zero; the time of receipt is used', 'zero'
+            )
             for topic, count in self.unstamped.items()
         }
         ahead = self.ahead()
         base = ahead.get(reference, math.nan)
         for topic, value in ahead.items():
             if topic != reference and abs(value - base) > CLOCKS_APART:
-                found[topic] = f'stamps are {_amount(value - base)} those of {reference}'
+                found[topic] = _apart(value - base, f'those of {reference}')
             elif not abs(value) <= CLOCKS_APART:
-                found[topic] = f'stamps are {_amount(value)} the clock of this node'
+                found[topic] = _apart(value, 'the clock of this node')
         return found
 
 
@@ -71,30 +81,29 @@ class NamedProblems:
     """The problems of stamps that have been named; one that changes or returns is named again."""
 
     def __init__(self) -> None:
-        self._named: dict[str, str] = {}
+        self._named: dict[str, StampProblem] = {}
 
-    def news(self, problems: Mapping[str, str]) -> list[str]:
+    def news(self, problems: Mapping[str, StampProblem]) -> list[str]:
         """Return 'topic: problem' for each problem not named yet, and forget those that ended.
 
-        A problem is named again when its text changes, or its amount (s) doubles or halves.
+        A problem is named again when its kind changes, or its amount doubles or halves.
         """
-        self._named = {topic: text for topic, text in self._named.items() if topic in problems}
+        self._named = {topic: one for topic, one in self._named.items() if topic in problems}
         found = []
-        for topic, text in sorted(problems.items()):
-            if not _is_same(self._named.get(topic, ''), text):
-                self._named[topic] = text
-                found.append(f'{topic}: {text}')
+        for topic, problem in sorted(problems.items()):
+            named = self._named.get(topic)
+            if named is None or not _is_same(named, problem):
+                self._named[topic] = problem
+                found.append(f'{topic}: {problem.text}')
         return found
 
 
-def _is_same(named: str, text: str) -> bool:
-    if _NUMBER.sub('', named) != _NUMBER.sub('', text):
-        return False
-    old, new = _NUMBER.findall(named), _NUMBER.findall(text)
-    if not new or text[0].isdigit():
-        return True  # no amount, or a count, which only grows
-    return 0.5 * float(old[0]) < float(new[0]) < 2.0 * float(old[0])
+def _is_same(named: StampProblem, problem: StampProblem) -> bool:
+    if named.kind != problem.kind or named.amount is None or problem.amount is None:
+        return named.kind == problem.kind
+    return 0.5 * named.amount < problem.amount < 2.0 * named.amount
 
 
-def _amount(seconds: float) -> str:
-    return f'{abs(seconds):.1f} s {"ahead of" if seconds > 0.0 else "behind"}'
+def _apart(seconds: float, than: str) -> StampProblem:
+    relation = f'{"ahead of" if seconds > 0.0 else "behind"} {than}'
+    return StampProblem(f'stamps are {abs(seconds):.1f} s {relation}', relation, abs(seconds))

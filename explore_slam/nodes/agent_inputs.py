@@ -13,7 +13,7 @@ from rclpy.node import Node
 from explore_slam.errors import DataError, ExploreSlamError
 from explore_slam.geometry import Array, Pose2
 from explore_slam.messages.base import planar_covariance, planar_pose, seconds, time_message
-from explore_slam.messages.clocks import StampWatch
+from explore_slam.messages.clocks import StampProblem, StampWatch
 from explore_slam.messages.measurement import MeasurementKind, MeasurementSink, VehicleReader
 from explore_slam.messages.measurement_kinds import KIND_OF_TOPIC, MEASUREMENT_KINDS
 from explore_slam.messages.sensor_mounts import SensorMounts
@@ -282,22 +282,24 @@ class VehicleInputs:
         """Return the numbers of messages that could not be used so far, by reason."""
         return {'malformed': self.malformed, **self._reader.losses()}
 
-    def clock_problems(self) -> dict[str, str]:
-        """Return topic -> what is wrong with its stamps, with the amount.
+    def clock_problems(self) -> dict[str, StampProblem]:
+        """Return topic -> what is wrong with its stamps.
 
         Before simulated time begins, stamps cannot be compared: that is the problem then.
         """
         if now_seconds(self._node) == 0.0:
             if time.monotonic() - self._since < SILENCE:
                 return {}
-            return {
-                '/clock': 'use_sim_time is true, but no time has come; start what publishes it '
+            text = (
+                'use_sim_time is true, but no time has come; start what publishes it '
                 '(a simulator, ros2 bag play --clock), or set use_sim_time to false'
-            }
+            )
+            return {'/clock': StampProblem(text, 'no time')}
         found = {}
-        for topic, text in self._stamps.problems(TopicKind.ODOMETRY.value).items():
+        for topic, problem in self._stamps.problems(TopicKind.ODOMETRY.value).items():
             hint = f'; if the clocks differ by a constant, set {self.vehicle}.{_OFFSET_OF[topic]}'
-            found[f'{self.vehicle}/{topic}'] = text + hint * (topic not in self._stamps.unstamped)
+            text = problem.text + hint * (problem.amount is not None)
+            found[f'{self.vehicle}/{topic}'] = problem._replace(text=text)
         return found
 
     def silence(self) -> list[str]:

@@ -25,7 +25,7 @@ from explore_slam.data import FollowerReport
 from explore_slam.errors import DataError, ExploreSlamError
 from explore_slam.exploration import PlanningMode
 from explore_slam.geometry import Pose2
-from explore_slam.messages.clocks import NamedProblems
+from explore_slam.messages.clocks import NamedProblems, StampProblem
 from explore_slam.messages.frame_pairing import FRAME
 from explore_slam.messages.odometry import ODOMETRY
 from explore_slam.messages.sensor_mounts import SensorMounts, shared_frames
@@ -453,7 +453,7 @@ class AgentSession:
 
     def _explain_clocks(self) -> None:
         """Log which topics have stamps of another clock, again when that changes."""
-        problems: dict[str, str] = {}
+        problems: dict[str, StampProblem] = {}
         for inputs in self._inputs.values():
             problems.update(inputs.clock_problems())
         for text in self._named_problems.news(problems):

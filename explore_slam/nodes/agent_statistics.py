@@ -103,7 +103,7 @@ class AgentStatistics:
             values.update(figures.get(name, {}))
             bad = status.state in _WARNED
             problems = sorted(by_vehicle[name].clock_problems().items())
-            clocks = [f'{topic}: {text}' for topic, text in problems]
+            clocks = [f'{topic}: {problem.text}' for topic, problem in problems]
             bad |= bool(clocks)
             waits = planning.waiting.get(name, '')
             if status.state is VehicleState.UNLOCALIZED:

@@ -1,6 +1,6 @@
 """Stamps of other clocks are named with the amount."""
 
-from explore_slam.messages.clocks import NamedProblems, StampWatch
+from explore_slam.messages.clocks import NamedProblems, StampProblem, StampWatch
 
 
 def watch(**ahead):
@@ -11,21 +11,28 @@ def watch(**ahead):
     return found
 
 
+def texts(found):
+    return {topic: problem.text for topic, problem in found.problems('odom').items()}
+
+
+def off(seconds):
+    """Return the problems of scans that are ahead of odometry, or behind it."""
+    return watch(odom=0.0, scan=seconds).problems('odom')
+
+
 def test_one_clock_and_small_latencies_are_fine():
-    assert watch(odom=-0.02, scan=-0.15).problems('odom') == {}
+    assert texts(watch(odom=-0.02, scan=-0.15)) == {}
 
 
 def test_a_topic_that_is_off_is_compared_with_odometry():
-    assert watch(odom=0.0, scan=30.0).problems('odom') == {
+    assert texts(watch(odom=0.0, scan=30.0)) == {
         'scan': 'stamps are 30.0 s ahead of those of odom'
     }
-    assert watch(scan=-7.0).problems('odom') == {
-        'scan': 'stamps are 7.0 s behind the clock of this node'
-    }
+    assert texts(watch(scan=-7.0)) == {'scan': 'stamps are 7.0 s behind the clock of this node'}
 
 
 def test_a_vehicle_that_is_off_is_compared_with_the_clock():
-    problems = watch(odom=3600.0, scan=3599.9).problems('odom')
+    problems = texts(watch(odom=3600.0, scan=3599.9))
     assert problems['odom'] == 'stamps are 3600.0 s ahead of the clock of this node'
     assert problems['scan'] == 'stamps are 3599.9 s ahead of the clock of this node'
 
@@ -41,13 +48,13 @@ def test_a_burst_of_late_messages_does_not_change_the_amount():
     for k in range(5):
         found.add('odom', 100.0 + 0.1 * k, 100.4)
         found.add('scan', 130.0 + 0.1 * k, 100.0 + 0.1 * k)
-    assert found.problems('odom') == {'scan': 'stamps are 30.0 s ahead of those of odom'}
+    assert texts(found) == {'scan': 'stamps are 30.0 s ahead of those of odom'}
 
 
 def test_stamps_of_zero_are_counted_except_where_time_begins():
     found = StampWatch()
     assert not found.add('scan', 0.0, 1e9)
-    assert found.problems('odom')['scan'].startswith('1 messages have the stamp zero')
+    assert texts(found)['scan'].startswith('1 messages have the stamp zero')
     simulated = StampWatch()
     assert simulated.add('scan', 0.0, 0.0)
     assert simulated.problems('odom') == {}
@@ -55,18 +62,15 @@ def test_stamps_of_zero_are_counted_except_where_time_begins():
 
 def test_a_problem_is_named_again_when_it_changes_or_returns():
     named = NamedProblems()
-    ahead = {'scan': 'stamps are 30.0 s ahead of those of odom'}
-    assert named.news(ahead) == ['scan: stamps are 30.0 s ahead of those of odom']
-    assert named.news(ahead) == []
-    assert named.news({'scan': 'stamps are 30.4 s ahead of those of odom'}) == []
-    behind = {'scan': 'stamps are 30.0 s behind those of odom'}
-    assert len(named.news(behind)) == 1
-    assert len(named.news({'scan': 'stamps are 300.0 s behind those of odom'})) == 1
+    assert named.news(off(30.0)) == ['scan: stamps are 30.0 s ahead of those of odom']
+    assert named.news(off(30.0)) == []
+    assert named.news(off(30.4)) == []
+    assert len(named.news(off(-30.0))) == 1
+    assert len(named.news(off(-300.0))) == 1
     assert named.news({}) == []
-    assert len(named.news(behind)) == 1
-    assert (
-        len(named.news({**behind, 'odom': 'stamps are 2.0 s behind the clock of this node'})) == 1
-    )
+    assert len(named.news(off(-30.0))) == 1
+    both = watch(odom=-2.0, scan=-32.0).problems('odom')
+    assert named.news(both) == ['odom: stamps are 2.0 s behind the clock of this node']
 
 
 def test_messages_without_stamp_are_named_once_however_many_come():
@@ -81,12 +85,12 @@ def test_messages_without_stamp_are_named_once_however_many_come():
 
 def test_a_problem_without_an_amount_is_named_once():
     named = NamedProblems()
-    problem = {'/clock': 'use_sim_time is true, but no time has come'}
+    problem = {'/clock': StampProblem('no time has come', 'no time')}
     assert [len(named.news(problem)) for _ in range(3)] == [1, 0, 0]
 
 
 def test_stamps_that_become_zero_are_named_instead_of_what_was_wrong_before():
     found = watch(odom=20.0)
-    assert 'ahead' in found.problems('odom')['odom']
+    assert 'ahead' in texts(found)['odom']
     found.add('odom', 0.0, 102.0)
-    assert 'have the stamp zero' in found.problems('odom')['odom']
+    assert 'have the stamp zero' in texts(found)['odom']
