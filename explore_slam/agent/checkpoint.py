@@ -20,7 +20,6 @@ from explore_slam.slam import TeamBelief, checkpoint
 
 State = dict[str, NDArray[Any]]
 VERSION = 4
-_WITHOUT_BEARINGS = 3  # the version before: no scans whose motion within the sweep was undone
 
 
 def save(path: Path, belief: TeamBelief, laser_map: LaserMap, loops: LoopClosing) -> None:
@@ -41,7 +40,7 @@ def load(path: Path, config: AgentConfig) -> tuple[TeamBelief, LaserMap, LoopClo
     try:
         state = checkpoint.read(path)
         version = int(state.get('agent_version', np.array(-1)))
-        if version not in (VERSION, _WITHOUT_BEARINGS):
+        if version != VERSION:
             raise AgentError(f'{path} has agent state version {version}, expected {VERSION}')
         belief = TeamBelief.from_state(checkpoint.part('belief', state))
         scans = checkpoint.part('scans', state)
@@ -87,7 +86,7 @@ def _laser_map(state: State, vehicles: list[str], config: GridConfig) -> LaserMa
             VehicleDisc(int(keyframe), Pose2(x, y, theta), radius)
         )
     first, first_bearing = 0, 0
-    deskewed = set(state['deskewed'].tolist()) if 'deskewed' in state else set()
+    deskewed = set(state['deskewed'].tolist())
     rows = zip(state['numbers'].tolist(), state['scans'].tolist(), strict=True)
     for row, ((keyframe, vehicle, count), (*sweep, x, y, theta)) in enumerate(rows):
         stamp, angle_min, increment, range_min, range_max = sweep
