@@ -15,13 +15,14 @@ from explore_slam.geometry import IDENTITY, Array, Pose2, rotated
 from explore_slam.settings import values_of, with_values
 from explore_slam.slam import checks
 from explore_slam.slam.association.candidates import find_candidates
+from explore_slam.slam.association.reacquisition import without_lone_matches
 from explore_slam.slam.association.state import MAJORITY, AssociationState, CandidateSet
 from explore_slam.slam.checkpoint import Checkpointed, State, part, text_array, text_value, under
 from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.inter_robot_updates import InterRobotUpdates
 from explore_slam.slam.landmarks.landmark_map import Landmarks
 from explore_slam.slam.particles.group import Group
-from explore_slam.slam.particles.resampling import stratified_normals
+from explore_slam.slam.particles.resampling import normalized, stratified_normals
 from explore_slam.slam.posterior.joint_posterior import RelativePose
 from explore_slam.slam.posterior.loop_constraints import LoopConstraints
 from explore_slam.slam.posterior.redrawing import PathRedrawer
@@ -261,6 +262,8 @@ class FastSlam(Checkpointed):
             error = self.config.frame_error.covariance()
             total = P if error is None else P + error
             proposal = self._propose(state, poses, total, normals, group.log_weights)
+            if self._leave_out_lone_matches(number, state, group, proposal):
+                proposal = self._propose(state, poses, total, normals, group.log_weights)
         except FloatingPointError:
             for draw, entries in fused.items():
                 self.map.defer(entries, draw, self.map.reference[entries])
@@ -316,6 +319,23 @@ class FastSlam(Checkpointed):
         if not proposal.is_finite():
             state.discard()
         return proposal.checked()
+
+    def _leave_out_lone_matches(
+        self, number: int, state: AssociationState, group: Group, proposal: PoseProposal
+    ) -> bool:
+        """Leave out reacquired landmarks if these are too few; return whether any was left out."""
+        if not self._engine.redraws or not len(state.found.entries):
+            return False
+        entries = state.found.entries
+        recent = self._team.correlation.is_recent(number, entries, self.map.ids[entries])
+        weights = normalized(group.log_weights + proposal.log_likelihoods)[1]
+        fewer = without_lone_matches(
+            state.found, state.support(weights), recent, self.map.kind.same
+        )
+        if fewer is None:
+            return False
+        state.restrict(fewer)
+        return True
 
     def _resample_before_sampling(
         self, group: Group, state: AssociationState, proposal: PoseProposal

@@ -60,3 +60,23 @@ def test_features_are_found_in_the_mask_only_and_in_a_fixed_order():
     assert len(pixels) > 10
     assert max(u for u, _ in pixels) < 100.5
     assert pixels == sorted(pixels)
+
+
+@pytest.mark.parametrize('name', DETECTORS)
+@pytest.mark.parametrize('axis', [0, 1])
+def test_pixels_are_where_the_texture_is_and_not_displaced(name, axis):
+    """The features of a mirrored image must be the mirror images of the features."""
+    detector = DETECTORS[name](FeatureConfig())
+    grey = frame().rgb
+    last = grey.shape[::-1][axis] - 1
+
+    def pixels(image):
+        return detector.describe(image, detector.find(image, None)).pixels
+
+    plain, mirrored = pixels(grey), pixels(np.ascontiguousarray(np.flip(grey, 1 - axis)))
+    mirrored[:, axis] = last - mirrored[:, axis]
+    apart = np.linalg.norm(plain[:, None] - mirrored, axis=2)
+    same = apart.min(axis=1) < 1.5
+    assert np.count_nonzero(same) > 0.7 * len(plain)
+    off = plain[same, axis] - mirrored[apart.argmin(axis=1)[same], axis]
+    assert abs(np.median(off)) / 2 < 0.05

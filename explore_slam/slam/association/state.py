@@ -89,6 +89,7 @@ class CandidateSet:
     similar_ids (K, A): ids of all landmarks within reach with a similar descriptor, or -1;
     is_distinctive (K,): the descriptor passes Lowe's ratio test (see ratio_test);
     hidden: which entries of the whole map are in another frame than the vehicle, None: no entry.
+    withheld (K,): not to become landmarks (see reacquisition), None: no observation.
 
     Covariances of `measured` are those of each observation by itself: with them it is associated.
     Those of `observed` are inflated where observations repeat earlier ones, and update the filter.
@@ -103,6 +104,7 @@ class CandidateSet:
     similar_ids: Places
     is_distinctive: NDArray[np.bool_]
     hidden: NDArray[np.bool_] | None = None
+    withheld: NDArray[np.bool_] | None = None
 
     def __len__(self) -> int:
         """Return the number of observations."""
@@ -133,6 +135,11 @@ class AssociationState:
     def rows(self) -> CandidateRows:
         """Return the view of the kernels on the staged rows."""
         return self.found.rows_at(self.store.workspace, self.addresses)
+
+    def restrict(self, found: CandidateSet) -> None:
+        """Choose anew among fewer candidates, for the same observations and entries."""
+        self.found = found
+        self.chosen = Associations.undecided(len(found), self.store.particles)
 
     def discard(self) -> None:
         """Free the staged rows; nothing of this update has been committed."""

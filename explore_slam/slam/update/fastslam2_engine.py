@@ -132,7 +132,7 @@ class FastSlam2Engine:
         free: NDArray[np.bool_] = state.chosen.choice < 0
         matched = np.count_nonzero(found.has_similar() & found.is_distinctive)
         agreeing = np.count_nonzero(agreed)
-        new = ~agreed
+        new = ~agreed if found.withheld is None else ~agreed & ~found.withheld
         distinctive = np.count_nonzero(found.is_distinctive)
         if agreeing < max(_CONFIRMING, _CONFIRMING_FRACTION * distinctive):
             new &= ~found.is_distinctive

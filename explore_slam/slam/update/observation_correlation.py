@@ -9,6 +9,7 @@ covariance times (1 + ρ)/(1 − ρ).
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from explore_slam.geometry import Array, Pose2
 from explore_slam.slam.checkpoint import State
@@ -17,6 +18,9 @@ from explore_slam.slam.storage.row_format import Places
 
 # Largest correlation: an observation keeps at least a thousandth of its information.
 _LARGEST = 0.998
+
+# m and rad; in which landmarks pass through the view of a camera of 60°, at a distance of 1 to 2 m
+_RECENT_MOTION = np.array([1.0, 1.0])
 
 
 class ObservationCorrelation:
@@ -70,6 +74,18 @@ class ObservationCorrelation:
         since = np.append(self._travelled[vehicle], stamp) - self._last[vehicle, entries[known]]
         factors[known] = self._inflation(since)
         return factors
+
+    def is_recent(self, vehicle: int, entries: Places, ids: Places) -> NDArray[np.bool_]:
+        """Return (K,) which landmarks a vehicle has observed just before.
+
+        entries (K,) of the landmarks and their ids (K,). It may have left their view and be back.
+        """
+        self._reserve(int(entries.max(initial=-1)) + 1)
+        moved = self._travelled[vehicle] - self._last[vehicle, entries, :2]
+        recent: NDArray[np.bool_] = (self._ids[vehicle, entries] == ids) & (
+            moved <= _RECENT_MOTION
+        ).all(axis=1)
+        return recent
 
     def _inflation(self, since: Array) -> Array:
         """Return (1 + ρ)/(1 − ρ) for motions (…, 3) since the last observation."""

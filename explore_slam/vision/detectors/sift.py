@@ -14,6 +14,10 @@ from explore_slam.vision.sections import FeatureConfig
 _OCTAVE_LAYERS = 3  # per octave of the scale space (Lowe, 2004, section 3.2)
 _SMALLEST = np.float32(1e-12)  # divisor in place of 0
 _UNIT_LENGTH = 0.5  # descriptors of textureless patches have length 0, all others 1
+# px, in x and y, by which OpenCV places every keypoint too far to the right and down: it doubles
+# the image to a scale space in which pixel x lies at 2 x + 0.5, and halves the coordinates again.
+# Versions that can avoid it (`enable_precise_upscale`) do so on request only.
+_OFFSET = 0.25
 
 
 class Sift:
@@ -33,8 +37,9 @@ class Sift:
         """See Detector.find; the orientations are those of the settings."""
         config = self._config
         found = self._sift.detect(grey, None if mask is None else mask.astype(np.uint8))
-        if config.feature_orientation == 'upright':
-            for keypoint in found:
+        for keypoint in found:
+            keypoint.pt = (keypoint.pt[0] - _OFFSET, keypoint.pt[1] - _OFFSET)
+            if config.feature_orientation == 'upright':
                 keypoint.angle = 0.0
         ordered: list[Any] = sorted(
             (k for k in found if k.size >= config.minimum_feature_size),
@@ -47,7 +52,15 @@ class Sift:
 
     def describe(self, grey: NDArray[np.uint8], keypoints: Sequence[Keypoint]) -> Features:
         """See Detector.describe."""
-        described, raw = self._sift.compute(grey, keypoints) if len(keypoints) else ((), None)
+        # as OpenCV knows them
+        found: Sequence[Any] = keypoints
+        shifted = [
+            cv2.KeyPoint(
+                k.pt[0] + _OFFSET, k.pt[1] + _OFFSET, k.size, k.angle, k.response, k.octave
+            )
+            for k in found
+        ]
+        described, raw = self._sift.compute(grey, shifted) if shifted else ((), None)
         if raw is None or not len(described):
             none = np.empty(0)
             return Features(
@@ -56,7 +69,8 @@ class Sift:
         table = np.array([(*k.pt, k.size, k.response) for k in described])
         unit = normalise(raw, root=self._config.root_sift)
         textured = np.linalg.norm(unit, axis=1) > _UNIT_LENGTH
-        return Features(table[:, :2], table[:, 2], table[:, 3], unit).take(textured)
+        pixels = table[:, :2] - _OFFSET
+        return Features(pixels, table[:, 2], table[:, 3], unit).take(textured)
 
 
 def normalise(descriptors: NDArray[np.float32], *, root: bool) -> NDArray[np.float32]:
