@@ -438,10 +438,10 @@ class FastSlam(Checkpointed):
     def close_loops(self, closures: Sequence[RelativePose]) -> list[int]:
         """Record relative poses of keyframes; return the number of each.
 
-        The numbers are for `retract_closure` and `drop_closure`. The paths are redrawn at once if
-        a closure differs from the estimate by more than is expected or the last redraw was some
-        keyframes ago, otherwise with later closures. Groups of vehicles that a closure ties
-        together are merged.
+        The numbers are for `retract_closure` and `drop_closure`. The paths are redrawn, in a
+        large graph beside the caller, if a closure differs from the estimate by more than is
+        expected or the last redraw was some keyframes ago, otherwise with later closures. Groups
+        of vehicles that a closure ties together are merged.
         """
         return self._constraints.close(closures)
 

@@ -54,13 +54,18 @@ class LoopConstraints:
             for factor in factors:
                 joint.retract_closure(factor)
             raise
-        if merges or joint.is_closure_due(measured):
-            replacement = self._redrawer.draw(vehicle for pair in ends for vehicle in pair)
-            if replacement is None:
-                for factor in factors:
-                    joint.retract_closure(factor)
-                raise SlamError('with these closures the joint graph has no definite optimum')
-            self._redrawer.replace_particles(replacement)
+        vehicles = [vehicle for pair in ends for vehicle in pair]
+        if merges:
+            replacement = self._redrawer.draw(vehicles)
+            if replacement is not None:
+                self._redrawer.replace_particles(replacement)
+            drawn = replacement is not None
+        else:
+            drawn = not joint.is_closure_due(measured) or self._redrawer.redraw_soon(vehicles)
+        if not drawn:
+            for factor in factors:
+                joint.retract_closure(factor)
+            raise SlamError('with these closures the joint graph has no definite optimum')
         return factors
 
     def retract(self, number: int) -> None:

@@ -72,25 +72,33 @@ class PathRedrawer:
         return bool(missed > _CONTRADICTED_FRACTION * np.count_nonzero(distinctive))
 
     def redraw_if_due(self, group: Group) -> bool:
-        """Redraw the paths of a group if it no longer represents the posterior.
+        """Redraw the paths of a group if it no longer represents the posterior; see `redraw_soon`.
+
+        Returns whether the paths have been redrawn already.
+        """
+        joint = self._team.joint
+        if joint is None or not joint.is_due(group):
+            return False
+        return self.redraw_soon(group.vehicles) and self._pending is None
+
+    def redraw_soon(self, vehicles: Iterable[int]) -> bool:
+        """Redraw the paths of vehicles and all that are connected with them, without a long wait.
 
         A small graph is sampled at once. A large one is sampled in another thread while the caller
         continues; `complete_pending`, at the next update, waits for the samples and takes them.
         Only motion is recorded in between, whatever the speed of the threads, so that no update
         has to be repeated and the same calls give the same results.
 
-        Returns whether the paths have been redrawn.
+        Returns False if the graph has no definite optimum; of a large graph this is not known yet.
         """
-        joint = self._team.joint
-        if joint is None or not joint.is_due(group):
-            return False
-        snapshot = joint.snapshot(self._tied(group.vehicles))
+        joint = self._team.required_joint()
+        snapshot = joint.snapshot(self._tied(vehicles))
         if snapshot.factors > self._team.config.async_redraw_threshold:
             random = np.random.default_rng(self._team.random.integers(0, 2**63, 2))
             self._pending = _PendingRedraw(
                 snapshot, _executor().submit(joint.draw, snapshot, random)
             )
-            return False
+            return True
         new = self._sampled(snapshot)
         if new is None:
             return False

@@ -78,6 +78,21 @@ def test_a_redraw_follows_a_surprise_or_comes_with_later_closures():
     assert slam.redraws == draws + 2
 
 
+def test_a_large_graph_is_redrawn_beside_the_caller_with_the_same_result():
+    beside, at_once = make(async_redraw_threshold=0), make(async_redraw_threshold=10_000_000)
+    for slam in (beside, at_once):
+        true, keyframes = drive(slam, 'a', LAP)
+        draws, path = slam.redraws, slam.best_path()
+        slam.close_loops([closure(true, keyframes, 0, 24)])
+        if slam is beside:
+            assert slam.redraws == draws
+            np.testing.assert_array_equal(slam.best_path(), path)
+        slam.predict('a', Pose2(0.1, 0.0, 0.0), 1e-4 * np.eye(3))
+        slam.add_keyframe('a', 1e3)
+        assert slam.redraws == draws + 1
+    np.testing.assert_allclose(beside.best_path(), at_once.best_path(), atol=1e-9)
+
+
 def test_a_wrong_closure_among_right_ones_hardly_counts_and_can_be_retracted():
     slam = make()
     true, keyframes = drive(slam, 'a', LAP + LAP)

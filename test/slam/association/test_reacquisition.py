@@ -1,0 +1,96 @@
+"""Lone matches: a landmark that a vehicle returns to counts when others confirm it."""
+
+import numpy as np
+import pytest
+
+from explore_slam.slam.association.reacquisition import without_lone_matches
+from explore_slam.slam.association.state import CandidateSet, Observed
+
+SAME = 0.02
+
+
+def found(candidates, distances):
+    """Return K observations with candidates (K, J) and descriptor distances (K, J)."""
+    count = len(candidates)
+    observed = Observed(np.zeros((count, 3)), np.ones((count, 6)))
+    candidates = np.array(candidates)
+    entries = np.arange(candidates.max() + 1)
+    similar = np.where(candidates >= 0, candidates + 100, -1)
+    return CandidateSet(
+        observed, observed, np.zeros((count, 32), np.float32), entries, candidates,
+        np.array(distances), similar, np.ones(count, bool),
+    )  # fmt: skip
+
+
+def chosen(candidates):
+    """Return the support of particles that all choose the first candidate."""
+    support = np.zeros(np.shape(candidates))
+    support[:, 0] = np.array(candidates)[:, 0] >= 0
+    return support
+
+
+@pytest.mark.parametrize('returning', [1, 2])
+def test_one_or_two_reacquired_landmarks_are_left_out(returning):
+    candidates = [[0, -1], [1, -1], [2, -1], [3, -1], [-1, -1]]
+    recent = np.array([True, True, True, True])
+    recent[:returning] = False
+    fewer = without_lone_matches(
+        found(candidates, np.full((5, 2), 0.1)), chosen(candidates), recent, SAME
+    )
+    assert (fewer.candidates[:returning] < 0).all()
+    np.testing.assert_array_equal(fewer.candidates[returning:], candidates[returning:])
+    np.testing.assert_array_equal(fewer.withheld, np.arange(5) < returning)
+    assert not fewer.is_distinctive[:returning].any()
+    assert fewer.is_distinctive[returning:].all()
+    assert (fewer.similar_ids[:returning] < 0).all()
+
+
+def test_three_reacquired_landmarks_confirm_each_other():
+    candidates = [[0], [1], [2], [3]]
+    recent = np.array([False, False, False, True])
+    assert (
+        without_lone_matches(
+            found(candidates, np.full((4, 1), 0.1)), chosen(candidates), recent, SAME
+        )
+        is None
+    )
+
+
+def test_with_many_observations_more_are_needed():
+    """Three of 400 may be alike by chance."""
+    candidates = [[k] if k < 3 else [-1] for k in range(400)]
+    recent = np.zeros(3, bool)
+    fewer = without_lone_matches(
+        found(candidates, np.full((400, 1), 0.1)), chosen(candidates), recent, SAME
+    )
+    assert (fewer.candidates < 0).all()
+    assert np.count_nonzero(fewer.withheld) == 3
+
+
+def test_a_descriptor_that_names_the_landmark_needs_no_confirmation():
+    candidates = [[0], [1]]
+    recent = np.array([False, False])
+    fewer = without_lone_matches(
+        found(candidates, [[0.0], [0.3]]), chosen(candidates), recent, SAME
+    )
+    np.testing.assert_array_equal(fewer.candidates, [[0], [-1]])
+
+
+def test_the_other_candidate_of_an_observation_remains():
+    """An old look-alike goes, the landmark observed just before stays."""
+    candidates = [[0, 1], [-1, -1]]
+    recent = np.array([False, True])
+    fewer = without_lone_matches(
+        found(candidates, np.full((2, 2), 0.1)), chosen(candidates), recent, SAME
+    )
+    np.testing.assert_array_equal(fewer.candidates, [[-1, 1], [-1, -1]])
+
+
+def test_an_old_landmark_out_of_the_gate_does_not_keep_an_observation_from_the_map():
+    candidates = [[0], [-1]]
+    recent = np.array([False])
+    fewer = without_lone_matches(
+        found(candidates, np.full((2, 1), 0.1)), np.zeros((2, 1)), recent, SAME
+    )
+    assert (fewer.candidates < 0).all()
+    assert not fewer.withheld.any()
