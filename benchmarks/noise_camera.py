@@ -1,0 +1,314 @@
+"""Noise of features in RGB-D frames, beside what the settings of vision claim.
+
+    python benchmarks/noise_camera.py [--tum FOLDER] [--office SECONDS] [--seed N]
+
+Observations of one landmark from different frames are brought together by ground truth and
+descriptor; how they scatter shows three errors:
+- of each feature by itself: along the ray (`depth_noise`) and across it (`pixel_noise`), as
+  factors of what the settings claim: 1 if they are right,
+- of a frame as a whole (`frame_position_deviation`, `frame_heading_deviation`): the planar motion
+  that brings it closest to the landmarks, less what the errors of the features explain of it,
+- how the errors of one feature in two frames correlate, by the motion between them
+  (`correlation_distance`, `correlation_turn`).
+
+--tum: a folder of the TUM RGB-D benchmark, with ground truth from motion capture. --office: a run
+of two vehicles in the simulated office, whose camera has the depth noise of a Kinect
+(Khoshelham and Elberink, 2012) and no error of frames.
+"""
+
+import argparse
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from explore_slam.data import LandmarkObservations, LaserScan, OdometryReading, RgbdFrame
+from explore_slam.geometry import Array, Pose2, planar_rotation
+from explore_slam.settings import with_values
+from explore_slam.studies.closed_loop import ClosedLoop, ClosedLoopConfig
+from explore_slam.studies.experiments.tum_frames import read_tum
+from explore_slam.vision import VisionConfig
+
+OFFICE = Path(__file__).parents[1] / 'config' / 'worlds' / 'office.yaml'
+SAME_PLACE = 0.08  # m, by ground truth
+SAME_DESCRIPTOR = 0.15  # squared distance of descriptors, well below the 0.4 of the filter
+MINIMUM_FRAMES = 4  # in which a landmark is seen
+MINIMUM_FEATURES = 15  # of a frame, five times the unknowns of its error
+OUTLIER = 5.0  # robust deviations
+ROUNDS = 5
+TO_DEVIATION = 1.4826  # of the median absolute deviation of a normal distribution
+LAGS = ((0.0, 0.05), (0.05, 0.1), (0.1, 0.2), (0.2, 0.3), (0.3, 0.5), (0.5, 0.8), (0.8, 1.2))
+
+
+class Frame(NamedTuple):
+    """Observations of a frame, its true pose, and the way (m, rad) of the vehicle until then."""
+
+    vehicle: int
+    pose: Array
+    driven: float
+    turned: float
+    observations: LandmarkObservations
+
+
+class Features(NamedTuple):
+    """Features (N,) that belong to landmarks: frame and landmark of each, and more.
+
+    points (N, 3): in the vehicle frame; along and across (N,): claimed deviations (m).
+    """
+
+    frame: NDArray[np.int64]
+    landmark: NDArray[np.int64]
+    points: Array
+    along: Array
+    across: Array
+
+
+class RecordedLoop(ClosedLoop):
+    """A closed loop that keeps the features that its vehicles extract, and true poses."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.seen: list[tuple[str, LandmarkObservations]] = []
+        self.true: dict[str, list[tuple[float, ...]]] = {name: [] for name in self.followers}
+
+    def _add(
+        self, name: str, record: OdometryReading | LaserScan | RgbdFrame | LandmarkObservations
+    ) -> None:
+        if isinstance(record, LandmarkObservations):
+            self.seen.append((name, record))
+        super()._add(name, record)
+
+
+def office(seconds: float, seed: int) -> list[Frame]:
+    """Drive in the simulated office; return the frames of all vehicles."""
+    config = with_values(ClosedLoopConfig(), {'time_limit': seconds})
+    loop = RecordedLoop(OFFICE, config, 2, seed, vision='vehicle')
+    while not loop.ended:
+        loop.step()
+        for name, poses in loop.true.items():
+            poses.append((loop.simulator.time, *loop.simulator.true_pose(name)))
+    loop.simulator.close()
+    return [
+        frame
+        for number, (name, true) in enumerate(loop.true.items())
+        for frame in frames_of(number, np.array(true), [s for n, s in loop.seen if n == name])
+    ]
+
+
+def frames_of(
+    number: int, true: Array, observations: Iterable[LandmarkObservations]
+) -> Iterator[Frame]:
+    """Yield the frames of a vehicle with its true poses (T, 4): stamp (s), x, y (m), θ (rad)."""
+    true[:, 3] = np.unwrap(true[:, 3])
+    steps = np.abs(np.diff(true[:, 1:], axis=0))
+    driven = np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))])
+    turned = np.concatenate([[0.0], np.cumsum(steps[:, 2])])
+    for seen in observations:
+        x, y, theta, distance, angle = (
+            float(np.interp(seen.stamp, true[:, 0], column))
+            for column in (*true[:, 1:].T, driven, turned)
+        )
+        yield Frame(number, np.array([x, y, theta]), distance, angle, seen)
+
+
+def tum(folder: Path) -> list[Frame]:
+    """Read a TUM RGB-D folder."""
+    frames, driven, turned, last = list[Frame](), 0.0, 0.0, None
+    for frame in read_tum(folder, VisionConfig()):
+        moved = Pose2(0.0, 0.0, 0.0) if last is None else last.between(frame.pose)
+        driven += float(np.hypot(moved.x, moved.y))
+        turned += abs(moved.theta)
+        frames.append(Frame(0, np.asarray(frame.pose), driven, turned, frame.observations))
+        last = frame.pose
+    return frames
+
+
+def place(pose: Array, points: Array) -> Array:
+    """Return points (K, 3) of the vehicle frame in the world."""
+    placed: Array = points @ planar_rotation(float(pose[2])).T
+    placed[:, :2] += pose[:2]
+    return placed
+
+
+def place_all(poses: Array, features: Features) -> Array:
+    """Return the features (N, 2) in the world, those of each frame placed at its pose."""
+    world = np.empty((len(features.frame), 2))
+    for number in np.unique(features.frame):
+        rows = features.frame == number
+        world[rows] = place(poses[number], features.points[rows])[:, :2]
+    return world
+
+
+def associate(frames: Iterable[Frame]) -> Features:
+    """Find the landmarks that the features of frames belong to, by true place and descriptor."""
+    descriptors, places = np.empty((0, 0)), np.empty((0, 3))
+    rows = list[tuple[float, ...]]()
+    for number, frame in enumerate(frames):
+        seen = frame.observations
+        world = place(frame.pose, seen.positions)
+        mine = np.full(len(world), -1)
+        if len(places):
+            near = KDTree(places).query_ball_point(world, SAME_PLACE)
+            taken = set[int]()
+            for k, some in enumerate(near):
+                apart = ((descriptors[some] - seen.descriptors[k]) ** 2).sum(axis=1)
+                if len(some) and apart.min() < SAME_DESCRIPTOR:
+                    best = some[int(apart.argmin())]
+                    if best not in taken:
+                        mine[k] = best
+                        taken.add(best)
+        else:
+            descriptors = np.empty((0, seen.descriptors.shape[1]), np.float32)
+        new = np.flatnonzero(mine < 0)
+        mine[new] = len(places) + np.arange(len(new))
+        places = np.concatenate([places, world[new]])
+        descriptors = np.concatenate([descriptors, seen.descriptors[new]])
+        bearing = np.arctan2(seen.positions[:, 1], seen.positions[:, 0])
+        along = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
+        across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+        P = seen.covariances[:, :2, :2]
+        for k in range(len(world)):
+            claimed = [float(np.sqrt(u[k] @ P[k] @ u[k])) for u in (along, across)]
+            rows.append((number, mine[k], *seen.positions[k], *claimed))
+    table = np.array(rows)
+    count = np.bincount(table[:, 1].astype(np.int64))
+    table = table[count[table[:, 1].astype(np.int64)] >= MINIMUM_FRAMES]
+    return Features(
+        table[:, 0].astype(np.int64),
+        table[:, 1].astype(np.int64),
+        table[:, 2:5],
+        table[:, 5],
+        table[:, 6],
+    )
+
+
+def robust(values: Array) -> float:
+    """Return the deviation of values around zero, by their median."""
+    return float(TO_DEVIATION * np.median(np.abs(values))) if len(values) else float('nan')
+
+
+class Scatter(NamedTuple):
+    """How features scatter around their landmarks, once the errors of frames are taken away.
+
+    normal (N, 2): errors along and across the ray, in claimed deviations; inlier (N,): to be used.
+    corrections (F, 3): of the poses of frames, in the world; explained (F, 3): what variance of
+    them the errors of the features explain, NaN for frames with too few.
+    """
+
+    normal: Array
+    inlier: NDArray[np.bool_]
+    corrections: Array
+    explained: Array
+
+
+def scatter(poses: Array, features: Features) -> Scatter:
+    """Fit the planar error of every frame with poses (F, 3), and the places of the landmarks."""
+    corrections, explained = np.zeros_like(poses), np.full_like(poses, np.nan)
+    count = np.bincount(features.landmark)[features.landmark]
+    groups = [np.flatnonzero(features.landmark == n) for n in np.unique(features.landmark)]
+    for _ in range(ROUNDS):
+        corrected = poses + corrections
+        world, own = place_all(corrected, features), corrected[features.frame]
+        off = np.empty_like(world)
+        for rows in groups:
+            off[rows] = world[rows] - np.median(world[rows], axis=0)
+        direction = np.arctan2(features.points[:, 1], features.points[:, 0]) + own[:, 2]
+        c, s = np.cos(direction), np.sin(direction)
+        axes = np.stack([np.stack([c, s], axis=1), np.stack([-s, c], axis=1)], axis=1)
+        claimed = np.stack([features.along, features.across], axis=1)
+        normal = np.einsum('nij,nj->ni', axes, off) / claimed
+        scale = np.array([robust(normal[:, 0]), robust(normal[:, 1])])
+        inlier = (np.abs(normal) < OUTLIER * scale).all(axis=1)
+        # of the errors (N, 2) in a step (dx, dy, dθ) of the pose, weighted
+        arm = world - own[:, :2]
+        turned = np.einsum('nij,nj->ni', axes, np.stack([-arm[:, 1], arm[:, 0]], axis=1))
+        J = np.concatenate([axes, turned[:, :, None]], axis=2) / (scale * claimed)[:, :, None]
+        for number in np.unique(features.frame):
+            rows = np.flatnonzero((features.frame == number) & inlier)
+            if len(rows) >= MINIMUM_FEATURES:
+                A, b = J[rows].reshape(-1, 3), (normal[rows] / scale).ravel()
+                corrections[number] -= np.linalg.lstsq(A, b, rcond=None)[0]
+                explained[number] = np.diag(np.linalg.inv(A.T @ A))
+    # landmarks are made of the features themselves: (n - 1)/n of the variance is in the errors
+    normal = normal * np.sqrt(count / (count - 1.0))[:, None]
+    inlier &= ~np.isnan(explained[features.frame, 0])
+    return Scatter(normal, inlier, corrections, explained)
+
+
+def evaluate(frames: list[Frame]) -> None:
+    """Print the errors of features and frames, and the correlations."""
+    features, poses = associate(frames), np.array([frame.pose for frame in frames])
+    found = scatter(poses, features)
+    normal = found.normal[found.inlier]
+    print(
+        f'{len(frames)} frames, {len(normal)} features of landmarks seen in '
+        f'{MINIMUM_FRAMES} or more'
+    )
+    print(
+        f'feature: along the ray {robust(normal[:, 0]):.2f}, across {robust(normal[:, 1]):.2f} '
+        'of the claimed deviations'
+    )
+    fitted = ~np.isnan(found.explained[:, 0])
+    own = np.array(
+        [
+            planar_rotation(-pose[2]) @ step
+            for pose, step in zip(poses[fitted], found.corrections[fitted], strict=True)
+        ]
+    )
+    spread = np.array([robust(column) for column in own.T])
+    rest = 1e3 * np.sqrt(np.maximum(spread**2 - np.median(found.explained[fitted], axis=0), 0.0))
+    print(
+        f'frame: forward {rest[0]:.1f} mm, sideways {rest[1]:.1f} mm, heading {rest[2]:.1f} mrad'
+    )
+    correlations(frames, features, found.normal, found.inlier)
+
+
+def correlations(
+    frames: list[Frame], features: Features, normal: Array, used: NDArray[np.bool_]
+) -> None:
+    """Print the correlation of the errors of a landmark in two frames of a vehicle."""
+    way = np.array([[frame.driven, frame.turned, frame.vehicle] for frame in frames])
+    pairs = list[Array]()
+    for landmark in np.unique(features.landmark[used]):
+        rows = np.flatnonzero(used & (features.landmark == landmark))
+        a, b = np.triu_indices(len(rows), 1)
+        a, b = rows[a], rows[b]
+        between = way[features.frame[b]] - way[features.frame[a]]
+        pairs.append(np.column_stack([between, normal[a], normal[b]]))
+    table = np.concatenate(pairs)
+    table = table[table[:, 2] == 0.0]
+    for title, own, other in (('driven (m)', 0, 1), ('turned (rad)', 1, 0)):
+        print(f'correlation by what was {title}: along, across (pairs)')
+        for low, high in LAGS:
+            some = (table[:, own] >= low) & (table[:, own] < high)
+            some &= table[:, other] < 0.15
+            if np.count_nonzero(some) < 50:
+                continue
+            rho = [
+                2.0 * np.mean(table[some, 3 + n] * table[some, 5 + n])
+                / np.mean(table[some, 3 + n] ** 2 + table[some, 5 + n] ** 2)
+                for n in (0, 1)
+            ]  # fmt: skip
+            print(f'  {low:.2f} to {high:.2f}: {rho[0]:5.2f} {rho[1]:5.2f} ({some.sum()})')
+
+
+def main() -> None:
+    """Run the command."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('--tum', type=Path, help='folder of the TUM RGB-D benchmark')
+    parser.add_argument('--office', type=float, help='seconds in the simulated office')
+    parser.add_argument('--seed', type=int, default=0, help='of the simulation (default 0)')
+    options = parser.parse_args()
+    if options.tum is not None:
+        print(options.tum.name)
+        evaluate(tum(options.tum))
+    if options.office is not None:
+        print(f'office, {options.office:.0f} s, seed {options.seed}')
+        evaluate(office(options.office, options.seed))
+
+
+if __name__ == '__main__':
+    main()
