@@ -327,11 +327,9 @@ class FastSlam(Checkpointed):
         if not self._engine.redraws or not len(state.found.entries):
             return False
         entries = state.found.entries
-        recent = self._team.correlation.is_recent(number, entries, self.map.ids[entries])
+        ages = self._team.correlation.ages(number, entries, self.map.ids[entries])
         weights = normalized(group.log_weights + proposal.log_likelihoods)[1]
-        fewer = without_lone_matches(
-            state.found, state.support(weights), recent, self.map.kind.same
-        )
+        fewer = without_lone_matches(state.found, state.support(weights), ages, self.map.kind.same)
         if fewer is None:
             return False
         state.restrict(fewer)

@@ -9,7 +9,6 @@ covariance times (1 + ρ)/(1 − ρ).
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from explore_slam.geometry import Array, Pose2
 from explore_slam.slam.checkpoint import State
@@ -20,7 +19,7 @@ from explore_slam.slam.storage.row_format import Places
 _LARGEST = 0.998
 
 # m and rad; in which landmarks pass through the view of a camera of 60°, at a distance of 1 to 2 m
-_RECENT_MOTION = np.array([1.0, 1.0])
+_VIEW = np.array([1.0, 1.0])
 
 
 class ObservationCorrelation:
@@ -75,17 +74,17 @@ class ObservationCorrelation:
         factors[known] = self._inflation(since)
         return factors
 
-    def is_recent(self, vehicle: int, entries: Places, ids: Places) -> NDArray[np.bool_]:
-        """Return (K,) which landmarks a vehicle has observed just before.
+    def ages(self, vehicle: int, entries: Places, ids: Places) -> Array:
+        """Return (K,) the motion of a vehicle since it observed landmarks, infinite if never.
 
-        entries (K,) of the landmarks and their ids (K,). It may have left their view and be back.
+        entries (K,) of the landmarks and their ids (K,). The unit is the motion in which landmarks
+        pass through the view of a camera; of distance and turn, the larger counts.
         """
         self._reserve(int(entries.max(initial=-1)) + 1)
         moved = self._travelled[vehicle] - self._last[vehicle, entries, :2]
-        recent: NDArray[np.bool_] = (self._ids[vehicle, entries] == ids) & (
-            moved <= _RECENT_MOTION
-        ).all(axis=1)
-        return recent
+        known = self._ids[vehicle, entries] == ids
+        ages: Array = np.where(known, (moved / _VIEW).max(axis=1), np.inf)
+        return ages
 
     def _inflation(self, since: Array) -> Array:
         """Return (1 + ρ)/(1 − ρ) for motions (…, 3) since the last observation."""

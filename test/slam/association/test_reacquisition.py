@@ -32,10 +32,10 @@ def chosen(candidates):
 @pytest.mark.parametrize('returning', [1, 2])
 def test_one_or_two_reacquired_landmarks_are_left_out(returning):
     candidates = [[0, -1], [1, -1], [2, -1], [3, -1], [-1, -1]]
-    recent = np.array([True, True, True, True])
-    recent[:returning] = False
+    ages = np.full(4, 0.5)
+    ages[:returning] = 7.0
     fewer = without_lone_matches(
-        found(candidates, np.full((5, 2), 0.1)), chosen(candidates), recent, SAME
+        found(candidates, np.full((5, 2), 0.1)), chosen(candidates), ages, SAME
     )
     assert (fewer.candidates[:returning] < 0).all()
     np.testing.assert_array_equal(fewer.candidates[returning:], candidates[returning:])
@@ -47,10 +47,10 @@ def test_one_or_two_reacquired_landmarks_are_left_out(returning):
 
 def test_three_reacquired_landmarks_confirm_each_other():
     candidates = [[0], [1], [2], [3]]
-    recent = np.array([False, False, False, True])
+    ages = np.array([7.0, 7.5, 8.0, 0.2])
     assert (
         without_lone_matches(
-            found(candidates, np.full((4, 1), 0.1)), chosen(candidates), recent, SAME
+            found(candidates, np.full((4, 1), 0.1)), chosen(candidates), ages, SAME
         )
         is None
     )
@@ -59,9 +59,9 @@ def test_three_reacquired_landmarks_confirm_each_other():
 def test_with_many_observations_more_are_needed():
     """Three of 400 may be alike by chance."""
     candidates = [[k] if k < 3 else [-1] for k in range(400)]
-    recent = np.zeros(3, bool)
+    ages = np.full(3, np.inf)
     fewer = without_lone_matches(
-        found(candidates, np.full((400, 1), 0.1)), chosen(candidates), recent, SAME
+        found(candidates, np.full((400, 1), 0.1)), chosen(candidates), ages, SAME
     )
     assert (fewer.candidates < 0).all()
     assert np.count_nonzero(fewer.withheld) == 3
@@ -69,28 +69,48 @@ def test_with_many_observations_more_are_needed():
 
 def test_a_descriptor_that_names_the_landmark_needs_no_confirmation():
     candidates = [[0], [1]]
-    recent = np.array([False, False])
-    fewer = without_lone_matches(
-        found(candidates, [[0.0], [0.3]]), chosen(candidates), recent, SAME
-    )
+    ages = np.array([7.0, 7.0])
+    fewer = without_lone_matches(found(candidates, [[0.0], [0.3]]), chosen(candidates), ages, SAME)
     np.testing.assert_array_equal(fewer.candidates, [[0], [-1]])
 
 
 def test_the_other_candidate_of_an_observation_remains():
     """An old look-alike goes, the landmark observed just before stays."""
     candidates = [[0, 1], [-1, -1]]
-    recent = np.array([False, True])
+    ages = np.array([np.inf, 0.0])
     fewer = without_lone_matches(
-        found(candidates, np.full((2, 2), 0.1)), chosen(candidates), recent, SAME
+        found(candidates, np.full((2, 2), 0.1)), chosen(candidates), ages, SAME
     )
     np.testing.assert_array_equal(fewer.candidates, [[-1, 1], [-1, -1]])
 
 
 def test_an_old_landmark_out_of_the_gate_does_not_keep_an_observation_from_the_map():
     candidates = [[0], [-1]]
-    recent = np.array([False])
+    ages = np.array([7.0])
     fewer = without_lone_matches(
-        found(candidates, np.full((2, 1), 0.1)), np.zeros((2, 1)), recent, SAME
+        found(candidates, np.full((2, 1), 0.1)), np.zeros((2, 1)), ages, SAME
     )
     assert (fewer.candidates < 0).all()
     assert not fewer.withheld.any()
+
+
+def test_landmarks_of_a_later_visit_do_not_confirm_those_of_an_earlier_one():
+    """Those mapped since the vehicle lost sight of the old ones share the error of its pose."""
+    candidates = [[k] for k in range(6)]
+    ages = np.array([20.0, 21.0, 3.0, 3.5, 4.2, 0.5])
+    fewer = without_lone_matches(
+        found(candidates, np.full((6, 1), 0.1)), chosen(candidates), ages, SAME
+    )
+    np.testing.assert_array_equal(fewer.candidates[:, 0], [-1, -1, 2, 3, 4, 5])
+    np.testing.assert_array_equal(fewer.withheld, [True, True, False, False, False, False])
+
+
+def test_another_candidate_of_a_confirmed_visit_is_left_to_the_particles():
+    candidates = [[0, -1], [1, -1], [2, -1], [3, 4]]
+    ages = np.array([7.0, 7.0, 7.0, 0.5, 7.3])
+    assert (
+        without_lone_matches(
+            found(candidates, np.full((4, 2), 0.1)), chosen(candidates), ages, SAME
+        )
+        is None
+    )
