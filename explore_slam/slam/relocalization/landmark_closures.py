@@ -109,10 +109,10 @@ class LandmarkClosures:
         """Forget a closure that has been retracted."""
         self.closures = [other for other in self.closures if other is not closure]
 
-    def newest(self, vehicles: set[int], count: int) -> list[LandmarkClosure]:
-        """Return the newest closures of vehicles, newest first."""
-        own = [closure for closure in self.closures if closure.vehicle in vehicles]
-        return own[::-1][:count]
+    def newest(self, vehicle: int, tied: set[int]) -> list[LandmarkClosure]:
+        """Return the newest closure of each tied vehicle: the vehicle's own, then newest first."""
+        newest = {closure.vehicle: closure for closure in self.closures if closure.vehicle in tied}
+        return sorted(newest.values(), key=lambda c: (c.vehicle != vehicle, -c.keyframe))
 
     def state_dict(self) -> State:
         """Return the closures."""

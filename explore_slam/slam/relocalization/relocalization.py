@@ -40,7 +40,9 @@ _PLAUSIBLE = 64.0
 # A closure is retracted in favour of another one if drift explains it less well by this squared
 # Mahalanobis distance, a likelihood ratio of 100.
 _LESS_PLAUSIBLE = 9.2
-_RIVALS = 3  # newest closures that may be the wrong one; each is tried, which takes two redraws
+# Closures that may be the wrong one: the newest of this vehicle, since older ones are held by it,
+# and of another one. Each is tried: an optimization of the graph, and another to undo it.
+_RIVALS = 2
 # Chosen by hand; `benchmarks/relocalization.py` and test_landmark_loops show what a change does.
 # Distance (m, rad) of the corrected pose from the relocalized one that is tolerated beside its
 # standard deviation: the joint graph weighs the pose against all other observations.
@@ -248,8 +250,8 @@ class Relocalization:
         nothing changes.
         """
         joint = self._team.required_joint()
-        vehicles = joint.graph.tied(loop.number)
-        for closure in self._closures.newest(vehicles, _RIVALS):
+        rivals = self._closures.newest(loop.number, joint.graph.tied(loop.number))
+        for closure in rivals[:_RIVALS]:
             saved = _saved(joint)
             if self._replaces(loop, closure):
                 self._closures.retract(closure)

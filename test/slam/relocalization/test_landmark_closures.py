@@ -50,11 +50,12 @@ def test_few_closures_are_kept_and_the_newest_come_first():
     closures = LandmarkClosures()
     for k in range(20):
         closures.add(closure(k, vehicle=k % 2), 20.0 * k)
-    assert [c.keyframe for c in closures.newest({0, 1}, 3)] == [19, 18, 17]
-    assert [c.keyframe for c in closures.newest({1}, 9)] == [19, 17, 15, 13]
-    gone = closures.newest({0}, 1)[0]
+    assert [c.keyframe for c in closures.closures] == list(range(12, 20))
+    assert [c.keyframe for c in closures.newest(0, {0, 1})] == [18, 19]
+    assert [c.keyframe for c in closures.newest(2, {0, 1, 2})] == [19, 18]
+    (gone,) = closures.newest(0, {0})
     closures.retract(gone)
-    assert [c.keyframe for c in closures.newest({0}, 1)] == [16]
+    assert [c.keyframe for c in closures.newest(0, {0})] == [16]
 
 
 def test_the_state_is_restored():
