@@ -169,6 +169,7 @@ class Team:
             if summary.joined:
                 logger.info('%s joined the map by the landmarks that it observes', track.name)
             track.count('landmark_closures', int(summary.closed))
+            track.count('landmark_closures_retracted', int(summary.retracted))
             track.placement.check_update(summary)
         else:
             track.count('frames_without_landmarks')

@@ -18,7 +18,7 @@ from explore_slam.data import LaserScan
 from explore_slam.errors import MappingError
 from explore_slam.geometry import IDENTITY, Array, Pose2, wrap_angles
 from explore_slam.mapping.config import GridConfig
-from explore_slam.mapping.occupancy_grid import NO_BODIES, OccupancyGrid
+from explore_slam.mapping.occupancy_grid import NO_BODIES, OccupancyGrid, PlacedScan
 
 logger = logging.getLogger(__name__)
 SNAPSHOT_SPACING = 16  # scans between the closest snapshots; powers of two of it further back
@@ -132,14 +132,13 @@ class LaserMap:
         start, refused = self._drawn, 0
         poses[: len(moved)][~moved] = self._path[: len(moved)][~moved]
         self._path, self._in_map = poses, placed
-        while self._drawn < len(self._scans) and self._can_draw(self._scans[self._drawn], poses):
-            try:
-                self._draw(self._scans[self._drawn], poses)
-            except MappingError as error:
-                logger.warning('scan of keyframe %d: %s', self._scans[self._drawn].keyframe, error)
-                refused += 1
-            self._drawn += 1
-            if self._drawn % SNAPSHOT_SPACING == 0:
+        end = self._drawn
+        while end < len(self._scans) and self._can_draw(self._scans[end], poses):
+            end += 1
+        # only snapshots that remain at the end are worth a copy of the grid
+        for stop in [*sorted(n for n in _snapshot_positions(end) if n > start), end]:
+            refused += self._draw(stop)
+            if stop % SNAPSHOT_SPACING == 0 and stop > start:
                 self._keep_snapshot()
         return RedrawSummary(start, self._drawn - start, len(self._scans) - self._drawn, refused)
 
@@ -183,9 +182,19 @@ class LaserMap:
         newest = max([item.keyframe, *(body.keyframe for body in item.bodies)])
         return newest < len(poses)
 
-    def _draw(self, item: KeyframeScan, poses: Array) -> None:
-        if not self._in_map[item.keyframe]:
-            return
+    def _draw(self, stop: int) -> int:
+        """Draw the scans up to a number; return how many the grid refused."""
+        items = self._scans[self._drawn : stop]
+        self._drawn = stop
+        placed = [self._placed(item) for item in items if self._in_map[item.keyframe]]
+        errors = self.grid.insert_scans(placed)
+        for error in errors:
+            logger.warning('%s', error)
+        return len(errors)
+
+    def _placed(self, item: KeyframeScan) -> PlacedScan:
+        """Return a scan at the pose that its keyframe has on the path."""
+        poses = self._path
         keyframe = Pose2(*poses[item.keyframe].tolist())
         ignore = NO_BODIES
         if item.bodies:
@@ -199,7 +208,7 @@ class LaserMap:
                 pose = base.compose(body.offset)
                 rows.append((pose.x, pose.y, body.radius))
             ignore = np.array(rows).reshape(-1, 3)
-        self.grid.insert_scan(keyframe.compose(item.laser_in_keyframe), item.scan, ignore)
+        return PlacedScan(keyframe.compose(item.laser_in_keyframe), item.scan, ignore)
 
     def _keep_snapshot(self) -> None:
         """Store the current grid; drop old snapshots by position and by memory."""

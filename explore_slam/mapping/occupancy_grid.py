@@ -6,7 +6,8 @@ scans give the same bits.
 """
 
 import math
-from typing import Any
+from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -46,6 +47,39 @@ def _probability_table() -> NDArray[np.float32]:
 
 
 _PROBABILITY = _probability_table()
+
+
+class PlacedScan(NamedTuple):
+    """A scan and the pose of the laser in the map.
+
+    ignore (V, 3): x, y and radius (m) of vehicles, whose bodies must not become walls.
+    """
+
+    pose: Pose2
+    scan: LaserScan
+    ignore: ArrayLike = NO_BODIES
+
+
+class _Area(NamedTuple):
+    """Cells of the map, without the last column (right) and row (above)."""
+
+    left: int
+    below: int
+    right: int
+    above: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.above - self.below, self.right - self.left
+
+    def including(self, other: '_Area') -> '_Area':
+        """Return the smallest area that holds both."""
+        return _Area(
+            min(self.left, other.left),
+            min(self.below, other.below),
+            max(self.right, other.right),
+            max(self.above, other.above),
+        )
 
 
 class OccupancyGrid:
@@ -159,10 +193,39 @@ class OccupancyGrid:
         ignore (V, 3): x, y and radius (m) of vehicles, whose bodies must not become walls.
         MappingError, and the grid unchanged, if the scan does not fit into maximum_map_side.
         """
-        bodies = np.asarray(ignore, np.float64).reshape(-1, 3)
+        for error in self.insert_scans([PlacedScan(pose, scan, ignore)]):
+            raise error
+
+    def insert_scans(self, scans: Iterable[PlacedScan]) -> list[MappingError]:
+        """Add scans in their order; the grid grows once for all of them.
+
+        Returns an error for each scan that is left out because it does not fit into
+        maximum_map_side.
+        """
+        errors, prepared = list[MappingError](), list[Beams]()
+        area = self._area()
+        for placed in scans:
+            try:
+                beams = self._beams(placed)
+                if beams is None:
+                    continue
+                area = self._area_with(area, beams)
+            except MappingError as error:
+                errors.append(error)
+                continue
+            prepared.append(beams)
+        if area is not None and area != self._area():
+            self._grow(area)
+        for beams in prepared:
+            self._draw(beams)
+        return errors
+
+    def _beams(self, placed: PlacedScan) -> Beams | None:
+        """Return the beams of a scan that change the grid, in m; None if none of them do."""
+        pose, scan, config = placed.pose, placed.scan, self.config
+        bodies = np.asarray(placed.ignore, np.float64).reshape(-1, 3)
         if not pose.is_finite() or not np.isfinite(bodies).all():
             raise MappingError(f'pose {tuple(pose)} or bodies {bodies.tolist()} are not finite')
-        config, scale = self.config, self.resolution
         lengths, kinds = classify_beams(
             scan.ranges,
             scan.range_min,
@@ -170,54 +233,76 @@ class OccupancyGrid:
             config.max_laser_range,
             config.no_return_range,
         )
-        headings = scan.angles + pose.theta
+        beams = Beams(pose.x, pose.y, scan.angles + pose.theta, lengths, kinds)
         if len(bodies):
-            drop_bodies(Beams(pose.x, pose.y, headings, lengths, kinds), bodies)
-        if not (kinds != NOTHING).any():
-            return
-        self._make_room(pose, headings, lengths)
+            drop_bodies(beams, bodies)
+        return beams if (kinds != NOTHING).any() else None
+
+    def _draw(self, beams: Beams) -> None:
         self._scan_number += 1
-        x, y = pose.x / scale - self._first_col, pose.y / scale - self._first_row
+        scale = self.resolution
         draw_beams(
-            Canvas(self._evidence, self._touched, self._scan_number, self._steps),
-            Beams(x, y, headings, lengths / scale, kinds),
+            Canvas(
+                self._evidence,
+                self._touched,
+                self._first_row,
+                self._first_col,
+                self._scan_number,
+                self._steps,
+            ),
+            beams._replace(x=beams.x / scale, y=beams.y / scale, lengths=beams.lengths / scale),
         )
 
-    def _make_room(self, pose: Pose2, headings: Array, lengths: Array) -> None:
-        """Grow so that the laser and the ends of all beams lie inside, with a margin of a cell."""
-        ends_x = pose.x + np.append(lengths * np.cos(headings), 0.0)
-        ends_y = pose.y + np.append(lengths * np.sin(headings), 0.0)
+    def _area(self) -> _Area | None:
+        """Return the cells that the grid covers; None if it is empty."""
+        rows, cols = self.shape
+        if not rows:
+            return None
+        col, row = self._first_col, self._first_row
+        return _Area(col, row, col + cols, row + rows)
+
+    def _area_with(self, area: _Area | None, beams: Beams) -> _Area:
+        """Return an area that holds the laser and the ends of all beams, with a margin of a cell.
+
+        area: to extend. MappingError if the result is too large for a grid.
+        """
+        ends_x = beams.x + np.append(beams.lengths * np.cos(beams.headings), 0.0)
+        ends_y = beams.y + np.append(beams.lengths * np.sin(beams.headings), 0.0)
         corners = np.array([[ends_x.min(), ends_y.min()], [ends_x.max(), ends_y.max()]])
         if np.abs(corners).max() > FARTHEST:
-            raise MappingError(f'pose {tuple(pose)} lies too far out for a grid')
+            raise MappingError(f'a laser at ({beams.x}, {beams.y}) lies too far out for a grid')
         cells = np.floor(corners / self.resolution).astype(np.int64) + np.array([[-1], [2]])
-        rows, cols = self.shape
-        first = np.array([self._first_col, self._first_row])
-        if rows and (cells[0] >= first).all() and (cells[1] <= first + (cols, rows)).all():
-            return
-        low, high = cells[0] // BLOCK * BLOCK, -(-cells[1] // BLOCK) * BLOCK
-        if rows:
-            low, high = np.minimum(low, first), np.maximum(high, first + (cols, rows))
-        side = float((high - low).max()) * self.resolution
+        (left, below), (right, above) = cells.tolist()
+        needed = _Area(left, below, right, above)
+        if area is not None and area.including(needed) == area:
+            return area
+        grown = _Area(
+            left // BLOCK * BLOCK,
+            below // BLOCK * BLOCK,
+            -(-right // BLOCK) * BLOCK,
+            -(-above // BLOCK) * BLOCK,
+        )
+        if area is not None:
+            grown = area.including(grown)
+        side = max(grown.right - grown.left, grown.above - grown.below) * self.resolution
         if side > self.config.maximum_map_side:
             raise MappingError(
-                f'a scan at {tuple(pose)} needs a grid of {side:.0f} m, '
+                f'a scan at ({beams.x}, {beams.y}) needs a grid of {side:.0f} m, '
                 f'expected at most maximum_map_side = {self.config.maximum_map_side:.0f} m'
             )
-        self._grow(low, high, first)
+        return grown
 
-    def _grow(self, low: NDArray[Any], high: NDArray[Any], first: NDArray[Any]) -> None:
-        """Extend the arrays to the cells from low to high (x, y); first: the present low."""
-        width, height = (high - low).tolist()
-        evidence = np.full((height, width), UNKNOWN, np.int16)
-        touched = np.zeros((height, width), np.int32)
+    def _grow(self, area: _Area) -> None:
+        """Extend the arrays to an area that holds the present one."""
+        evidence = np.full(area.shape, UNKNOWN, np.int16)
         rows, cols = self.shape
         if rows:
-            col, row = (first - low).tolist()
+            row, col = self._first_row - area.below, self._first_col - area.left
             evidence[row : row + rows, col : col + cols] = self._evidence
-            touched[row : row + rows, col : col + cols] = self._touched
-        self._evidence, self._touched = evidence, touched
-        self._first_col, self._first_row = low.tolist()
+        self._evidence = evidence
+        # what an earlier scan has touched does not matter to the next one
+        self._touched = np.zeros(area.shape, np.int32)
+        self._first_col, self._first_row = area.left, area.below
 
     def to_percent(self) -> NDArray[np.int8]:
         """Return the probability (H, W) that a cell is occupied in percent; -1 where unknown."""

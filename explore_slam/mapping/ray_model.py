@@ -46,12 +46,14 @@ class Beams(NamedTuple):
 class Canvas(NamedTuple):
     """What scans are drawn into: evidence (H, W), changed in place.
 
-    touched (H, W): number of the scan that changed a cell last; scan_number: of the scan that is
-    drawn.
+    touched (H, W): number of the scan that changed a cell last; first_row, first_col: of the map,
+    at which the arrays begin; scan_number: of the scan that is drawn.
     """
 
     evidence: NDArray[np.int16]
     touched: NDArray[np.int32]
+    first_row: int
+    first_col: int
     scan_number: int
     steps: BeamSteps
 
@@ -113,8 +115,9 @@ def drop_bodies(beams: Beams, bodies: Array) -> None:
 
 
 @kernel
-def _add(canvas: Canvas, row: int, col: int, step: int) -> None:
-    """Add evidence to one cell, clamped, unless this scan has done so already."""
+def _add(canvas: Canvas, map_row: int, map_col: int, step: int) -> None:
+    """Add evidence to one cell of the map, clamped, unless this scan has done so already."""
+    row, col = map_row - canvas.first_row, map_col - canvas.first_col
     if canvas.touched[row, col] == canvas.scan_number:
         return
     canvas.touched[row, col] = canvas.scan_number
@@ -127,8 +130,8 @@ def _add(canvas: Canvas, row: int, col: int, step: int) -> None:
 def draw_beams(canvas: Canvas, beams: Beams) -> None:
     """Add one scan to the evidence.
 
-    The beams are in cells, from the corner of cell [0, 0]. The caller guarantees that their origin
-    and every end point lie inside the array.
+    The beams are in cells of the map, so that the result does not depend on where the arrays
+    begin. The caller guarantees that their origin and every end point lie inside the arrays.
     """
     x, y, headings, lengths, kinds = beams
     for i in range(headings.size):

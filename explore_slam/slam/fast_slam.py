@@ -230,6 +230,7 @@ class FastSlam(Checkpointed):
             lost=relocalization.lost,
             relocated=relocalization.relocated,
             closed=relocalization.closed,
+            retracted=relocalization.retracted,
             joined=joined,
             matches=matches,
             together=tuple(self.vehicles[v] for v in self.groups.of(number).vehicles),

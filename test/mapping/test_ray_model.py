@@ -78,7 +78,7 @@ def drawn(beams, start=None):
     lengths, kinds = zip(*beams, strict=True)
     headings = np.zeros(len(beams))
     draw_beams(
-        Canvas(evidence, np.zeros((3, 12), np.int32), 1, STEPS),
+        Canvas(evidence, np.zeros((3, 12), np.int32), 0, 0, 1, STEPS),
         Beams(0.5, 1.5, headings, np.array(lengths, float), np.array(kinds, np.uint8)),
     )
     return evidence
@@ -112,7 +112,7 @@ def test_a_ray_visits_connected_cells_from_its_origin_to_its_end(heading):
     evidence = np.full((40, 40), UNKNOWN)
     x, y, length = 20.3, 19.6, 15.0
     draw_beams(
-        Canvas(evidence, np.zeros((40, 40), np.int32), 1, STEPS),
+        Canvas(evidence, np.zeros((40, 40), np.int32), 0, 0, 1, STEPS),
         Beams(x, y, np.array([heading]), np.array([length]), np.array([HIT], np.uint8)),
     )
     end = math.floor(y + length * math.sin(heading)), math.floor(x + length * math.cos(heading))

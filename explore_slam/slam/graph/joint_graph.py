@@ -357,6 +357,66 @@ class JointGraph:
             store.forget_landmarks(np.array(rows))
             store.touch()
 
+    def observations_since(self, keyframe: int) -> tuple[Integers, Integers]:
+        """Return landmarks (n,) and numbers (n,) of a vehicle's observations from a keyframe on.
+
+        The numbers identify the observations for `move_observations`.
+        """
+        store, row = self._storage, self._storage.row_of(keyframe)
+        table, vehicles = store.observations, store.keyframes['vehicle']
+        owners, frames = table['landmark'], table['keyframe']
+        later = (owners >= 0) & (frames >= row) & (vehicles[frames] == vehicles[row])
+        return store.landmarks['number'][owners[later]], table['number'][later]
+
+    def observation_numbers(self, landmarks: ArrayLike) -> Integers:
+        """Return the numbers (n,) of all stored observations of some landmarks, by id."""
+        store, ids = self._storage, checks.integers('landmarks', landmarks)
+        rows = [store.landmark_rows[n] for n in ids.tolist() if n in store.landmark_rows]
+        numbers: Integers = store.observations['number'][
+            np.isin(store.observations['landmark'], rows)
+        ]
+        return numbers
+
+    def observed_landmarks(self, numbers: ArrayLike) -> tuple[Integers, Integers]:
+        """Return landmarks (n,) and numbers (n,) of those observations that are still stored."""
+        store, wanted = self._storage, checks.integers('numbers', numbers)
+        table = store.observations
+        stored = np.isin(table['number'], wanted) & (table['landmark'] >= 0)
+        return store.landmarks['number'][table['landmark'][stored]], table['number'][stored]
+
+    def move_observations(self, numbers: ArrayLike, into: ArrayLike) -> None:
+        """Give observations (n,), by number, to landmarks into (n,): they show something else.
+
+        Landmarks that are left without observations are forgotten; observations that are no longer
+        stored are ignored.
+        """
+        store, table = self._storage, self._storage.observations
+        wanted, targets = checks.integers('numbers', numbers), checks.integers('into', into)
+        if len(wanted) != len(targets):
+            raise SlamError(
+                f'numbers has {len(wanted)} elements and into {len(targets)}, expected as many'
+            )
+        if not len(table) or not len(wanted):
+            return
+        rows = np.minimum(np.searchsorted(table['number'], wanted), len(table) - 1)
+        stored = (table['number'][rows] == wanted) & (table['landmark'][rows] >= 0)
+        rows, targets = rows[stored], targets[stored]
+        sources = table['landmark'][rows].copy()
+        moved_to = np.array(
+            [store.landmark_row_of(target) for target in targets.tolist()], np.int64
+        )
+        table['landmark'][rows] = moved_to
+        np.add.at(store.landmarks['observation_count'], moved_to, 1)
+        np.subtract.at(store.landmarks['observation_count'], sources, 1)
+        frames, visits = table['keyframe'][rows], table['visit'][rows]
+        for target, frame, visit in zip(targets.tolist(), frames, visits.tolist(), strict=True):
+            key = (target, store.vehicle_of(frame))
+            last, count = store.visits.get(key, (-1, 0))
+            ordinal = int(store.keyframes['ordinal'][frame])
+            store.visits[key] = (max(last, ordinal), max(count, visit))
+        store.forget_landmarks(np.setdiff1d(sources, table['landmark']))
+        store.touch()
+
     def move(self, vehicles: Iterable[int], frame: ArrayLike, deviations: ArrayLike) -> None:
         """Move the paths of vehicles, and the landmarks that they observed, as a rigid body.
 

@@ -126,6 +126,19 @@ class LandmarkMap:
         self.index.add(entries, vectors)
         return entries
 
+    def add_copies(self, entries: Places, owner: int, counts: Places, tree: AncestryTree) -> None:
+        """Register landmarks that look like others but are elsewhere.
+
+        They are in no particle yet: their rows are to be deferred to a draw from the joint graph.
+        entries (n,) of the others; counts (n,) of the observations of each copy. The ids follow
+        the newest one.
+        """
+        addresses = self.rows.allocate(len(entries))
+        self.rows.workspace[addresses] = 0.0
+        vectors, reference = self.index.vectors(entries).copy(), self.reference[entries]
+        added = self.add(addresses, vectors, owner, reference, tree)
+        self.counts[added] = counts
+
     def remove(self, entries: Places) -> None:
         """Remove landmarks."""
         self.rows.remove(entries)

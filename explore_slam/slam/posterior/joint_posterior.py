@@ -199,7 +199,7 @@ class JointPosterior:
         observed: Observed,
         pose: Pose2,
         covariance: Array,
-    ) -> None:
+    ) -> Places:
         """Record observations that contradict the estimate of a keyframe; see `observe`.
 
         The graph is first optimized with a prior at the pose that they imply: from the current
@@ -208,9 +208,11 @@ class JointPosterior:
         recorded (K,): ids of the landmarks under which they have already been recorded, or -1;
         those landmarks are merged into `ids`.
         pose, covariance (3, 3): of the vehicle in the map, as implied by the observations.
+        Returns the numbers (n,) of the observations of merged landmarks.
         """
         again = (ids >= 0) & (recorded >= 0)
         _, first = np.unique(recorded[again], return_index=True)
+        merged = self.graph.observation_numbers(recorded[again])
         self.graph.merge_landmarks(recorded[again][first], ids[again][first])
         self.observe(keyframe, np.where(again, -1, ids), observed)
         factor = self.graph.add_prior(keyframe, np.asarray(pose), covariance)
@@ -219,6 +221,7 @@ class JointPosterior:
             self.graph.adopt(self.graph.solve(self.graph.snapshot(vehicle)))
         finally:
             self.graph.remove_factor(factor)
+        return merged
 
     def observe_vehicle(self, keyframe: int, of: int, observation: InterRobotObservation) -> None:
         """Record an inter-robot observation; of: keyframe of the observed vehicle."""

@@ -55,7 +55,7 @@ class LandmarkLoops:
         while self._marks[1][0] <= driven - _RECENT_DISTANCE:
             del self._marks[0]
         known = observed[observed >= 0]
-        recent = np.count_nonzero(known >= self._first_recent)
+        recent = np.count_nonzero(known >= self.first_recent)
         mostly_recent = recent >= _RECENT_FRACTION * len(known)
         if driven - self._searched < _SPACING or not mostly_recent:
             return False
@@ -63,13 +63,19 @@ class LandmarkLoops:
         return True
 
     @property
-    def _first_recent(self) -> int:
+    def first_recent(self) -> int:
+        """Landmarks of this vehicle from this id on are recent."""
         return self._marks[0][1]
+
+    @property
+    def distance_driven(self) -> float:
+        """Distance (m) that the vehicle has driven."""
+        return self._join.matches.distance
 
     def is_recent(self, landmarks: LandmarkMap, number: int) -> NDArray[np.bool_]:
         """Return (n,) which entries of the map this vehicle, by number, has inserted recently."""
         ids, owners = landmarks.ids[: landmarks.size], landmarks.owners[: landmarks.size]
-        found: NDArray[np.bool_] = (ids >= self._first_recent) & (owners == number)
+        found: NDArray[np.bool_] = (ids >= self.first_recent) & (owners == number)
         return found
 
     def add(self, found: CandidateSet) -> Places:

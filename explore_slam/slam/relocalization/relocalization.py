@@ -1,8 +1,9 @@
 """Detect lost vehicles and relocalize them in the map.
 
 If drift may explain the new pose, the vehicle has closed a loop: the observations become part of
-the joint graph, which corrects the whole path. Otherwise the vehicle was moved or its wheels
-slipped: it is restarted at the new pose, unrelated to the path before.
+the joint graph, which corrects the whole path. If another closure contradicts it that drift
+explains less well, as where two rooms look the same, that one is retracted. Otherwise the vehicle
+was moved or its wheels slipped: it is restarted at the new pose, unrelated to the path before.
 """
 
 import math
@@ -15,10 +16,17 @@ from explore_slam.data import LandmarkObservations
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Array, Pose2, compose, rotated, to_world, wrap_angle
 from explore_slam.slam.association.candidates import find_candidates
-from explore_slam.slam.association.state import CandidateSet
+from explore_slam.slam.association.state import CandidateSet, Observed
 from explore_slam.slam.checkpoint import State, part, under
 from explore_slam.slam.particles.resampling import mean_and_covariance
+from explore_slam.slam.posterior.joint_posterior import JointPosterior
 from explore_slam.slam.posterior.redrawing import PathRedrawer
+from explore_slam.slam.relocalization.landmark_closures import (
+    LandmarkClosure,
+    LandmarkClosures,
+    Separation,
+    separate,
+)
 from explore_slam.slam.relocalization.landmark_loops import LandmarkLoops
 from explore_slam.slam.relocalization.relocalizer import RelocalizedPose, Relocalizer
 from explore_slam.slam.storage.row_format import COVARIANCE, Places
@@ -29,6 +37,12 @@ from explore_slam.slam.team_state import TeamState
 # two or three (8 is 3 sigma times 2.7): odometry may turn 5 to 10 % too far without any indication
 # (test_landmark_loops).
 _PLAUSIBLE = 64.0
+# A closure is retracted in favour of another one if drift explains it less well by this squared
+# Mahalanobis distance, a likelihood ratio of 100.
+_LESS_PLAUSIBLE = 9.2
+# Closures that may be the wrong one: the newest of this vehicle, since older ones are held by it,
+# and of another one. Each is tried: an optimization of the graph, and another to undo it.
+_RIVALS = 2
 # Chosen by hand; `benchmarks/relocalization.py` and test_landmark_loops show what a change does.
 # Distance (m, rad) of the corrected pose from the relocalized one that is tolerated beside its
 # standard deviation: the joint graph weighs the pose against all other observations.
@@ -39,11 +53,30 @@ _MINIMUM_DEVIATION = 0.05
 
 
 class RelocalizationResult(NamedTuple):
-    """Whether a vehicle is lost, was given another pose, and whether that closed a loop."""
+    """Whether a vehicle is lost, was given another pose, and whether that closed a loop.
+
+    retracted: whether a closure was retracted because it contradicts this one.
+    """
 
     lost: bool
     relocated: bool
     closed: bool
+    retracted: bool = False
+
+
+class _Loop(NamedTuple):
+    """Observations of a vehicle, by number, at a keyframe of the joint graph, that close a loop.
+
+    ids (K,): landmarks that they show at the pose, or -1; recorded (K,): those under which the
+    graph has recorded them, or -1.
+    """
+
+    number: int
+    keyframe: int
+    observed: Observed
+    ids: Places
+    recorded: Places
+    pose: RelocalizedPose
 
 
 class Relocalization:
@@ -55,6 +88,7 @@ class Relocalization:
         config = team.config.relocalization
         self._relocalizers = [Relocalizer(config) for _ in team.vehicles]
         self._loops = [LandmarkLoops(config) for _ in team.vehicles]
+        self._closures = LandmarkClosures()
 
     def predict(self, number: int, increment: Pose2) -> None:
         """Propagate a vehicle by an odometry increment."""
@@ -91,29 +125,42 @@ class Relocalization:
         enabled = team.config.relocalization.relocalization and team.engine.relocalizes
         if not enabled:
             return RelocalizationResult(relocalizer.is_lost, False, False)
+        self._note_closure(number, recorded)
         if not relocalizer.is_lost:
-            closed = self._search_loop(number, observations, recorded)
-            return RelocalizationResult(False, closed, closed)
+            outcome = self._search_loop(number, observations, recorded)
+            return outcome or RelocalizationResult(False, False, False)
         positions = team.map.positions(
             relocalizer.similar_ids(), team.best_particles(), team.groups
         )
         pose = relocalizer.search(positions, team.best_pose(number), team.random)
         if pose is None:
             return RelocalizationResult(True, False, False)
-        closed = self._close_loop(number, pose, positions, found, recorded)
-        if not closed:
+        outcome = self._close_loop(number, pose, positions, found, recorded)
+        if outcome is None:
             self._restart(number, pose)
-        return RelocalizationResult(True, True, closed)
+            return RelocalizationResult(True, True, False)
+        return outcome._replace(lost=True)
+
+    def _note_closure(self, number: int, recorded: Places) -> None:
+        """Note which landmarks an update observes: a loop may be closed by data association."""
+        team, loops = self._team, self._loops[number]
+        known = recorded[recorded >= 0]
+        if team.joint is None or not len(known):
+            return
+        keyframe = team.joint.keyframe(number, team.estimate(number)[0])
+        closure = LandmarkClosure(number, keyframe, loops.first_recent, np.empty(0, np.int64))
+        is_old = closure.are_old(known, team.map)
+        self._closures.note(closure, is_old, loops.distance_driven)
 
     def _search_loop(
         self, number: int, observations: LandmarkObservations, recorded: Places
-    ) -> bool:
-        """Search for a loop among the older landmarks; return whether one was closed."""
+    ) -> RelocalizationResult | None:
+        """Search for a loop among the older landmarks; return how one was closed, if any."""
         team, loops = self._team, self._loops[number]
         if team.joint is None or number in team.unlocalized:
-            return False
+            return None
         if not loops.is_due(recorded, team.map.next_id):
-            return False
+            return None
         hidden, foreign = loops.is_recent(team.map, number), team.hidden_landmarks(number)
         if foreign is not None:
             hidden |= foreign
@@ -123,7 +170,9 @@ class Relocalization:
         )
         positions = team.map.positions(loops.add(found), team.best_particles(), team.groups)
         pose = loops.search(positions, estimate, team.random)
-        return pose is not None and self._close_loop(number, pose, positions, found, recorded)
+        if pose is None:
+            return None
+        return self._close_loop(number, pose, positions, found, recorded)
 
     def _close_loop(
         self,
@@ -132,48 +181,116 @@ class Relocalization:
         positions: dict[int, Array],
         found: CandidateSet,
         recorded: Places,
-    ) -> bool:
-        """Close a loop at the relocalized pose; return whether the path now agrees with it.
+    ) -> RelocalizationResult | None:
+        """Close a loop at the relocalized pose; return None if the path cannot agree with it.
 
-        If the pose contradicts the motion or other observations, nothing changes.
+        A closure that contradicts the pose may be retracted. If the pose contradicts the motion or
+        other observations, nothing changes.
         """
         team, joint = self._team, self._team.joint
         if joint is None:
-            return False
+            return None
         keyframe = joint.keyframe(number, team.estimate(number)[0])
         ids = _associated_at(pose, positions, found)
         stored = np.diff(joint.graph.observations_of(np.maximum(ids, 0)).first) > 0
         ids[~stored | np.isin(ids, recorded)] = -1
-        if not (ids >= 0).any() or not self._is_plausible(keyframe, pose):
-            return False
-        deviations = np.array([pose.position_deviation] * 2 + [pose.heading_deviation])
-        saved = {name: np.array(value) for name, value in joint.state_dict().items()}
+        if not (ids >= 0).any():
+            return None
+        loop = _Loop(number, keyframe, found.observed, ids, recorded, pose)
+        if self._squared_distance(keyframe, pose) < _PLAUSIBLE:
+            saved = _saved(joint)
+            if self._enter(loop):
+                return RelocalizationResult(False, True, True)
+            joint.restore(saved)
+        retracted = self._enter_instead(loop)
+        return RelocalizationResult(False, True, True, retracted=True) if retracted else None
+
+    def _enter(self, loop: _Loop, separation: Separation | None = None) -> bool:
+        """Record a loop and redraw the particles; return whether the path agrees with it.
+
+        separation: of a closure that is retracted. If the path does not agree, the joint graph has
+        changed all the same, and only the graph.
+        """
+        team, joint, number = self._team, self._team.required_joint(), loop.number
+        deviations = loop.pose.deviations()
         try:
-            joint.observe_with_initial_pose(
-                keyframe, ids, recorded, found.observed, pose.pose, np.diag(deviations**2)
+            merged = joint.observe_with_initial_pose(
+                loop.keyframe,
+                loop.ids,
+                loop.recorded,
+                loop.observed,
+                loop.pose.pose,
+                np.diag(deviations**2),
             )
             replacement = self._redrawer.draw([number])
         except SlamError:
             replacement = None
-        off = np.abs(_pose_difference(joint.graph.estimate(keyframe), pose.pose))
+        off = np.abs(_pose_difference(joint.graph.estimate(loop.keyframe), loop.pose.pose))
         limits = _GATE * deviations + (_POSITION, _POSITION, _HEADING)
         if replacement is None or (off > limits).any():
-            joint.restore(saved)
             return False
+        if separation is not None:
+            separation.add_copies(team.map, team.groups.of(number).tree)
         self._redrawer.replace_particles(replacement)
-        stamp, entries = team.stamps[number], team.map.entries_with(ids)
-        team.correlation.add(number, stamp, entries, ids)
+        stamp, entries = team.stamps[number], team.map.entries_with(loop.ids)
+        team.correlation.add(number, stamp, entries, loop.ids)
+        loops = self._loops[number]
+        self._closures.add(
+            LandmarkClosure(number, loop.keyframe, loops.first_recent, merged),
+            loops.distance_driven,
+        )
         self.reset(number)
         return True
 
-    def _is_plausible(self, keyframe: int, pose: RelocalizedPose) -> bool:
-        """Return whether drift may explain the relocalized pose."""
-        team = self._team
-        joint = team.required_joint()
-        P = joint.graph.covariance(keyframe)
-        P += np.diag([pose.position_deviation**2] * 2 + [pose.heading_deviation**2])
-        off = _pose_difference(joint.graph.estimate(keyframe), pose.pose)
-        return bool(off @ np.linalg.solve(P, off) < _PLAUSIBLE)
+    def _enter_instead(self, loop: _Loop) -> bool:
+        """Record a loop in place of an earlier one that contradicts it; return whether it was.
+
+        Both cannot be right if the path can agree with either but not with both. The one that
+        drift explains less well is taken to be wrong, if the difference is clear. Otherwise
+        nothing changes.
+        """
+        joint = self._team.required_joint()
+        rivals = self._closures.newest(loop.number, joint.graph.tied(loop.number))
+        for closure in rivals[:_RIVALS]:
+            saved = _saved(joint)
+            if self._replaces(loop, closure):
+                self._closures.retract(closure)
+                return True
+            joint.restore(saved)
+        return False
+
+    def _replaces(self, loop: _Loop, closure: LandmarkClosure) -> bool:
+        """Return whether a loop enters once a closure is retracted; changes the graph anyway."""
+        team, joint = self._team, self._team.required_joint()
+        graph = joint.graph
+        keyframe = closure.live_keyframe(graph)
+        separation = separate(graph, team.map, closure)
+        if keyframe is None or not len(separation.landmarks):
+            return False
+        before, (ids, places) = graph.estimate(keyframe), graph.landmarks()
+        try:
+            graph.optimize(loop.number)
+        except SlamError:
+            return False
+        off = graph.estimate(keyframe) - before
+        off[2] = wrap_angle(float(off[2]))
+        contradicted = off @ np.linalg.solve(graph.covariance(keyframe), off)
+        pose = loop.pose.moved(ids, places, *graph.landmarks())
+        distance = self._squared_distance(loop.keyframe, pose)
+        if distance >= _PLAUSIBLE or contradicted < distance + _LESS_PLAUSIBLE:
+            return False
+        renamed = loop._replace(recorded=separation.renamed(loop.recorded), pose=pose)
+        return self._enter(renamed, separation)
+
+    def _squared_distance(self, keyframe: int, pose: RelocalizedPose) -> float:
+        """Return the squared Mahalanobis distance of a relocalized pose from the estimate.
+
+        Drift may explain it below `_PLAUSIBLE`.
+        """
+        graph = self._team.required_joint().graph
+        P = graph.covariance(keyframe) + np.diag(pose.deviations() ** 2)
+        off = _pose_difference(graph.estimate(keyframe), pose.pose)
+        return float(off @ np.linalg.solve(P, off))
 
     def _restart(self, number: int, found: RelocalizedPose) -> None:
         """Place a vehicle at the relocalized pose, in each particle relative to its own map.
@@ -182,8 +299,7 @@ class Relocalization:
         that it inherits their uncertainty.
         """
         team = self._team
-        deviations = np.array([found.position_deviation] * 2 + [found.heading_deviation])
-        P = np.diag(deviations**2)
+        P = np.diag(found.deviations() ** 2)
         moves = self._moves_of(team.map.entries_with(found.ids), found.pose)
         poses = compose(np.asarray(found.pose), moves)
         team.particles.restart(number, poses, P)
@@ -224,13 +340,19 @@ class Relocalization:
         for number, relocalizer in enumerate(self._relocalizers):
             state |= under(f'relocalizer{number}', relocalizer.state_dict())
             state |= under(f'loops{number}', self._loops[number].state_dict())
-        return state
+        return state | under('landmark_closures', self._closures.state_dict())
 
     def restore(self, state: State) -> None:
         """Restore what `state_dict` returned."""
         for number, relocalizer in enumerate(self._relocalizers):
             relocalizer.restore(part(f'relocalizer{number}', state))
             self._loops[number].restore(part(f'loops{number}', state))
+        self._closures.restore(part('landmark_closures', state))
+
+
+def _saved(joint: JointPosterior) -> State:
+    """Return a copy of the joint posterior, to restore it."""
+    return {name: np.array(value) for name, value in joint.state_dict().items()}
 
 
 def _pose_difference(estimate: Array, pose: Pose2) -> Array:

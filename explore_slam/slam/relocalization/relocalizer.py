@@ -16,8 +16,8 @@ from all others.
 
 import math
 from collections import deque
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,7 @@ _GATE = 3.0  # deviations (sigma) within which a match is an inlier
 _MINIMUM_DEVIATION = 0.03  # m: of a match, for errors not modelled by either covariance
 # m between the landmarks of a hypothesis, so that its heading is determined
 _MINIMUM_BASELINE = 0.3
+_LANDMARKS_OF_A_POSE = 2  # that determine one
 _MINIMUM_LANDMARKS = 3  # different inlier landmarks: two can agree by chance
 # A vehicle is lost if less than this fraction of its matches agrees with its pose.
 _LOST_FRACTION = 0.35
@@ -172,6 +173,28 @@ class RelocalizedPose:
     position_deviation: float
     heading_deviation: float
     ids: Places
+
+    def deviations(self) -> Array:
+        """Return the standard deviations (3,) of x, y (m) and heading (rad)."""
+        return np.array([self.position_deviation] * 2 + [self.heading_deviation])
+
+    def moved(self, ids: Places, positions: Array, new_ids: Places, new: Array) -> Self:
+        """Return the same pose relative to its landmarks after these have moved.
+
+        ids (L,) and positions (L, 3) m of landmarks before; new_ids (N,) and new (N, 3) after. The
+        landmarks move as a rigid body (least squares); with fewer than two of them in both, the
+        pose remains.
+        """
+        common, at, new_at = np.intersect1d(ids, new_ids, return_indices=True)
+        mine = np.isin(common, self.ids)
+        if np.count_nonzero(mine) < _LANDMARKS_OF_A_POSE:
+            return self
+        old, moved = positions[at[mine], :2], new[new_at[mine], :2]
+        centre, goal = old.mean(axis=0), moved.mean(axis=0)
+        p, m = old - centre, moved - goal
+        turn = math.atan2((p[:, 0] * m[:, 1] - p[:, 1] * m[:, 0]).sum(), (p * m).sum())
+        motion = Pose2(goal[0], goal[1], turn).compose(Pose2(-centre[0], -centre[1], 0.0))
+        return replace(self, pose=motion.compose(self.pose))
 
 
 class Relocalizer:

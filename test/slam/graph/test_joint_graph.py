@@ -51,6 +51,9 @@ def graph_of(steps=4):
         (lambda g: g.vehicles_of([1, 12]), 'keyframe 12 is not'),
         (lambda g: g.merge_landmarks([1, 2], [3]), 'old has 2 ids'),
         (lambda g: g.merge_landmarks([1, 2], [2, 3]), 'landmark 2 is to be merged'),
+        (lambda g: g.move_observations([1, 2], [3]), 'numbers has 2 elements'),
+        (lambda g: g.move_observations([1], [-3]), 'into is'),
+        (lambda g: g.observations_since(12), 'keyframe 12 is not'),
         (lambda g: g.optimize(3), 'vehicle 3 is not'),
         (lambda g: g.covariance(12), 'keyframe 12 is not'),
         (lambda g: g.relative_covariance(1, [12]), 'keyframe 12 is not'),
@@ -145,6 +148,48 @@ def test_merged_landmarks_are_one_landmark(make_world):
     graph.optimize()
     np.testing.assert_allclose(graph.path(), plain.graph.path(), atol=1e-6)
     assert not len(graph.observations_of(list(odd)).z)
+
+
+def test_moved_observations_belong_to_other_landmarks(make_world):
+    """What was merged by mistake is taken apart again: the graph is as it was."""
+    world = make_world(6)
+    world.circle(10)
+    graph = world.graph
+    graph.optimize()
+    path, ids = graph.path(), graph.landmarks()[0]
+    old, into = ids[:3], ids[3:6]
+    numbers = [graph.observation_numbers([n]) for n in old.tolist()]
+    positions = dict(zip(ids.tolist(), graph.landmarks()[1], strict=True))
+    graph.merge_landmarks(old, into)
+    graph.optimize()
+    assert np.abs(graph.path() - path).max() > 1e-3
+    for number, some in zip(old.tolist(), numbers, strict=True):
+        graph.move_observations(some, np.full(len(some), number + 1000))
+    graph.move_observations([10_000], [5])  # is not stored
+    for _ in range(5):  # the robust kernel takes its time to trust all of them again
+        graph.optimize()
+    np.testing.assert_allclose(graph.path(), path, atol=1e-6)
+    found = dict(zip(*graph.landmarks(), strict=True))
+    for number in old.tolist():
+        np.testing.assert_allclose(found[number + 1000], positions[number], atol=1e-5)
+    everything = np.concatenate(numbers)
+    graph.move_observations(everything, np.full(len(everything), 7777))
+    assert not len(graph.observations_of(old + 1000).z)
+    assert graph.observed_landmarks(everything)[0].tolist() == [7777] * len(everything)
+
+
+def test_observations_since_a_keyframe_are_those_of_its_vehicle(make_world):
+    world = make_world(6)
+    world.circle(6, vehicles=2)
+    graph = world.graph
+    keyframe = int(graph.live_keyframes()[5])
+    vehicle = graph.vehicles_of([keyframe])[0]
+    landmarks, numbers = graph.observations_since(keyframe)
+    assert len(numbers) > 0
+    np.testing.assert_array_equal(graph.observed_landmarks(numbers)[0], landmarks)
+    stored = graph.observations_of(np.unique(landmarks))
+    later = stored.keyframes[graph.vehicles_of(stored.keyframes) == vehicle]
+    assert np.count_nonzero(later >= keyframe) == len(numbers)
 
 
 def test_removed_landmarks_leave_nothing_behind(make_world):

@@ -18,6 +18,7 @@ CORNERS = [(0.0, 0.0), (SIDE, 0.0), (SIDE, SIDE), (0.0, SIDE)]
 RING = along([*CORNERS, *CORNERS[:2]], 0.4, 0.3)
 AGAIN = len(along([*CORNERS, CORNERS[0]], 0.4, 0.3))  # poses of the lap
 TOO_SURE = 0.05 * STEP_NOISE
+SURE = 0.1 * STEP_NOISE  # so that two places 5 m apart differ clearly after a lap, but not too far
 BEYOND_3_SIGMA = 14.2  # squared Mahalanobis distance; chi-square with 3 degrees of freedom
 FEATURES = {'particles': 200, 'maximum_descriptor_distance': 0.0}
 
@@ -163,3 +164,87 @@ def test_a_vehicle_that_was_carried_away_is_restarted_and_its_path_left_alone():
     assert not happened(summaries, 'closed')
     assert math.dist(slam.estimate('a')[0][:2], path[-1][:2]) < 0.3
     np.testing.assert_allclose(path_errors(slam, 'a', path)[: len(out)], before, atol=0.1)
+
+
+APART = 5.0  # m, between a wall of posters and its copy
+OUT = [(0.0, 0.0), (14.0, 0.0), (14.0, 12.0), (-8.0, 12.0)]  # past the posters, along own walls
+PAST_POSTERS = [(-8.0, 0.0), (7.0, 0.0), (-8.0, 0.0)]
+PAST_COPIES = [(-8.0, -APART), (14.0, -APART), (14.0, 12.0)]  # and along the own walls again
+
+
+def posters_twice(seed, *, copies):
+    """Return a camera among walls of their own and posters, with or without copies of these."""
+    random = np.random.default_rng(seed)
+    first, posters = textured(random, 8.0, 14.0, 40), textured(random, 2.0, 5.0, 25)
+    second = textured(random, 0.0, 9.0, 60)[:, [1, 0, 2]] + (14.0, 0.0, 0.0)
+    own, alike = unit_rows(random, 100), unit_rows(random, 25)
+    places = [first, second, posters, posters - (0.0, APART, 0.0)]
+    descriptors = [own, alike, alike]
+    if not copies:
+        del places[-1], descriptors[-1]
+    return Camera(np.concatenate(places), np.concatenate(descriptors), random)
+
+
+def posters_in(slam, shift=0.0):
+    """Return the ids of the landmarks on the walls of the posters, or on those of the copies."""
+    landmarks = slam.landmarks()
+    x, y, _ = landmarks.means.T
+    return landmarks.ids[(np.abs(y + shift) < 2.4) & (x > 0.0) & (x < 7.0)]
+
+
+@pytest.fixture(scope='module', params=[0, 1])
+def mistaken(request):
+    """A vehicle that takes copies of posters for the posters, and comes to known walls later."""
+    path = along([*OUT, *PAST_COPIES], 0.4, 0.3)
+    runs = []
+    for copies in (True, False):
+        slam = FastSlam({'a': IDENTITY}, with_values(FastSlamConfig(), FEATURES), request.param)
+        camera = posters_twice(request.param, copies=copies)
+        runs.append((slam, drive(slam, 'a', path, camera, 1.02, SURE)))
+    return path, *runs
+
+
+def test_a_wrong_closure_that_later_measurements_contradict_is_retracted(mistaken):
+    path, (slam, summaries), (other, plain) = mistaken
+    closed = happened(summaries, 'closed')
+    assert len(closed) == 2
+    assert math.dist(path[closed[0]][:2], (3.0, -APART)) < 2.0  # at the copies
+    assert happened(summaries, 'retracted') == [closed[1]]
+    assert not happened(plain, 'retracted')
+    # the path is as right as if there were no copies
+    errors, without = path_errors(slam, 'a', path), path_errors(other, 'a', path)
+    assert errors.max() < 1.2 * without.max()
+    assert errors[closed[1] :].mean() < 1.2 * without[closed[1] :].mean()
+    # and the posters are where they were: nothing that was seen of the copies belongs to them
+    stored = slam.joint.graph.observations_of(posters_in(slam))
+    assert len(posters_in(slam)) == 25
+    assert stored.keyframes.max() < slam.path.nodes[closed[0]]
+    assert len(posters_in(other, APART)) == 0
+    if summaries[closed[0]].observed > 5:  # what was seen of the copies are other landmarks
+        assert len(posters_in(slam, APART)) >= 8
+
+
+def test_the_closures_survive_a_checkpoint(mistaken):
+    _, (slam, _), _ = mistaken
+    again = FastSlam.from_state(slam.state_dict())
+    state, restored = slam.state_dict(), again.state_dict()
+    assert {name for name in state if 'landmark_closures' in name}
+    assert state.keys() == restored.keys()
+    for name in state:
+        np.testing.assert_array_equal(state[name], restored[name])
+
+
+@pytest.mark.parametrize('seed', [0, 1])
+def test_a_right_closure_stays_when_copies_contradict_it(seed):
+    """The vehicle sees the posters again before it comes to the copies."""
+    path = along([*OUT, *PAST_POSTERS, *PAST_COPIES], 0.4, 0.3)
+    slam = FastSlam({'a': IDENTITY}, with_values(FastSlamConfig(), FEATURES), seed)
+    summaries = drive(slam, 'a', path, posters_twice(seed, copies=True), 1.02, SURE)
+    stored = slam.joint.graph.observations_of(posters_in(slam)).keyframes
+    again = [k for k, pose in enumerate(path) if k > len(along(OUT, 0.4, 0.3)) and pose.y == 0.0]
+    visit = [slam.path.nodes[k] for k in (again[0], again[-1])]
+    assert np.count_nonzero((stored >= visit[0]) & (stored <= visit[1])) > 20
+    # what was seen of the copies may have been taken for the posters, but not for good
+    assert stored.max() <= visit[1]
+    assert not set(happened(summaries, 'retracted')) & set(range(again[0], again[-1]))
+    assert path_errors(slam, 'a', path)[again[0] :].max() < 2.0
