@@ -4,15 +4,44 @@ A device is used by one thread (supervisor.Supervisor). Another device is a clas
 methods and a line in registry.py.
 """
 
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from explore_slam.data import LaserScan, OdometryReading, RgbdFrame
 from explore_slam.geometry import Array
 
 Clock = Callable[[], float]  # s, gives the stamps of records
 Statistics = dict[str, Any]  # name -> counter or state, for diagnostics
+
+
+class Progress:
+    """What a connection that takes long reports to its supervisor, which may interrupt it."""
+
+    def __init__(self) -> None:
+        self.interrupted = threading.Event()
+        self.on_text: Callable[[str], None] = lambda _: None
+
+    def tell(self, text: str) -> None:
+        """Report what is waited for."""
+        self.on_text(text)
+
+
+@runtime_checkable
+class SlowDevice(Protocol):
+    """A device that may take long to connect, or that must not be closed between attempts.
+
+    Optional beside Device: the supervisor looks for it.
+    """
+
+    progress: Progress
+
+    def suspend(self) -> None:
+        """Give up the session after a failure, but keep what the next connect can use.
+
+        A port that switches the power of its device stays open. Never raises.
+        """
 
 
 class Device[Record](Protocol):

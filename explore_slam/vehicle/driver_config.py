@@ -30,7 +30,9 @@ class BaseConfig(Section):
 
     enable_base: bool = setting(True, 'Drive the base; false: another driver does', tier='basic')
     base_port: str = setting(
-        '/dev/ttyUSB0', "Serial device of the base, or 'tcp://host:port'", tier='basic'
+        '/dev/ttyUSB0',
+        "Serial device of the base, or 'tcp://host:port' (port 8101 if there is none)",
+        tier='basic',
     )
     base_timeout: float = setting(
         1.0, 'Reconnect when no state has come for longer than this', unit='s', low=0.2, high=30.0
@@ -70,7 +72,18 @@ class LaserConfig(Section):
         tier='basic',
     )
     laser_port: str = setting(
-        '/dev/ttyUSB1', "Serial device of the laser, or 'tcp://host:port'", tier='basic'
+        '/dev/ttyUSB1',
+        "Serial device of the laser, or 'tcp://host:port' (port 8102 if there is none)",
+        tier='basic',
+    )
+    laser_startup_timeout: float = setting(
+        70.0,
+        'Keep the port open for this long while the laser does not answer: where the port '
+        'switches its power, it boots for 20 to 65 s',
+        unit='s',
+        low=1.0,
+        high=600.0,
+        tier='basic',
     )
     laser_inverted: bool = setting(False, 'The laser is mounted upside down', tier='basic')
     scanner_timeout: float = setting(

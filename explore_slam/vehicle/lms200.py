@@ -3,6 +3,7 @@
 Source of telegrams and times: SICK, "Telegrams for Configuring and Operating the LMS 2xx".
 """
 
+import contextlib
 import logging
 import math
 import time
@@ -11,8 +12,8 @@ from dataclasses import dataclass
 from explore_slam.data import LaserScan
 from explore_slam.errors import ConfigError, VehicleError
 from explore_slam.settings import Section, setting
-from explore_slam.vehicle.arcos_packets import PacketDecoder
-from explore_slam.vehicle.devices import Clock, Statistics
+from explore_slam.vehicle.arcos_packets import BAUD_CODES, PacketDecoder, encode_command
+from explore_slam.vehicle.devices import Clock, Progress, Statistics
 from explore_slam.vehicle.driver_config import LaserConfig
 from explore_slam.vehicle.lms200_scan import (
     CONFIGURATION_LENGTH,
@@ -40,13 +41,14 @@ from explore_slam.vehicle.lms200_telegrams import (
     TelegramDecoder,
     encode_telegram,
 )
-from explore_slam.vehicle.serial_port import SerialPort
+from explore_slam.vehicle.serial_port import LASER_TCP_PORT, BaudRateError, SerialPort
 
 _log = logging.getLogger(__name__)
 RANGE_MIN = 0.01  # m, minimum range in a scan
 DEFAULT_BITS = 13  # bits of a distance until the configuration is read (8 m in mm)
 _WRITE_MODES = {13: 0, 14: 4, 15: 6}  # bits of a distance -> measuring mode to write
-_RATES = (9600, 38400, 19200)  # Bd, tried in this order: power-on, usual, other
+_POWER_ON_RATE = 9600  # Bd, of the power-on telegram
+_RATES = (_POWER_ON_RATE, 38400, 500000, 19200)  # Bd, tried in this order: all that it has
 _REPLY_TIMEOUT = 0.3  # s; the acknowledgement comes within 60 ms, the reply after it
 _LONGEST_SCAN = 0.9  # s, 812 bytes at 9600 Bd
 _SLOW_TIMEOUT = 3.5  # s; changes of mode and configuration take up to 3 s
@@ -56,7 +58,11 @@ _LONGEST_REPLY = 200  # bytes of a reply beside scans
 _REQUEST_BYTES = 8  # telegram of a change of mode
 _FRAME_BYTES = 8  # bytes of a telegram beside its data
 _FATAL = 3  # severity (0-4) from which measurements are invalid
+_NOISE = 2048  # bytes without a telegram, longer than two scans: of another baud rate
 _KEPT = 4096  # bytes kept for the diagnosis of a wrong device
+_ROBOT_TIMEOUT = 0.25  # s for the reply of a robot at this port
+_BOOT_LISTENING = 2.0  # s between attempts to reach a laser that may be booting
+_LONGEST_READ = 0.2  # s after which an interruption is noticed
 
 
 @dataclass(frozen=True)
@@ -90,8 +96,16 @@ class Lms200Config(Section):
             )
 
 
+class _NotReadyError(VehicleError):
+    """The scanner does not answer yet; restarted: it has just booted, so that it will."""
+
+    def __init__(self, text: str, restarted: bool = False) -> None:
+        super().__init__(text)
+        self.restarted = restarted
+
+
 class Lms200:
-    """An LMS-200 (protocol Laser): configures the scanner and reads its stream of scans.
+    """An LMS-200 (protocols Laser and SlowDevice): configures it and reads its stream of scans.
 
     clock gives the stamps (s); silence is measured with the monotonic clock.
     """
@@ -116,6 +130,10 @@ class Lms200:
         self._port: SerialPort | None = None
         self._decoder = TelegramDecoder()
         self._scanned = 0.0
+        self._faulty = 0  # unusable scans since the last valid one
+        self._telegrams = 0  # decoded while listening for a reply
+        self._tried_for_robot = False
+        self.progress = Progress()
 
     @property
     def rejected(self) -> int:
@@ -127,61 +145,142 @@ class Lms200:
     def connect(self) -> str:
         """Find the baud rate, configure the scanner, start the stream; return its type.
 
-        Raises VehicleError that says what is wrong and what to do.
+        The port stays open while the scanner does not answer, up to laser_startup_timeout: where
+        the port switches its power, closing the port would restart it. It boots for 20 to 65 s,
+        ends that with a power-on telegram, and is also found if that telegram was lost.
+        Raises VehicleError that says what is wrong and what to do; the port is released then.
         """
-        self.close()
-        self._port = SerialPort(self.config.laser_port, self._last_baud)
+        if self._port is None:
+            self._port = SerialPort(
+                self.config.laser_port, self._last_baud, tcp_port=LASER_TCP_PORT
+            )
+        self._tried_for_robot = False
+        began = time.monotonic()
         try:
-            self._find_scanner()
-            self._change_rate()
-            kind = self._ask(Request.TYPE, b'', Reply.TYPE)
-            self.device_type = kind.data.decode('ascii', 'replace').strip()
-            self._set_variant()
-            self._configure()
-            self._ask(Request.MODE, bytes([Mode.STREAM]), Reply.MODE, _SLOW_TIMEOUT)
+            while True:
+                try:
+                    return self._set_up()
+                except _NotReadyError as error:
+                    self._await_power_on(began, error)
         except VehicleError:
-            self.close()
+            self._release()
             raise
+
+    def _set_up(self) -> str:
+        """Carry out all steps of the connection; _NotReadyError where they may be repeated."""
+        assert self._port is not None
+        self._find_scanner()
+        found = self._port.baud
+        self._change_rate()
+        kind = self._ask(Request.TYPE, b'', Reply.TYPE)
+        self.device_type = kind.data.decode('ascii', 'replace').strip()
+        self._set_variant()
+        self._configure()
+        self._ask(Request.MODE, bytes([Mode.STREAM]), Reply.MODE, _SLOW_TIMEOUT)
         self._scanned = self.last_received = time.monotonic()
-        return self.device_type
+        self._faulty = 0
+        if self._port.is_network or found == self._port.baud:
+            return self.device_type
+        return f'{self.device_type} (found at {found} Bd, now at {self._port.baud} Bd)'
+
+    def _await_power_on(self, began: float, cause: '_NotReadyError') -> None:
+        """Listen for the power-on telegram for a while; VehicleError when the time is over."""
+        port = self._port
+        assert port is not None
+        if cause.restarted:  # it is ready now
+            return
+        limit, waited = self.config.laser_startup_timeout, time.monotonic() - began
+        if waited >= limit:
+            raise VehicleError(f'{cause} (waited {waited:.0f} s: laser_startup_timeout)')
+        self.progress.tell(
+            f'{cause}; the port stays open for a laser that boots now (20 to 65 s): '
+            f'{waited:.0f} of {limit:.0f} s'
+        )
+        if not port.is_network:
+            port.set_baud(_POWER_ON_RATE)
+        with contextlib.suppress(_NotReadyError):  # it says that it has restarted
+            self._listen(Reply.POWER_ON, min(_BOOT_LISTENING, limit - waited))
+
+    def _rates(self) -> list[int]:
+        """Return the baud rates to try, the likely ones first."""
+        assert self._port is not None
+        if self._port.is_network:
+            return [self._port.baud]
+        rates = (self._last_baud, self.own.laser_baud, *_RATES)
+        return list(dict.fromkeys(rates))
 
     def _find_scanner(self) -> None:
         """Find the scanner's baud rate and stop its stream."""
         port = self._port
         assert port is not None
-        rates = [self._last_baud, self.own.laser_baud, *_RATES]
-        collected = b''
-        for rate in dict.fromkeys(rates):
-            port.set_baud(rate)
+        collected, refused = b'', []
+        rates = self._rates()
+        for rate in rates:
+            try:
+                port.set_baud(rate)
+            except BaudRateError:
+                refused.append(rate)
+                continue
             port.discard()
             self._decoder.clear()
             silent = True
             for attempt in range(_ATTEMPTS):
                 port.write(encode_telegram(Request.MODE, bytes([Mode.ON_REQUEST])))
+                decoded = self._telegrams
                 received, found = self._listen(Reply.MODE, _REPLY_TIMEOUT)
                 collected = (collected + received)[-_KEPT:]
                 if found is not None:
+                    if rate != self.own.laser_baud and not port.is_network:
+                        _log.info('%s: laser found at %d Bd', port.url, rate)
                     self._last_baud = rate
                     return
                 silent = silent and not received
-                if silent and attempt > 0:
+                if (silent and attempt > 0) or (
+                    len(received) > _NOISE and self._telegrams == decoded
+                ):  # another baud rate
                     break
-            if port.is_network:
-                break
-        raise VehicleError(f'{port.url}: {_diagnose_port(collected)}')
+            if not self._tried_for_robot and rate in BAUD_CODES:
+                collected = (collected + self._ask_for_robot())[-_KEPT:]
+            if PacketDecoder().feed(collected):
+                raise VehicleError(
+                    f'{port.url}: a Pioneer robot is at this port, not a laser; swap base_port '
+                    'and laser_port'
+                )
+        self._tried_for_robot = True
+        raise _NotReadyError(f'{port.url}: {_diagnose_port(collected, rates, refused)}')
+
+    def _ask_for_robot(self) -> bytes:
+        """Return what a Pioneer at this port, which a laser's requests leave silent, replies."""
+        assert self._port is not None
+        self._port.write(encode_command(0))
+        received, _ = self._listen(Reply.MODE, _ROBOT_TIMEOUT)
+        return received
 
     def _listen(self, reply: int, timeout: float) -> tuple[bytes, Telegram | None]:
-        """Return the bytes received until this reply, and the reply (None without one)."""
+        """Return the bytes received until this reply, and the reply (None without one).
+
+        _NotReadyError when the scanner has restarted; VehicleError when interrupted.
+        """
         assert self._port is not None
         end = time.monotonic() + timeout
         latest = end + _LONGEST_SCAN
-        received = b''
+        received, decoded = b'', self._telegrams
         while (left := end - time.monotonic()) > 0.0:
-            data = self._port.read(left)
+            if len(received) > _NOISE and self._telegrams == decoded:
+                break
+            if self.progress.interrupted.is_set():
+                raise VehicleError(f'{self._port.url}: interrupted')
+            data = self._port.read(min(left, _LONGEST_READ))
             received += data
             if data:  # wait for the rest of what is being sent
                 end = min(max(end, time.monotonic() + 0.5 * _REPLY_TIMEOUT), latest)
             for telegram in self._decoder.feed(data):
+                self._telegrams += 1
+                if telegram.command == Reply.POWER_ON:
+                    self._last_baud = self._port.baud
+                    raise _NotReadyError(
+                        f'{self._port.url}: the laser has restarted', restarted=True
+                    )
                 if telegram.command == reply:
                     return received, telegram
         return received, None
@@ -189,7 +288,7 @@ class Lms200:
     def _ask(
         self, request: int, data: bytes, reply: int, timeout: float = _REPLY_TIMEOUT
     ) -> Telegram:
-        """Repeat a request until its reply comes; raises VehicleError without one."""
+        """Repeat a request until its reply comes; _NotReadyError without one."""
         assert self._port is not None
         for attempt in range(_ATTEMPTS):
             self._port.write(encode_telegram(request, data))
@@ -201,7 +300,7 @@ class Lms200:
             _log.debug(
                 '%s: no reply to request %02x (attempt %d)', self._port.url, request, attempt + 1
             )
-        raise VehicleError(
+        raise _NotReadyError(
             f'{self._port.url}: the laser does not reply to request {request:02X}; '
             'is its power steady and its cable good?'
         )
@@ -263,6 +362,9 @@ class Lms200:
             raise VehicleError(f'{self.config.laser_port}: the laser refuses its configuration')
         self.configuration = wanted
 
+    def suspend(self) -> None:
+        """Give up the stream, but keep the port open: closing it may cut the laser's power."""
+
     def close(self) -> None:
         """Stop the stream and release the port; never raises."""
         if self._port is None:
@@ -272,8 +374,12 @@ class Lms200:
             time.sleep(self._port.transmission_time(_REQUEST_BYTES))
         except VehicleError:
             pass
-        self._port.close()
-        self._port = None
+        self._release()
+
+    def _release(self) -> None:
+        if self._port is not None:
+            self._port.close()
+            self._port = None
 
     # -- stream -----------------------------------------------------------------------------------
 
@@ -284,13 +390,18 @@ class Lms200:
         """
         if self._port is None:
             raise VehicleError(f'{self.config.laser_port}: not connected')
-        data = self._port.read(timeout)
+        try:
+            data = self._port.read(timeout)
+        except VehicleError:
+            self._release()
+            raise
         now = time.monotonic()
         if data:
             self.last_received = now
         scans = []
         for telegram in self._decoder.feed(data):
             if telegram.command == Reply.POWER_ON:
+                self._last_baud = self._port.baud
                 raise VehicleError(f'{self.config.laser_port}: the laser was switched off and on')
             if telegram.command != Reply.SCAN:
                 continue
@@ -298,17 +409,37 @@ class Lms200:
             scan = self._scan(telegram)
             if scan is None:
                 self.unusable += 1
+                self._faulty += 1
             else:
                 scans.append(scan)
         if scans:
             self._scanned = now
+            self._faulty = 0
             self.scans += len(scans)
         elif now - self._scanned > self.config.scanner_timeout:
             raise VehicleError(
                 f'{self.config.laser_port}: no valid scan for {now - self._scanned:.1f} s; '
-                'is the laser switched on and its cable plugged in?'
+                f'{self._explain_silence(now)}'
             )
         return scans
+
+    def _explain_silence(self, now: float) -> str:
+        """Explain why no valid scan comes, from what comes instead."""
+        dirty = '; its front screen is dirty: clean it' if self.status.polluted else ''
+        if self._faulty and self.status.severity >= _FATAL:
+            return (
+                f'the laser reports {self.status.text} (severity {self.status.severity}) and '
+                f'marks its scans as invalid{dirty}; check its supply (24 V), or switch it off '
+                'and on'
+            )
+        if self._faulty:
+            return (
+                f'{self._faulty} scans came that are partial or of another field of view or '
+                f'resolution{dirty}; does another program configure the laser?'
+            )
+        if now - self.last_received < self.config.scanner_timeout:
+            return f'bytes come, but no telegram of a scan{dirty}; is the cable good?'
+        return f'is the laser switched on and its cable plugged in?{dirty}'
 
     def _scan(self, telegram: Telegram) -> LaserScan | None:
         """Return the scan of a telegram, None where it is not usable.
@@ -349,12 +480,13 @@ class Lms200:
         }
 
 
-def _diagnose_port(collected: bytes) -> str:
+def _diagnose_port(collected: bytes, rates: list[int], refused: list[int]) -> str:
     """Explain why no scanner was found, from the bytes received instead of its replies."""
-    if PacketDecoder().feed(collected):
-        return 'a Pioneer robot is at this port, not a laser; swap base_port and laser_port'
+    tried = '/'.join(str(rate) for rate in rates if rate not in refused)
+    lacking = ''.join(f'; this port cannot be set to {rate} Bd' for rate in refused)
     if collected:
         return (
-            f'{len(collected)} bytes received but no telegram of an LMS-200; is it another device?'
+            f'{len(collected)} bytes received at {tried} Bd, but no telegram of an LMS-200; '
+            f'is it another device, or still booting?{lacking}'
         )
-    return 'no reply from an LMS-200; is it switched on (it takes a minute) and plugged in?'
+    return f'no reply from an LMS-200 at {tried} Bd; is it switched on and plugged in?{lacking}'

@@ -22,11 +22,19 @@ NO_ECHO, DAZZLE, OVERFLOW, LOW_SIGNAL, CHANNEL_ERROR, BEYOND = 0xF, 0xE, 0xD, 0x
 _NO_RETURN = (NO_ECHO, BEYOND)
 
 
+_SEVERITIES = ('no error', 'info', 'a warning', 'an error', 'a fatal error')
+
+
 class StatusByte(NamedTuple):
     """Last data byte of every reply: severity 0 (fine) to 4 (fatal), dirty front screen."""
 
     severity: int
     polluted: bool
+
+    @property
+    def text(self) -> str:
+        """The severity in the words of the manual."""
+        return _SEVERITIES[min(self.severity, len(_SEVERITIES) - 1)]
 
 
 def parse_status_byte(value: int) -> StatusByte:

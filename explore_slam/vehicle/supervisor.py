@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from explore_slam.errors import ExploreSlamError
-from explore_slam.vehicle.devices import Device
+from explore_slam.vehicle.devices import Device, SlowDevice
 
 _log = logging.getLogger(__name__)
 _LONGEST_WAIT = 1.0  # s between attempts to connect
@@ -24,6 +24,7 @@ class Health:
     attempts: int = 0
     losses: int = 0
     records: int = 0
+    waiting: bool = False  # connecting, and not because of a failure: message says for what
 
 
 class Supervisor:
@@ -58,6 +59,9 @@ class Supervisor:
         self._end = threading.Event()
         self._logged = ('', 0.0)
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._slow = device if isinstance(device, SlowDevice) else None
+        if self._slow is not None:
+            self._slow.progress.on_text = self._report_progress
 
     def start(self, patient: bool = True) -> None:
         """Start the thread: connect and poll.
@@ -66,6 +70,8 @@ class Supervisor:
         the reason is in health.message.
         """
         self._patient = patient
+        if self._slow is not None:
+            self._slow.progress.interrupted.clear()
         self._thread.start()
 
     def await_attempt(self, timeout: float) -> bool:
@@ -75,6 +81,8 @@ class Supervisor:
     def stop(self, timeout: float = 3.0) -> None:
         """Stop the thread, which closes the device; wait for it at most timeout (s)."""
         self._end.set()
+        if self._slow is not None:
+            self._slow.progress.interrupted.set()
         if self._thread.is_alive():
             self._thread.join(timeout)
 
@@ -94,33 +102,44 @@ class Supervisor:
                     if not (self._patient or self._tried.is_set()):
                         self.health.message = _text_of(error)
                         break
+                    if self._end.is_set():
+                        break
                     self._lose(error)
                     self._tried.set()
                     self._end.wait(wait)
                     wait = min(2.0 * wait, _LONGEST_WAIT)
         finally:
             self._device.close()
-            self.health.connected = False
+            self.health.connected = self.health.waiting = False
             self._tried.set()
 
     def _connect(self) -> None:
         self.health.attempts += 1
         what = self._device.connect()
-        self.health.connected = True
+        self.health.connected, self.health.waiting = True, False
         self.health.message = f'{what}'
         self._logged = ('', 0.0)
         _log.info('%s: connected: %s', self.name, what)
         self._on_connected()
         self._tried.set()
 
+    def _report_progress(self, text: str) -> None:
+        if not self.health.waiting:  # once; the message counts on
+            _log.info('%s: %s', self.name, text)
+        self.health.waiting = True
+        self.health.message = text
+
     def _lose(self, error: Exception) -> None:
         if self.health.connected:
             self.health.losses += 1
-        self.health.connected = False
+        self.health.connected = self.health.waiting = False
         known = isinstance(error, ExploreSlamError)
         text = _text_of(error)
         self.health.message = text
-        self._device.close()
+        if self._slow is not None:
+            self._slow.suspend()
+        else:
+            self._device.close()
         last, when = self._logged
         now = time.monotonic()
         if text != last or now - when > _REPEAT_LOG:

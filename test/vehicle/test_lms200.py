@@ -78,11 +78,12 @@ def test_the_configuration_is_written_once_and_only_where_it_must_be(rig):
     again.close()
 
 
-@pytest.mark.parametrize('baud', [9600, 19200, 38400])
+@pytest.mark.parametrize('baud', [9600, 19200, 38400, 500000])
 @pytest.mark.parametrize('streaming', [False, True])
 def test_finds_a_scanner_at_any_rate_even_while_it_streams(rig, baud, streaming):
     scanner, _, laser = rig(baud=baud, streaming=streaming)
-    laser.connect()
+    found = laser.connect()
+    assert (f'found at {baud} Bd' in found) == (baud != 38400)
     assert scanner.baud == 38400
     assert run(laser, 0.5)
 
@@ -181,9 +182,11 @@ def test_scans_of_a_scanner_in_trouble_are_not_used(rig):
 
 
 def test_silence_and_a_robot_at_the_port_have_their_messages(rig, tmp_path):
-    _, line, laser = rig()
+    _, line, laser = rig({'laser_startup_timeout': 1.0})
     line.faults.silent = True
-    with pytest.raises(VehicleError, match='no reply from an LMS-200'):
+    with pytest.raises(
+        VehicleError, match=r'no reply from an LMS-200.*switched on.*laser_startup_timeout'
+    ):
         laser.connect()
     device = ArcosRobot(KinematicBody(), baud=38400)
     with SerialLine(device, tmp_path / 'base') as base:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from explore_slam.data import LaserScan
 from explore_slam.vehicle.lms200_scan import (
     BEYOND,
+    CONFIGURATION_LENGTH,
     MILLIMETRES,
     MIRROR_PERIOD,
     NO_ECHO,
@@ -37,10 +38,21 @@ _ACK_DELAY = 0.005  # s; the manual allows 60 ms
 _REPLY_DELAY = 0.02  # s after the acknowledgement
 _MODE_DELAY = 0.05  # s more for a change of mode; the manual allows 3 s
 _WRITE_DELAY = 0.1  # s more for writing the EEPROM
-_BOOT_TIME = 0.5  # s; a real scanner takes a minute
+_BOOT_TIME = 0.5  # s; a real scanner takes 20 to 65 s
 _STREAM_DELAY = 0.02  # s from the reply to the first scan
 _TYPE = b'LMS200;S18063;V02.19 '
-_STATUS = b'V02.19 ' + bytes(145)  # of a status reply: the version, everything else 0
+_STATUS_LENGTH = 152  # bytes of a status block
+# offsets of its fields: operating mode, defect, serial number, variant, revolutions of the mirror,
+# measuring mode, field of view, resolution, restart mode, baud rate, evaluation, number of the
+# field set, unit, laser on, version of the boot software
+_AT_MODE, _AT_SERIAL, _AT_REVOLUTIONS, _AT_MEASURING = 7, 9, 66, 101
+_AT_ANGLE, _AT_RESOLUTION, _AT_RESTART, _AT_BAUD, _AT_EVALUATION = 106, 108, 110, 115, 117
+_AT_FIELD_SET, _AT_UNIT, _AT_LASER_ON, _AT_BOOT_VERSION = 120, 121, 122, 123
+_VERSION, _BOOT_VERSION, _SERIAL = b'V02.19 ', b'V02.02 ', b'05270497'
+_BAUD_CODES = {9600: 0x8067, 19200: 0x8033, 38400: 0x8019, 500000: 0x8001}
+_RESTART = _EVALUATION = 2
+# bytes of a configuration that clients write: up to the unit (old drivers), as ARIA does, whole
+_BLOCK_LENGTHS = range(7, CONFIGURATION_LENGTH + 1)
 _FINE, _SEVERE = 0x10, 0x13  # status bytes
 _ADDRESS = 0x80
 _RATE_OF_MODE = {mode: rate for rate, mode in BAUD_MODES.items()}
@@ -74,7 +86,14 @@ class Lms200Scanner:
         variant: tuple[int, int] = (180, 50),
         streaming: bool = False,
         mode_delay: float = _MODE_DELAY,
+        boot_time: float = _BOOT_TIME,
+        answers_while_booting: bool = False,
     ) -> None:
+        """Make a scanner that has booted.
+
+        boot_time: s from power-on to the power-on telegram.
+        answers_while_booting: it obeys requests before that telegram, and forgets what was set.
+        """
         self.faults = ScannerFaults()
         self.configuration = ScannerConfiguration(configuration)
         self.baud = baud
@@ -85,21 +104,44 @@ class Lms200Scanner:
         self._scan = scan
         self._installing = False
         self._mode_delay = mode_delay
+        self._boot_time = boot_time
+        self._answers_while_booting = answers_while_booting
+        self._power = True
+        self._booting: float | None = None  # s, when the power-on telegram is due
+        self._revolutions_from = 0.0  # s, when the mirror began to turn
         self._decoder = TelegramDecoder(replies=False)
         self._replies: deque[tuple[float, bytes, int | None]] = deque()  # when, what, new rate
         self._next_scan = 0.0
 
+    @property
+    def booted(self) -> bool:
+        """Whether it has power, and has sent its power-on telegram since."""
+        return self._power and self._booting is None
+
     def reset(self, now: float) -> None:
         """Restart as after a loss of power: 9600 Bd, on request."""
+        self._forget()
+        self._booting = now + self._boot_time
+
+    def set_power(self, on: bool, now: float) -> None:
+        """Switch the supply on or off (protocol PoweredDevice); it boots when it comes."""
+        self._power = on
+        if on:
+            self.reset(now)
+        else:
+            self._forget()
+
+    def _forget(self) -> None:
         self.baud, self.streaming, self._installing = 9600, False, False
         self._replies.clear()
         self._decoder.clear()
-        self._reply(now + _BOOT_TIME, Reply.POWER_ON, _TYPE)
 
     # -- the device -------------------------------------------------------------------------------
 
     def receive(self, data: bytes, now: float) -> None:
         """Receive bytes of the host."""
+        if not (self.booted or (self._power and self._answers_while_booting)):
+            return
         rejected = self._decoder.rejected
         for telegram in self._decoder.feed(data):
             if telegram.address != 0:
@@ -115,6 +157,13 @@ class Lms200Scanner:
     def transmit(self, now: float) -> bytes:
         """Return the bytes that the scanner sends now."""
         data = bytearray()
+        if not self._power:
+            return b''
+        if self._booting is not None and now >= self._booting:
+            self._booting = None
+            self._forget()
+            self._revolutions_from = now
+            self._reply(now, Reply.POWER_ON, _TYPE)
         while self._replies and self._replies[0][0] <= now:
             _, telegram, rate = self._replies.popleft()
             data += telegram
@@ -143,13 +192,38 @@ class Lms200Scanner:
     def _status(self) -> int:
         return (_SEVERE if self.faults.severe else _FINE) | self.faults.polluted << 7
 
+    def _status_block(self, now: float) -> bytes:
+        """Return the data of a status reply, with the fields that clients read."""
+        block = bytearray(_STATUS_LENGTH)
+
+        def put(offset: int, data: bytes) -> None:
+            block[offset : offset + len(data)] = data
+
+        mode = Mode.STREAM if self.streaming else Mode.ON_REQUEST
+        turns = int((now - self._revolutions_from) / MIRROR_PERIOD) & 0xFFFF
+        put(0, _VERSION)
+        put(_AT_MODE, bytes([Mode.INSTALLATION if self._installing else mode, self.faults.severe]))
+        put(_AT_SERIAL, _SERIAL)
+        put(_AT_REVOLUTIONS, turns.to_bytes(2, 'little'))
+        put(_AT_MEASURING, bytes([self.configuration.mode]))
+        put(_AT_ANGLE, self.variant[0].to_bytes(2, 'little'))
+        put(_AT_RESOLUTION, self.variant[1].to_bytes(2, 'little'))
+        put(_AT_RESTART, bytes([_RESTART]))
+        put(_AT_BAUD, _BAUD_CODES[self.baud].to_bytes(2, 'little'))
+        put(_AT_EVALUATION, bytes([_EVALUATION]))
+        put(_AT_FIELD_SET, bytes([1]))
+        put(_AT_UNIT, bytes([self.configuration.unit]))
+        put(_AT_LASER_ON, bytes([1]))
+        put(_AT_BOOT_VERSION, _BOOT_VERSION)
+        return bytes(block)
+
     def _handle(self, command: int, data: bytes, when: float) -> None:
         if command == Request.MODE and data:
             self._change_mode(data, when + self._mode_delay)
         elif command == Request.TYPE:
             self._reply(when, Reply.TYPE, _TYPE)
         elif command == Request.STATUS:
-            self._reply(when, Reply.STATUS, _STATUS)
+            self._reply(when, Reply.STATUS, self._status_block(when))
         elif command == Request.VARIANT and len(data) >= 4:
             wanted = (int.from_bytes(data[:2], 'little'), int.from_bytes(data[2:4], 'little'))
             accepted = wanted in VARIANTS
@@ -158,16 +232,18 @@ class Lms200Scanner:
         elif command == Request.READ_CONFIGURATION:
             self._reply(when, Reply.CONFIGURATION, self.configuration.block)
         elif command == Request.WRITE_CONFIGURATION:
-            accepted = self._installing and len(data) == len(self.configuration.block)
-            if accepted:
-                self.configuration = ScannerConfiguration(data)
+            accepted = self._installing and len(data) in _BLOCK_LENGTHS
+            if accepted:  # a short block leaves the rest as it is
+                rest = self.configuration.block[len(data) :]
+                self.configuration = ScannerConfiguration(data + rest)
                 self.writes += 1
-            self._reply(when + _WRITE_DELAY, Reply.WRITTEN, bytes([accepted]) + data)
+            block = self.configuration.block if accepted else data
+            self._reply(when + _WRITE_DELAY, Reply.WRITTEN, bytes([accepted]) + block)
         elif command == Request.SCAN:
             self._replies.append((when, self._scan_telegram(), None))
         elif command == Request.RESET:
-            self._reply(when, Reply.RESET)
             self.reset(when)
+            self._reply(when, Reply.RESET)
         else:
             self._reply(when, Reply.UNKNOWN)
 

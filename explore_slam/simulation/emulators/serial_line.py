@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, cast
 
 import numpy as np
 
@@ -31,6 +31,13 @@ class SerialDevice(Protocol):
         """Return the bytes that the device sends at this time."""
 
 
+class PoweredDevice(SerialDevice, Protocol):
+    """An emulated device whose power supply is switched by the control lines of the port."""
+
+    def set_power(self, on: bool, now: float) -> None:
+        """Switch the supply on or off."""
+
+
 @dataclass
 class LineFaults:
     """Faults of the line; may be changed at any time. Rates are per byte in both directions."""
@@ -46,6 +53,8 @@ class SerialLine:
     """Runs a device behind a pty or a TCP port, in a thread.
 
     link: symbolic link to the pty. tcp_port: port to listen at instead, 0 for any free one.
+    powered: the device (a PoweredDevice) has power only while a client has the port open, as
+    where DTR or RTS of the port switches it: the laser of many Pioneers.
     realtime: bytes take 10 bits each at the device's baud rate. A host at another baud rate sends
     and receives garbage.
     clock: time (s) of device and line, real or simulated.
@@ -58,6 +67,7 @@ class SerialLine:
         link: Path | None = None,
         *,
         tcp_port: int | None = None,
+        powered: bool = False,
         realtime: bool = True,
         clock: Callable[[], float] = time.monotonic,
         seed: int = 0,
@@ -74,7 +84,15 @@ class SerialLine:
         self._lock = threading.RLock()
         self._end = threading.Event()
         self._transport: PtyTransport | TcpTransport
-        self._transport = PtyTransport(link) if tcp_port is None else TcpTransport(tcp_port)
+        if tcp_port is None:
+            self._transport = PtyTransport(link, held=not powered)
+        else:
+            self._transport = TcpTransport(tcp_port)
+        self._powered: PoweredDevice | None = None
+        self._power = False
+        if powered:
+            self._powered = cast(PoweredDevice, device)
+            self._powered.set_power(False, clock())
         self._thread = threading.Thread(target=self._run, name='serial-line', daemon=True)
 
     @property
@@ -126,6 +144,7 @@ class SerialLine:
         """Pass bytes in both directions, with faults."""
         matched = self._transport.host_rate() in (0, self.device.baud)
         data = self._transport.read()
+        self._switch_power(now)
         if data and not (self.faults.deaf or self.faults.silent):
             self.device.receive(self._disturb(data) if matched else self._garble(data), now)
         fresh = self.device.transmit(now)
@@ -138,6 +157,14 @@ class SerialLine:
                 self._budget = 0.0  # time during which the line was idle is lost
             self._outbox += fresh
         self._send(now, elapsed)
+
+    def _switch_power(self, now: float) -> None:
+        """Give the device power while a client has the port open."""
+        if self._powered is None or self._transport.host_open == self._power:
+            return
+        self._power = not self._power
+        self._powered.set_power(self._power, now)
+        self._outbox.clear()
 
     def _send(self, now: float, elapsed: float) -> None:
         """Send as many bytes as the line transmits in the elapsed time (s)."""

@@ -21,10 +21,15 @@ _TERMIOS_RATES = {
 
 
 class PtyTransport:
-    """A pseudo terminal; both ends are held open, so that clients may come and go."""
+    """A pseudo terminal whose clients may come and go.
 
-    def __init__(self, link: Path | None) -> None:
+    held: also keep the client's end open, so that nothing that is sent before a client comes is
+    lost. Without it, host_open tells whether a client has opened the port.
+    """
+
+    def __init__(self, link: Path | None, *, held: bool = True) -> None:
         self._link = link
+        self._held = held
         self._master = self._slave = -1
         self._name = ''
 
@@ -36,7 +41,16 @@ class PtyTransport:
     @property
     def connected(self) -> bool:
         """Whether bytes can be sent to a client."""
-        return self._master >= 0
+        return self._master >= 0 and self.host_open
+
+    @property
+    def host_open(self) -> bool:
+        """Whether a client has the port open; True where its end is held open."""
+        if self._held or self._master < 0:
+            return self._master >= 0
+        poll = select.poll()
+        poll.register(self._master, select.POLLIN)
+        return not any(event & select.POLLHUP for _, event in poll.poll(0))
 
     def open(self) -> None:
         """Connect, or connect again."""
@@ -45,6 +59,9 @@ class PtyTransport:
         self._name = os.ttyname(self._slave)
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
+        if not self._held:  # from now on the kernel reports a hangup until a client opens it
+            os.close(self._slave)
+            self._slave = -1
         if self._link is not None:
             replace_link(self._link, self._name)
 
@@ -52,8 +69,9 @@ class PtyTransport:
         """Disconnect."""
         if self._master < 0:
             return
-        os.close(self._master)
-        os.close(self._slave)
+        for end in (self._master, self._slave):
+            if end >= 0:
+                os.close(end)
         self._master = self._slave = -1
         if self._link is not None and self._link.is_symlink():
             self._link.unlink()
@@ -61,7 +79,7 @@ class PtyTransport:
     def wait(self, timeout: float) -> None:
         """Wait at most timeout (s) for bytes of the host."""
         master = self._master
-        if master < 0:
+        if not self.host_open:  # select would return at once
             time.sleep(timeout)
             return
         with contextlib.suppress(OSError, ValueError):
@@ -71,7 +89,8 @@ class PtyTransport:
         """Return the baud rate of the host's end, 0 where it has none."""
         if self._master < 0:
             return 0
-        return _TERMIOS_RATES.get(termios.tcgetattr(self._slave)[5], 1)
+        # both ends of a pseudo terminal have the settings of the client's end
+        return _TERMIOS_RATES.get(termios.tcgetattr(self._master)[5], 1)
 
     def read(self) -> bytes:
         """Return the bytes received from the host."""
@@ -106,6 +125,11 @@ class TcpTransport:
     @property
     def connected(self) -> bool:
         """Whether bytes can be sent to a client."""
+        return self._client is not None
+
+    @property
+    def host_open(self) -> bool:
+        """Whether a client is connected."""
         return self._client is not None
 
     def open(self) -> None:
