@@ -9,7 +9,7 @@ import time
 
 from explore_slam.vehicle.arcos_packets import Command, PacketDecoder, encode_command
 from explore_slam.vehicle.arcos_status import RobotIdentity, parse_identity, parse_status
-from explore_slam.vehicle.lms200_telegrams import TelegramDecoder
+from explore_slam.vehicle.lms200_telegrams import Request, TelegramDecoder, encode_telegram
 from explore_slam.vehicle.serial_port import SerialPort
 
 _log = logging.getLogger(__name__)
@@ -18,6 +18,8 @@ _SYNC_ATTEMPTS = 3
 _CLOSE_TIME = 0.1  # s, a status period: the robot has ended its session by then
 _LONGEST_ECHO = 80  # bytes: the reply to SYNC2 with name, class and subclass
 _LOST_COUNT = 255  # id of the reply with which the robot asks to start again at SYNC0
+LASER_RATES = (9600, 19200, 38400)  # Bd, of a laser at this port by mistake
+_LASER_TIMEOUT = 0.2  # s; it acknowledges within 60 ms
 _KEPT = 4096  # bytes kept for the diagnosis
 
 
@@ -73,10 +75,25 @@ def _await_echo(port: SerialPort, decoder: PacketDecoder, step: int) -> tuple[by
     return 'silent', collected
 
 
+def is_laser(collected: bytes) -> bool:
+    """Return whether bytes hold a telegram of a SICK laser."""
+    return bool(TelegramDecoder().feed(collected))
+
+
+def ask_for_laser(port: SerialPort) -> bytes:
+    """Return what a SICK laser at this port, which SYNC leaves silent, replies."""
+    port.write(encode_telegram(Request.TYPE))
+    end = time.monotonic() + _LASER_TIMEOUT
+    received = b''
+    while (left := end - time.monotonic()) > 0.0 and not is_laser(received):
+        received += port.read(left)
+    return received
+
+
 def diagnose_port(collected: bytes, rates: list[int]) -> str:
     """Explain why no robot was found at these baud rates, from the bytes received instead."""
     asked = '/'.join(str(rate) for rate in rates)
-    if TelegramDecoder().feed(collected):
+    if is_laser(collected):
         return 'a SICK laser is at this port, not a robot; swap base_port and laser_port'
     if collected:
         return (

@@ -36,6 +36,9 @@ class Command(IntEnum):
     HOSTBAUD = 50
     ESTOP = 55
     BATTERYINFO = 62
+    REVCOUNT = 88
+    DRIFTFACTOR = 89
+    TICKSMM = 93
 
 
 _POSITIVE, _NEGATIVE, _STRING = 0x3B, 0x1B, 0x2B  # argument types

@@ -8,36 +8,21 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from explore_slam.errors import VehicleError
 from explore_slam.geometry import IDENTITY, Pose2, wrap_angle
+from explore_slam.vehicle.pioneer_models import ScaleFactors, robot_model
 
 STOPPED, MOVING = 0x32, 0x33  # types of a status packet (SIP)
+_STATUS_TYPES = range(0x30, 0x34)  # 0x30 and 0x31 come from older firmware; odd while moving
 CONFIG_PACKET = 0x20
 _log = logging.getLogger(__name__)
 _LONGEST_STEP = 3.0  # m between two status packets, 4 s at top speed; more is a reset robot
+# m and rad from zero within which counters are those of a robot that was switched on just now, and
+# perhaps pushed since; counters of a robot that was in use are rarely there
+_ORIGIN = 0.1
 COUNTER_BITS = 15  # firmware wraps x and y at 15 or at 16 bits: the low 15 are always valid
 _BATTERY_UNIT = 0.1  # V
+_CHARGING = range(1, 5)  # charge states; 0: not charging, 255: unknown
 _TURN_RATE_UNIT = 0.1  # °/s
-
-
-class ScaleFactors(NamedTuple):
-    """Units of the robot's counts (robot parameter files of ARIA: DistConvFactor etc.).
-
-    distance: mm. angle: rad. velocity: mm/s. range: mm.
-    difference: turn rate (rad/s) per half the difference of the wheel speeds (mm/s).
-    """
-
-    distance: float
-    angle: float
-    velocity: float
-    range: float
-    difference: float
-
-
-SCALE_FACTORS = {
-    'p3dx': ScaleFactors(0.485, math.tau / 4096, 1.0, 1.0, 0.0056),
-    'p3dx-sh': ScaleFactors(1.0, math.tau / 4096, 1.0, 1.0, 0.0056),
-}
 
 
 def scale_factors(subclass: str, distance: float = 0.0) -> ScaleFactors:
@@ -46,15 +31,7 @@ def scale_factors(subclass: str, distance: float = 0.0) -> ScaleFactors:
     distance: overrides the distance factor (mm per count) if > 0.
     Raises VehicleError for an unknown subclass without a distance factor.
     """
-    known = SCALE_FACTORS.get(subclass.lower())
-    if known is None and distance <= 0.0:
-        raise VehicleError(
-            f"the robot has the unknown subclass '{subclass}', expected one of "
-            f'{sorted(SCALE_FACTORS)}: '
-            'set distance_factor to its DistConvFactor (mm per count)'
-        )
-    factors = known or SCALE_FACTORS['p3dx']
-    return factors._replace(distance=distance) if distance > 0.0 else factors
+    return robot_model(subclass, distance).factors
 
 
 @dataclass(frozen=True)
@@ -90,6 +67,11 @@ class StatusPacket:
         return bool(self.flags & 1)
 
     @property
+    def charging(self) -> bool:
+        """Whether a charger feeds the battery (bulk, overcharge, float or balance)."""
+        return self.charge_state in _CHARGING
+
+    @property
     def emergency_stop(self) -> bool:
         """Whether the emergency stop button is pressed (flag bit 5)."""
         return bool(self.flags & 1 << 5)
@@ -109,7 +91,7 @@ _IO_BYTES = 5  # gripper, analogue port, analogue, digital in, digital out
 
 def parse_status(payload: bytes) -> StatusPacket | None:
     """Parse a status packet; None for any other or an incomplete payload. Never raises."""
-    if len(payload) < _FIXED or payload[0] not in (STOPPED, MOVING):
+    if len(payload) < _FIXED or payload[0] not in _STATUS_TYPES:
         return None
     sonar: dict[int, int] = {}
     end = _FIXED
@@ -122,7 +104,7 @@ def parse_status(payload: bytes) -> StatusPacket | None:
     counts = _unsigned(rest, 0) if len(rest) >= 2 else payload[11]
     turn_rate = math.radians(_TURN_RATE_UNIT * _signed(rest, 3)) if len(rest) >= 5 else None
     return StatusPacket(
-        moving=payload[0] == MOVING,
+        moving=bool(payload[0] & 1),
         x=_unsigned(payload, 1),
         y=_unsigned(payload, 3),
         heading=_signed(payload, 5),
@@ -199,21 +181,54 @@ def parse_configuration(payload: bytes) -> RobotConfiguration | None:
     )
 
 
+class CounterState(NamedTuple):
+    """Where the counters stood (x, y, heading in counts) at a pose in the odometry frame."""
+
+    pose: Pose2
+    x: int
+    y: int
+    heading: int
+
+
 class CounterOdometry:
     """Pose in the odometry frame from the robot's counters.
 
     It is continuous through wrap-around of the counters and restarts of the robot.
+    resumed: whether the counters at the last connection continued those known before; None if
+    none were known.
     """
 
-    def __init__(self, factors: ScaleFactors, start: Pose2 = IDENTITY) -> None:
+    def __init__(
+        self, factors: ScaleFactors, start: Pose2 = IDENTITY, last: CounterState | None = None
+    ) -> None:
+        """Begin at the pose start.
+
+        last: counters of an earlier driver, whose frame continues if the robot has kept counting.
+        """
         self._factors = factors
         self._anchor = start  # pose in the odometry frame at which the unwrapped counters are 0
         self._counts: tuple[int, int] | None = None
         self._total = [0, 0]
+        self._heading = 0
+        self._last = last  # to be resumed with the next status packet
+        self.resumed: bool | None = None
         self.pose = start
 
+    @property
+    def state(self) -> CounterState | None:
+        """Pose and counters of the last status packet, None before the first one."""
+        if self._counts is None:
+            return None
+        return CounterState(self.pose, *self._counts, self._heading)
+
     def restart(self, factors: ScaleFactors) -> None:
-        """Continue from the present pose with counters of any value (after a reconnection)."""
+        """Continue from the present pose with counters of any value (another or a reset robot)."""
+        self._factors = factors
+        self._counts = self._last = None
+
+    def resume(self, factors: ScaleFactors) -> None:
+        """Continue after a reconnection: count what was driven meanwhile, unless it was reset."""
+        self._last = self.state or self._last
         self._factors = factors
         self._counts = None
 
@@ -221,6 +236,8 @@ class CounterOdometry:
         """Update with a status packet; return the pose (m, rad)."""
         scale = 0.001 * self._factors.distance
         heading = wrap_angle(self._factors.angle * status.heading)
+        if self._counts is None and self._last is not None:
+            self._resume(self._last, status)
         counts = (status.x, status.y)
         last = self._counts or counts
         steps = [counter_difference(*pair) for pair in zip(counts, last, strict=True)]
@@ -235,9 +252,33 @@ class CounterOdometry:
         else:
             self._total = [total + step for total, step in zip(self._total, steps, strict=True)]
         self._counts = counts
+        self._heading = status.heading
         driven = Pose2(scale * self._total[0], scale * self._total[1], heading)
         self.pose = self._anchor.compose(driven)
         return self.pose
+
+    def _resume(self, last: CounterState, status: StatusPacket) -> None:
+        """Take over the pose at which the counters stood, if the robot has kept counting."""
+        self._last = None
+        scale = 0.001 * self._factors.distance
+
+        def distance_from(x: int, y: int) -> float:
+            steps = counter_difference(status.x, x), counter_difference(status.y, y)
+            return scale * math.hypot(*steps)
+
+        def at_origin(x: int, y: int, heading: int) -> bool:
+            apart = scale * math.hypot(counter_difference(x, 0), counter_difference(y, 0))
+            turn = abs(wrap_angle(self._factors.angle * heading))
+            return apart < _ORIGIN and turn < _ORIGIN
+
+        reset = at_origin(status.x, status.y, status.heading) and not at_origin(*last[1:])
+        self.resumed = not reset and distance_from(last.x, last.y) <= _LONGEST_STEP
+        if not self.resumed:
+            return
+        heading = wrap_angle(self._factors.angle * last.heading)
+        self._counts = (last.x, last.y)
+        self._total = [0, 0]
+        self._anchor = last.pose.compose(Pose2(0.0, 0.0, heading).inverse())
 
 
 def counter_difference(value: int, last: int, bits: int = COUNTER_BITS) -> int:

@@ -82,6 +82,7 @@ class BaseState:
     front_bumpers: int = 0  # one bit per pressed segment
     rear_bumpers: int = 0
     faults: int | None = None  # code of the manufacturer
+    charge: float | None = None  # of the battery, 0 to 1; None: not measured
     sonar_points: Array | None = None  # echoes (N, 2) m, vehicle frame; None: no reading
 
 

@@ -43,6 +43,14 @@ class BaseConfig(Section):
     motors_after_reconnect: bool = setting(
         False, 'Switch motors that were on back on after the connection was lost'
     )
+    battery_nominal_voltage: float = setting(
+        0.0,
+        'Nominal voltage of a lead-acid battery, usually 12 or 24, for its charge in percent; 0: '
+        'by the voltage that the base reports',
+        unit='V',
+        low=0.0,
+        high=48.0,
+    )
     use_sonar: bool = setting(True, 'Switch the sonar on and publish its echoes', tier='basic')
     maximum_speed: float = setting(
         0.75, 'Maximum speed', unit='m/s', low=0.05, high=2.0, tier='basic'

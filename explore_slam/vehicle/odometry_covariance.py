@@ -46,6 +46,15 @@ class OdometryCovariance:
         )
         self._covariance = f @ self._covariance @ f.T + noise
 
+    @property
+    def in_vehicle_frame(self) -> Array:
+        """Covariance (3, 3) in the vehicle frame, by which it can be restored."""
+        return self._covariance
+
+    def restore(self, covariance: Array) -> None:
+        """Continue from a covariance (3, 3) in the vehicle frame."""
+        self._covariance = covariance.copy()
+
     def value(self, pose: Pose2) -> Array:
         """Return the covariance (3, 3) of x, y (m²) and heading (rad²) in the odometry frame."""
         return rotated(self._covariance, -pose.theta)

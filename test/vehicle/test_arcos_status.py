@@ -127,9 +127,10 @@ def test_scale_factors_of_known_unknown_and_given():
     assert scale_factors('p3dx').distance == 0.485
     assert scale_factors('p3dx-sh').distance == 1.0
     assert scale_factors('P3DX-SH').angle == pytest.approx(2 * math.pi / 4096)
-    assert scale_factors('p3at', 0.465).distance == 0.465
-    with pytest.raises(VehicleError, match=r"unknown subclass 'p3at'.*set distance_factor"):
-        scale_factors('p3at')
+    assert scale_factors('p3at', 0.47).distance == 0.47
+    assert scale_factors('robo7', 0.47).distance == 0.47
+    with pytest.raises(VehicleError, match=r"unknown subclass 'robo7'.*set distance_factor"):
+        scale_factors('robo7')
 
 
 @given(st.integers(0, 65535), st.integers(-16383, 16383))

@@ -201,11 +201,14 @@ def test_a_pulled_cable_and_a_silent_robot_are_reported(rig):
 
 
 def test_unknown_subclass_and_its_remedy(rig):
-    _, _, robot = rig(subclass='amigo')
-    with pytest.raises(VehicleError, match=r"unknown subclass 'amigo'.*distance_factor"):
+    _, _, robot = rig(subclass='robo7')
+    with pytest.raises(VehicleError, match=r"unknown subclass 'robo7'.*distance_factor"):
         robot.connect()
-    _, _, robot = rig(subclass='amigo', config={'distance_factor': 0.5083})
-    assert robot.connect().subclass == 'amigo'
+    device, _, robot = rig(subclass='robo7', distance_factor=0.7, config={'distance_factor': 0.7})
+    assert robot.connect().subclass == 'robo7'
+    robot.enable_motors(True)
+    assert run(robot, 5.0, (0.5, 0.0), until=lambda state: state.odometry.pose.x > 0.3)
+    assert 0.3 <= device.odometry().x < 0.5
 
 
 def test_each_wrong_port_has_its_message(rig, tmp_path):
