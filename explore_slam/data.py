@@ -329,6 +329,7 @@ class FollowerState(Enum):
     DRIVING = 'driving'
     ARRIVED = 'arrived'
     BLOCKED = 'blocked'
+    TELEOPERATED = 'teleoperated'
 
 
 @dataclass(frozen=True)
@@ -349,6 +350,7 @@ class VehicleState(Enum):
     WAITING = 'waiting'
     DRIVING = 'driving'
     BLOCKED = 'blocked'
+    TELEOPERATED = 'teleoperated'
     LOST = 'lost'
     UNLOCALIZED = 'unlocalized'
     SILENT = 'silent'

@@ -20,8 +20,9 @@ ARGUMENTS = {
         str(CONFIG / 'vehicle.yaml'),
         'parameters of driver and follower; arguments that are given override them',
     ),
-    'base_port': ('', "serial device of the base, or 'tcp://host:port'"),
-    'laser_port': ('', 'serial device of the laser'),
+    'base_port': ('', "serial device of the base, or 'tcp://host' or 'tcp://host:port'"),
+    'laser_port': ('', "serial device of the laser, or 'tcp://host:port'"),
+    'use_laser': ('', 'false: the vehicle has no laser at all: nothing waits for scans'),
     'base': ('', 'true: drive the Pioneer base; false: another node does'),
     'laser': ('', 'true: read the SICK LMS-200; false: another node publishes scan'),
     'camera': ('', 'true: read the Kinect; false: another node publishes camera/...'),
@@ -67,10 +68,11 @@ def start(context):
             'motors': ('motors_at_start', read.boolean),
         },
     )
+    sensors = read.given_parameters(given, {'use_laser': ('use_laser', read.boolean)})
     file = read.existing_file('params_file', given['params_file'])
-    nodes = [('pioneer_driver', [file, {**driver, **managed}])]
+    nodes = [('pioneer_driver', [file, {**driver, **sensors, **managed}])]
     if read.boolean('follower', given['follower']):
-        nodes.append(('path_follower', [file, managed]))
+        nodes.append(('path_follower', [file, {**sensors, **managed}]))
     if read.boolean('features', given['features']):
         nodes.append(('feature_extractor', [file, time]))
     return [

@@ -138,8 +138,10 @@ class TeamPlanner:
                 del self._goals[name]
 
     def _snapshot(self, status: VehicleStatus) -> VehicleSnapshot:
-        active = status.state not in (VehicleState.SILENT, VehicleState.LOST)
         vehicle = status.vehicle
+        active = status.state not in (VehicleState.SILENT, VehicleState.LOST)
+        # the others take over what it was on its way to; its scans are mapped all the same
+        active = active and not _is_teleoperated(self._agent.track(vehicle))
         return VehicleSnapshot(
             self._agent.map_pose(vehicle),
             active,
@@ -148,8 +150,11 @@ class TeamPlanner:
         )
 
     def _state(self, vehicle: str, result: PlanningResult) -> VehicleState:
-        if _is_blocked(self._agent.track(vehicle)):
+        track = self._agent.track(vehicle)
+        if _is_blocked(track):
             return VehicleState.BLOCKED
+        if _is_teleoperated(track):
+            return VehicleState.TELEOPERATED
         if vehicle in result.plans:
             returning = result.status is ExplorationStatus.RETURNING
             return VehicleState.RETURNING if returning else VehicleState.DRIVING
@@ -157,6 +162,10 @@ class TeamPlanner:
             ExplorationStatus.COMPLETE: VehicleState.DONE,
             ExplorationStatus.RETURNED: VehicleState.HOME,
         }.get(result.status, VehicleState.WAITING)
+
+
+def _is_teleoperated(track: VehicleTrack) -> bool:
+    return track.follower is not None and track.follower.state is FollowerState.TELEOPERATED
 
 
 def _is_blocked(track: VehicleTrack) -> bool:

@@ -69,6 +69,19 @@ def names(name: str, text: str) -> list[str]:
     return found
 
 
+def one_each(name: str, text: str, vehicles: Sequence[str], default: Sequence[str]) -> list[str]:
+    """Return one text per vehicle, separated by commas; the default where there is none."""
+    if not text.strip():
+        return list(default)
+    found = [word.strip() for word in text.split(',')]
+    if len(found) != len(vehicles) or '' in found or len(set(found)) != len(found):
+        raise ConfigError(
+            f'{name} is {text!r}, expected {len(vehicles)} different texts, separated by commas: '
+            f'one for each of {", ".join(vehicles)}'
+        )
+    return found
+
+
 def numbers(name: str, text: str, count: int) -> list[float]:
     """Return a given number of numbers that are separated by commas."""
     try:

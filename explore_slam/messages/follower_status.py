@@ -13,7 +13,7 @@ from explore_slam.messages.base import MessageFactory
 
 # levels of DiagnosticStatus, one byte each
 _OK, _WARN = b'\x00', b'\x01'
-_FINE = (FollowerState.DRIVING, FollowerState.ARRIVED)
+_FINE = (FollowerState.DRIVING, FollowerState.ARRIVED, FollowerState.TELEOPERATED)
 
 
 def follower_status_message(factory: MessageFactory, vehicle: str, report: FollowerReport) -> Any:

@@ -90,6 +90,7 @@ class VehicleTopic(Topic):
     PARTICLES = 'particles', 'geometry_msgs/msg/PoseArray', BEST_EFFORT
     AGENT_ALIVE = 'agent_alive', 'std_msgs/msg/Empty', BEST_EFFORT, BEST_EFFORT
     VELOCITY_COMMAND = 'cmd_vel', 'geometry_msgs/msg/Twist', NEWEST, NEWEST
+    TELEOP_COMMAND = 'cmd_vel_teleop', 'geometry_msgs/msg/Twist', NEWEST, NEWEST
     GOAL_POSE = 'goal_pose', 'geometry_msgs/msg/PoseStamped', RELIABLE, RELIABLE
     FOLLOWER_STATUS = 'follower_status', 'diagnostic_msgs/msg/DiagnosticStatus', RELIABLE, RELIABLE
     BATTERY = 'battery', 'sensor_msgs/msg/BatteryState'

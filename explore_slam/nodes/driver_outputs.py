@@ -27,9 +27,24 @@ from explore_slam.nodes.node_support import diagnostics_message, now_seconds
 from explore_slam.nodes.ros_types import MESSAGES
 from explore_slam.vehicle import BaseState, DriverConfig
 
-# V; approximate voltages of an empty and of a full lead-acid battery of 12 V
-_BATTERY_EMPTY, _BATTERY_FULL = 11.0, 12.8
+# V; approximate voltages of an empty and of a full lead-acid battery of 12 V; others in proportion
+_BATTERY_EMPTY, _BATTERY_FULL, _BATTERY_NOMINAL = 11.0, 12.8, 12.0
+_TWICE_NOMINAL = 18.0  # V from which a battery has 24 V: one of 12 V has less while it is charged
 _LATENCIES = 200  # newest samples kept
+
+
+def battery_charge(voltage: float, nominal: float = 0.0) -> float:
+    """Return the approximate charge (0 to 1) of a lead-acid battery; NaN without a voltage.
+
+    nominal: V, e.g. 12 or 24; 0: 12, or 24 where the voltage shows that.
+    """
+    if voltage <= 0.0:
+        return math.nan
+    if nominal <= 0.0:
+        nominal = _BATTERY_NOMINAL * (2.0 if voltage > _TWICE_NOMINAL else 1.0)
+    scaled = voltage * _BATTERY_NOMINAL / nominal
+    charge = (scaled - _BATTERY_EMPTY) / (_BATTERY_FULL - _BATTERY_EMPTY)
+    return min(max(charge, 0.0), 1.0)
 
 
 class Latency:
@@ -58,6 +73,7 @@ class DriverOutputs:
     ) -> None:
         self._node = node
         self._frames = frames
+        self._battery_nominal = config.base.battery_nominal_voltage
         self.base_values: dict[str, Any] = {}
         topics: list[Topic] = []
         if config.base.enable_base:
@@ -113,8 +129,8 @@ class DriverOutputs:
         unknown = math.nan
         message.current = message.charge = message.capacity = message.temperature = unknown
         message.design_capacity = unknown
-        charge = (voltage - _BATTERY_EMPTY) / (_BATTERY_FULL - _BATTERY_EMPTY)
-        message.percentage = float(min(max(charge, 0.0), 1.0))
+        charge = battery_charge(voltage, self._battery_nominal)
+        message.percentage = float(charge if state.charge is None else state.charge)
         message.present = True
         message.power_supply_status = (
             BatteryState.POWER_SUPPLY_STATUS_CHARGING

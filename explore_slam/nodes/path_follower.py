@@ -1,16 +1,20 @@
 """Node `path_follower` of one vehicle: plan, pose, odom and scan in, cmd_vel out.
 
 Publishes `follower_status` (diagnostic_msgs/DiagnosticStatus: its message is waiting, driving,
-arrived or blocked; its values are the reason and since when) at every change and twice a second,
-and /diagnostics. A managed node: inactive, it has stopped the vehicle, which others may command.
+arrived, blocked or teleoperated; its values are the reason and since when) at every change and
+twice a second, and /diagnostics. Commands on cmd_vel_teleop go before its own: it passes them on
+to cmd_vel, and follows its plan again teleop_timeout after the last one. A managed node: inactive,
+it has stopped the vehicle, which others may command.
 """
 
+import math
 import sys
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
-from geometry_msgs.msg import PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
 from nav_msgs.msg import Odometry, Path
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
@@ -58,20 +62,24 @@ from explore_slam.nodes.node_support import (
     warn_of_unknown_vehicle_parameters,
 )
 from explore_slam.nodes.ros_types import MESSAGES
-from explore_slam.nodes.shared_parameters import LifecycleConfig
+from explore_slam.nodes.shared_parameters import LifecycleConfig, TeleoperationConfig
 from explore_slam.nodes.transform_listener import own_mounts
 from explore_slam.settings import values_of
 from explore_slam.sweeps import SweepConfig
 from explore_slam.vehicle import PathFollower, PathFollowerConfig, VelocityCommand
+from explore_slam.vehicle.teleoperation import Teleoperation
 
 _REPORT_PERIOD = 0.5  # s
 _ACKNOWLEDGE_TIMEOUT = 0.2  # s for the last command to arrive
 _QUIET_AFTER = 1.0  # s of zero commands, then none: another node may drive the vehicle
 # settings of the vehicle, which the agent has too
 _AT_START = dict.fromkeys(
-    ('laser_mount', 'odom_frame', 'robot_base_frame', *values_of(SweepConfig())),
+    ('use_laser', 'laser_mount', 'odom_frame', 'robot_base_frame', *values_of(SweepConfig())),
     'set at start only',
 )
+_TELEOP_SILENCE = 0.6  # s without a command by hand after which the vehicle is told to stand
+_FINE = (FollowerState.DRIVING, FollowerState.ARRIVED, FollowerState.TELEOPERATED)
+_TELEOP = FollowerReport(FollowerState.TELEOPERATED, 'driven by cmd_vel_teleop')
 _INPUTS = (VehicleTopic.PLAN, VehicleTopic.POSE, TopicKind.ODOMETRY, TopicKind.SCAN)
 
 
@@ -115,12 +123,16 @@ class ActiveFollower:
         vehicle: str,
         config: PathFollowerConfig,
         sensors: VehicleConfig,
+        teleoperation: TeleoperationConfig,
         outputs: PathFollowerOutputs,
     ) -> None:
         self._node = node
         self._vehicle = vehicle
         self._outputs = outputs
-        self.follower = PathFollower(config, vehicle)
+        self._has_laser = sensors.use_laser
+        self.teleoperation = teleoperation
+        self._teleop = Teleoperation()
+        self.follower = PathFollower(self._effective(config), vehicle)
         self._mounts = own_mounts(node, vehicle, config.laser_mount, sensors)
         self._command: VelocityCommand | None = None
         self._reported = -1.0
@@ -130,6 +142,7 @@ class ActiveFollower:
         self._counts: dict[Topic, int] = dict.fromkeys(_INPUTS, 0)
         self._heartbeat: float | None = None  # monotonic s
         subscribe(node, VehicleTopic.AGENT_ALIVE, self._on_heartbeat)
+        subscribe(node, VehicleTopic.TELEOP_COMMAND, self._on_teleoperation)
         # the agent's plans are latched, those of other planners and tools need not be; a plan that
         # arrives twice changes nothing
         LatchedOrNotSubscription(node, VehicleTopic.PLAN, self._on_plan)
@@ -149,8 +162,18 @@ class ActiveFollower:
 
     def configure(self, config: PathFollowerConfig) -> None:
         """Replace the settings."""
-        self.follower.configure(config)
+        self.follower.configure(self._effective(config))
         self._timer.timer_period_ns = round(1e9 / config.control_frequency)
+
+    def _effective(self, config: PathFollowerConfig) -> PathFollowerConfig:
+        """Return the settings, without stops for scans that a vehicle without laser never has."""
+        return config if self._has_laser else replace(config, obstacle_stop=False)
+
+    def _on_teleoperation(self, message: Twist) -> None:
+        self._teleop.command(time.monotonic())
+        linear, angular = float(message.linear.x), float(message.angular.z)
+        finite = math.isfinite(linear) and math.isfinite(angular)
+        self._outputs.velocity(*((linear, angular) if finite else (0.0, 0.0)))
 
     def _on_plan(self, message: Path) -> None:
         self._take(
@@ -187,6 +210,8 @@ class ActiveFollower:
         """Log once which inputs are missing, and the possible causes."""
         self._silence_timer.cancel()
         for topic, count in self._counts.items():
+            if topic is TopicKind.SCAN and not self._has_laser:
+                continue
             if count == 0 and topic is not VehicleTopic.PLAN:  # the agent need not have one yet
                 text = explain_silence(self._node, topic.value, SILENCE)
                 self._node.get_logger().warning(text)
@@ -208,13 +233,19 @@ class ActiveFollower:
             return
         age = 0.0 if self._heartbeat is None else time.monotonic() - self._heartbeat
         command = self.follower.command(now, age)
+        by_hand = self._teleop.is_active(time.monotonic(), self.teleoperation.teleop_timeout)
+        if by_hand:  # the follower knows no commands but its own: it begins anew
+            self.follower.halt()
+            if not self._teleop.is_active(time.monotonic(), _TELEOP_SILENCE):
+                self._outputs.velocity(0.0, 0.0)
+            command = VelocityCommand(0.0, 0.0, _TELEOP.state, _TELEOP.reason)
         changed = self._command is None or command.state is not self._command.state
         self._command = command
         if changed:
             self._since = now
         if command.state is FollowerState.DRIVING or now < self._driven:
             self._driven = now
-        if now - self._driven < _QUIET_AFTER:
+        if now - self._driven < _QUIET_AFTER and not by_hand:
             self._outputs.velocity(command.linear, command.angular)
         if changed or not 0.0 <= now - self._reported < _REPORT_PERIOD:
             self._reported = now
@@ -237,7 +268,7 @@ class ActiveFollower:
             'malformed_messages': self._malformed,
             **{f'{topic.value}_messages': count for topic, count in self._counts.items()},
         }
-        fine = command.state in (FollowerState.DRIVING, FollowerState.ARRIVED)
+        fine = command.state in _FINE
         self._outputs.diagnostics(OK if fine else WARN, text, values)
 
 
@@ -251,6 +282,7 @@ class PathFollowerNode(ManagedNode):
         self._sensors = declare_settings(
             self, VehicleConfig(), _AT_START, self._vehicle, _AT_START.keys()
         )
+        self._teleoperation = declare_settings(self, TeleoperationConfig())
         self._lifecycle = declare_settings(self, LifecycleConfig())
         warn_of_unknown_vehicle_parameters(self, self._vehicle, values_of(DriverNodeConfig()))
         self._outputs: PathFollowerOutputs | None = None
@@ -264,7 +296,10 @@ class PathFollowerNode(ManagedNode):
             reason = f'{", ".join(fixed)}: set at start only'
             return SetParametersResult(successful=False, reason=reason)
         self.config, result = changed_settings(self.config, parameters)
+        if result.successful:
+            self._teleoperation, result = changed_settings(self._teleoperation, parameters)
         if result.successful and self.active is not None:
+            self.active.teleoperation = self._teleoperation
             self.active.configure(self.config)
         return result
 
@@ -276,7 +311,7 @@ class PathFollowerNode(ManagedNode):
         """Begin to follow plans; nothing of an earlier activation is known any more."""
         assert self._outputs is not None
         self.active = ActiveFollower(
-            self, self._vehicle, self.config, self._sensors, self._outputs
+            self, self._vehicle, self.config, self._sensors, self._teleoperation, self._outputs
         )
 
     def deactivate(self) -> None:

@@ -2,16 +2,18 @@
 
 Each device runs in a thread of its own. base_type, laser_type and camera_type select the devices,
 enable_base, enable_laser and enable_camera switch them off.
+Commands on cmd_vel_teleop go before those on cmd_vel (teleop_timeout).
 Velocities pass the safety gate in the thread of the base, not in the executor's: even while the
 executor is busy, the vehicle stops when commands or laser scans cease.
 A managed node: configured, its devices are open; it publishes and drives while it is active.
 """
 
 import logging
+import math
 import sys
 import threading
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import Twist
@@ -19,6 +21,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.task import Future
 from sensor_msgs.msg import LaserScan as ScanMessage
 from std_srvs.srv import SetBool
 
@@ -29,6 +32,7 @@ from explore_slam.messages import scan_record
 from explore_slam.messages.sensor_mounts import SensorMounts
 from explore_slam.messages.topics import TopicKind, VehicleTopic
 from explore_slam.messages.vehicle_settings import VehicleConfig
+from explore_slam.mounts import LaserMountConfig
 from explore_slam.nodes.driver_outputs import DriverOutputs, Latency
 from explore_slam.nodes.driver_parameters import DriverNodeConfig
 from explore_slam.nodes.endpoints import subscribe
@@ -48,6 +52,7 @@ from explore_slam.nodes.node_support import (
     vehicle_name,
     warn_of_unknown_vehicle_parameters,
 )
+from explore_slam.nodes.shared_parameters import TeleoperationConfig
 from explore_slam.nodes.transform_listener import own_mounts
 from explore_slam.settings import values_of
 from explore_slam.vehicle import (
@@ -65,15 +70,37 @@ from explore_slam.vehicle import (
     scan_points,
 )
 from explore_slam.vehicle.dead_reckoning import DeadReckoning
+from explore_slam.vehicle.teleoperation import Teleoperation
 
 CONTROL_PERIOD = 0.02  # s between velocities sent to the base
 _MOTOR_GRACE = 1.0  # s until a base reports that its motors were switched on
+_MOTOR_TIMEOUT = 1.5  # s within which enable_motors is answered by what the base reports
+_MOTOR_REPEAT = 0.4  # s after which a request to the motors that has no effect is repeated
+_STANDING = 1.5  # s after which a base that does not move as commanded is reported
+_MOVING = (0.03, 0.05)  # m/s, rad/s: a command that must show
+_AT_REST = 0.005  # m/s, rad/s
+_LASER_MOUNT_TOLERANCE = 0.02  # m between the mount of the settings and that of the kind of robot
 _BASE_STOP_TIMEOUT, _STOP_TIMEOUT = 3.0, 1.0  # s for a device to close; a base brakes first
 _OPEN_TIMEOUT = 30.0  # s for all devices to be opened: a laser may try several baud rates
 _NO_POINTS = np.empty((0, 2))
 # settings of the vehicle, which the agent has too
 _SENSORS = ('use_laser', 'laser_mount', 'camera_mount')
-_CHANGEABLE = {*values_of(SafetyConfig()), 'use_sim_time'}  # while the node runs
+_CHANGEABLE = {
+    *values_of(SafetyConfig()),
+    *values_of(TeleoperationConfig()),
+    'use_sim_time',
+}  # while the node runs
+
+
+class MotorRequest(NamedTuple):
+    """A call of enable_motors that waits for what the base reports.
+
+    since: monotonic s. answer: result is (success, message).
+    """
+
+    on: bool
+    since: float
+    answer: 'Future[tuple[bool, str]]'
 
 
 class DriverSession:
@@ -81,8 +108,9 @@ class DriverSession:
 
     def __init__(self, node: Node, config: DriverNodeConfig) -> None:
         self._node = node
-        self.config = config
         self._vehicle = vehicle_name(node)
+        config = config.with_odometry_file(self._vehicle)
+        self.config = config
         driver = config.driver
         self.outputs = DriverOutputs(node, config.frames(self._vehicle), driver, config.publish_tf)
         self._laser_pose = driver.laser_mount.pose
@@ -97,6 +125,10 @@ class DriverSession:
         self._active = False
         self._motors_wanted: bool | None = None  # None before the first connection
         self._motors_asked = 0.0
+        self._motor_request: MotorRequest | None = None
+        self._teleoperation = Teleoperation()
+        self._standing_since: float | None = None
+        self._state: BaseState | None = None  # the newest one
         self._watched_scan = -np.inf
         self._latency = {'base': Latency(), 'laser': Latency(), 'camera': Latency()}
         self.base = make_base(driver, self._clock_seconds)
@@ -117,6 +149,8 @@ class DriverSession:
         if patient:
             return
         until = time.monotonic() + _OPEN_TIMEOUT
+        if self.laser is not None:
+            until += self.config.driver.laser.laser_startup_timeout
         missing = [
             f'{name}: {supervisor.health.message}'
             for name, supervisor in self.supervisors.items()
@@ -131,6 +165,7 @@ class DriverSession:
         self.outputs.publish_mounts(self.config.driver)
         if self.base is not None:
             subscribe(self._node, VehicleTopic.VELOCITY_COMMAND, self._on_velocity)
+            subscribe(self._node, VehicleTopic.TELEOP_COMMAND, self._on_teleoperation)
             self._node.create_service(SetBool, 'enable_motors', self._on_enable_motors)
         if self.laser is None and self.config.watch_scan_topic:
             name, laser = self._vehicle, self.config.driver.laser_mount
@@ -148,6 +183,7 @@ class DriverSession:
         with self._lock:
             self._active = False
             self._gate.command(0.0, 0.0, time.monotonic())
+        self._answer_motor_request(False, 'the driver is deactivated')
 
     def close(self) -> None:
         """Bring the vehicle to rest, switch its motors off, release all devices."""
@@ -182,18 +218,69 @@ class DriverSession:
     # -- callbacks -------------------------------------------------------------------------------
 
     def _on_velocity(self, message: Twist) -> None:
+        now = time.monotonic()
         with self._lock:
-            self._gate.command(message.linear.x, message.angular.z, time.monotonic())
+            if not self._teleoperation.is_active(now, self._teleop_timeout):
+                self._gate.command(message.linear.x, message.angular.z, now)
 
-    def _on_enable_motors(self, request: Any, response: Any) -> Any:
+    def _on_teleoperation(self, message: Twist) -> None:
+        now = time.monotonic()
         with self._lock:
-            self._motors_wanted = bool(request.data)
-            self._motors_asked = 0.0  # the thread of the base passes it on
+            self._teleoperation.command(now)
+            self._gate.command(message.linear.x, message.angular.z, now)
+
+    @property
+    def _teleop_timeout(self) -> float:
+        return self.config.teleoperation.teleop_timeout
+
+    async def _on_enable_motors(self, request: Any, response: Any) -> Any:
+        """Answer with what the base reports afterwards, or why it does not."""
+        self._answer_motor_request(False, 'replaced by a later call')
+        wanted = bool(request.data)
         health = self.supervisors['base'].health
-        response.success = health.connected
-        word = 'on' if request.data else 'off'
-        response.message = f'motors are switched {word}' if health.connected else health.message
+        if not health.connected:
+            with self._lock:
+                self._motors_wanted = False if self._motors_wanted else self._motors_wanted
+            response.success = False
+            response.message = f'base not connected: {health.message}'
+            return response
+        answer: Future[tuple[bool, str]] = Future()
+        with self._lock:
+            self._motors_wanted = wanted
+            self._motors_asked = 0.0  # the thread of the base passes it on
+            self._motor_request = MotorRequest(wanted, time.monotonic(), answer)
+        response.success, response.message = await answer
         return response
+
+    def _answer_motor_request(self, success: bool, message: str) -> None:
+        """Answer the call of enable_motors that waits, if any."""
+        with self._lock:
+            request, self._motor_request = self._motor_request, None
+        if request is not None:
+            request.answer.set_result((success, message))
+            if self._node.executor is not None:
+                self._node.executor.wake()
+
+    def _check_motor_request(self, state: BaseState | None, now: float) -> None:
+        """Answer enable_motors as soon as the base reports what was asked, or not in time."""
+        request = self._motor_request
+        if request is None:
+            return
+        if state is not None and self._motors_asked > 0.0 and _obeys(state, request):
+            word = 'on' if request.on else 'off'
+            self._answer_motor_request(True, f'the base reports motors {word}')
+            return
+        if now - request.since < _MOTOR_TIMEOUT:
+            return
+        with self._lock:
+            self._motors_wanted = False
+        health = self.supervisors['base'].health
+        if not health.connected:
+            text = f'base not connected: {health.message}'
+        else:
+            text = f'the base still reports motors {"off" if request.on else "on"}'
+            text += _explain_motors(state)
+        self._answer_motor_request(False, text)
 
     def _on_watched_scan(self, message: ScanMessage) -> None:
         try:
@@ -219,6 +306,20 @@ class DriverSession:
                     'base: motors stay off after the reconnection; call enable_motors'
                 )
             self._motors_asked = 0.0
+        self._check_laser_mount()
+
+    def _check_laser_mount(self) -> None:
+        """Warn if the mount was left at its default, and robots of this kind have another one."""
+        stock = getattr(self.base, 'stock_laser', None)
+        mount = self.config.driver.laser_mount
+        if self.laser is None or stock is None or mount != LaserMountConfig():
+            return
+        if math.dist(stock, mount.pose[:2]) > _LASER_MOUNT_TOLERANCE:
+            self._node.get_logger().warning(
+                f'laser_x is {mount.laser_x:.3f} m (default), but robots of this kind are '
+                f'delivered with the laser at x {stock[0]:.3f} m, y {stock[1]:.3f} m: measure it, '
+                'and set laser_x and laser_y'
+            )
 
     def _on_state(self, state: BaseState) -> None:
         with self._lock:
@@ -227,12 +328,26 @@ class DriverSession:
             inputs.bumpers_rear = bool(state.rear_bumpers)
             inputs.stalled = state.stalled
             inputs.emergency_stop = state.emergency_stop
+            inputs.motors_on = state.motors_on
             inputs.sonar_points = _NO_POINTS if state.sonar_points is None else state.sonar_points
             self._reckoning.add_odometry(state.odometry)
         if self._active:
             self.outputs.publish_state(state, self.config.driver.base.use_sonar)
         self._latency['base'].add(now_seconds(self._node) - state.received)
+        self._state = state
+        self._watch_motion(state)
         self._watch_motors(state.motors_on)
+        self._check_motor_request(state, time.monotonic())
+
+    def _watch_motion(self, state: BaseState) -> None:
+        """Note since when the base stands although it should move."""
+        safe = self._safe
+        expected = abs(safe.linear) > _MOVING[0] or abs(safe.angular) > _MOVING[1]
+        moves = abs(state.linear) > _AT_REST or abs(state.angular) > _AT_REST
+        if not expected or moves:
+            self._standing_since = None
+        elif self._standing_since is None:
+            self._standing_since = time.monotonic()
 
     def _watch_motors(self, on: bool) -> None:
         """Switch the motors as requested; accept that they are switched off at the robot later."""
@@ -241,6 +356,10 @@ class DriverSession:
         if self._motors_asked == 0.0:
             self._motors_asked = now
             self.base.enable_motors(bool(self._motors_wanted))
+        elif self._motor_request is not None:
+            if on != self._motor_request.on and now - self._motors_asked > _MOTOR_REPEAT:
+                self._motors_asked = now
+                self.base.enable_motors(self._motor_request.on)
         elif self._motors_wanted and not on and now - self._motors_asked > _MOTOR_GRACE:
             self._motors_wanted = False
             self._node.get_logger().warning(
@@ -292,6 +411,7 @@ class DriverSession:
     # -- health ----------------------------------------------------------------------------------
 
     def _report(self) -> None:
+        self._check_motor_request(None, time.monotonic())
         parts: dict[str, Any] = {}
         for name, supervisor in self.supervisors.items():
             health = supervisor.health
@@ -302,14 +422,40 @@ class DriverSession:
                 'attempts': health.attempts,
                 **self._latency[name].summary(),
             }
-            level = OK if health.connected else ERROR
+            level = OK if health.connected else WARN if health.waiting else ERROR
             parts[name] = (level, health.message, {**values, **self._statistics(name)})
         if self.base is not None:
-            reason = self._safe.reason
-            values = {'linear_m_s': self._safe.linear, 'angular_rad_s': self._safe.angular}
-            values['motors_wanted'] = bool(self._motors_wanted)
-            parts['safety'] = (WARN if reason else OK, reason or 'as commanded', values)
+            reason = self._standstill_reason()
+            by_hand = self._teleoperation.is_active(time.monotonic(), self._teleop_timeout)
+            topic = VehicleTopic.TELEOP_COMMAND if by_hand else VehicleTopic.VELOCITY_COMMAND
+            driven = {
+                'linear_m_s': self._safe.linear,
+                'angular_rad_s': self._safe.angular,
+                'motors_wanted': bool(self._motors_wanted),
+                'commanded_by': topic.value,
+            }
+            parts['safety'] = (WARN if reason else OK, reason or 'as commanded', driven)
         self.outputs.publish_diagnostics(parts)
+
+    def _standstill_reason(self) -> str:
+        """Return all that keeps the vehicle from moving as commanded, '' if nothing does."""
+        health = self.supervisors['base'].health
+        if not health.connected:
+            return f'base not connected: {health.message}'
+        if not self._active:
+            return 'the driver is inactive'
+        reason = self._safe.reason
+        laser = self.supervisors.get('laser')
+        if laser is not None and not laser.health.connected:
+            reason = '; '.join(filter(None, (reason, f'laser: {laser.health.message}')))
+        since = self._standing_since
+        if not reason and since is not None and time.monotonic() - since > _STANDING:
+            return (
+                f'the base stands although {self._safe.linear:.2f} m/s, '
+                f'{self._safe.angular:.2f} rad/s are commanded: '
+                f'its own stall or bumper protection, a brake?{_explain_motors(self._state)}'
+            )
+        return reason
 
     def _statistics(self, name: str) -> dict[str, Any]:
         devices: dict[str, Device[Any] | None] = {
@@ -318,6 +464,25 @@ class DriverSession:
         device = devices[name]
         own = device.statistics() if device is not None else {}
         return {**own, **self.outputs.base_values} if name == 'base' else own
+
+
+def _obeys(state: BaseState, request: MotorRequest) -> bool:
+    """Return whether a base reports what enable_motors has asked for."""
+    return state.motors_on == request.on and not (request.on and state.emergency_stop)
+
+
+def _explain_motors(state: BaseState | None) -> str:
+    """Return what the base reports that may keep its motors off, as the end of a sentence."""
+    if state is None:
+        return ''
+    causes = []
+    if state.emergency_stop:
+        causes.append('emergency stop pressed: release it, then call enable_motors again')
+    if state.charging:
+        causes.append('a charger is connected')
+    if state.faults:
+        causes.append(f'fault flags {state.faults:#06x}')
+    return f': {", ".join(causes)}' if causes else ''
 
 
 class PioneerDriverNode(ManagedNode):

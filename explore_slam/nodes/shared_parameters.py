@@ -25,6 +25,20 @@ class LifecycleConfig(Section):
     )
 
 
+@dataclass(frozen=True)
+class TeleoperationConfig(Section):
+    """How long commands by hand go before those of the path follower."""
+
+    teleop_timeout: float = setting(
+        3.0,
+        'Time after the last message on cmd_vel_teleop until the path follower drives again',
+        unit='s',
+        low=0.1,
+        high=600.0,
+        tier='basic',
+    )
+
+
 def vehicles() -> Any:
     """Declare the names of the vehicles."""
     return setting(

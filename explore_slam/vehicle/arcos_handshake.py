@@ -82,11 +82,12 @@ def is_laser(collected: bytes) -> bool:
 
 def ask_for_laser(port: SerialPort) -> bytes:
     """Return what a SICK laser at this port, which SYNC leaves silent, replies."""
-    port.write(encode_telegram(Request.TYPE))
-    end = time.monotonic() + _LASER_TIMEOUT
     received = b''
-    while (left := end - time.monotonic()) > 0.0 and not is_laser(received):
-        received += port.read(left)
+    for _ in range(2):  # it may take the first request for the rest of a broken telegram
+        port.write(encode_telegram(Request.TYPE))
+        end = time.monotonic() + _LASER_TIMEOUT
+        while (left := end - time.monotonic()) > 0.0 and not is_laser(received):
+            received += port.read(left)
     return received
 
 

@@ -243,7 +243,7 @@ class Lms200:
                 collected = (collected + self._ask_for_robot())[-_KEPT:]
             if PacketDecoder().feed(collected):
                 raise VehicleError(
-                    f'{port.url}: a Pioneer robot is at this port, not a laser; swap base_port '
+                    f'{port.url}: a Pioneer robot is at this port, not an LMS-200; swap base_port '
                     'and laser_port'
                 )
         self._tried_for_robot = True

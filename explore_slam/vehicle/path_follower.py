@@ -167,6 +167,13 @@ class PathFollower:
         """Return the dead-reckoned pose in the map, None before the first map pose."""
         return self._reckoning.map_pose(now)
 
+    def halt(self) -> None:
+        """Forget motion and progress: something else drives the vehicle at present."""
+        self._motion = _Motion()
+        self._best = _Best()
+        self._times.obstacle = self._times.progress = None
+        self._arrived = False
+
     def command(self, now: float, heartbeat_age: float = 0.0) -> VelocityCommand:
         """Return the velocity to drive from now (s) on; call it at control_frequency.
 

@@ -247,7 +247,7 @@ class PioneerRobot:
                     )  # fmt: skip
                 self.last_baud = rate
                 return identity
-            if not received and rate in LASER_RATES:
+            if rate in LASER_RATES and not is_laser(collected):
                 collected += ask_for_laser(self._port)
             if is_laser(collected):
                 break

@@ -21,6 +21,7 @@ class SafetyInputs:
     bumpers_rear: bool = False
     stalled: bool = False
     emergency_stop: bool = False
+    motors_on: bool = True
     connected: bool = True
     laser_points: Array = field(default_factory=lambda: np.empty((0, 2)))
     sonar_points: Array = field(default_factory=lambda: np.empty((0, 2)))
@@ -30,7 +31,7 @@ class SafetyInputs:
 class SafeVelocity:
     """Velocity that may be driven (m/s, rad/s).
 
-    reason: why it differs from the command, '' if it does not.
+    reason: all that makes it differ from the command, '' if it does not.
     """
 
     linear: float
@@ -61,7 +62,7 @@ class SafetyGate:
         last = self._updated
         step = _FIRST_STEP if last is None else min(max(now - last, 0.0), _LONGEST_STEP)
         self._updated = now
-        reason = self._stop_reason(inputs, now)
+        reason = self._stop_reasons(inputs, now)
         if reason:
             self._last = (0.0, 0.0)
             return SafeVelocity(0.0, 0.0, reason)
@@ -74,21 +75,22 @@ class SafetyGate:
         self._last = limited
         return SafeVelocity(*limited, reason)
 
-    def _stop_reason(self, inputs: SafetyInputs, now: float) -> str:
-        """Return the first reason to stop in any direction, or ''."""
+    def _stop_reasons(self, inputs: SafetyInputs, now: float) -> str:
+        """Return all reasons to stop in any direction, or ''."""
         c = self.config
         age = now - self._commanded
         silence = 0.0 if inputs.laser_last_received is None else now - inputs.laser_last_received
         reasons = (
             (not inputs.connected, 'base not connected'),
             (inputs.emergency_stop, 'emergency stop pressed'),
+            (not inputs.motors_on, 'motors off (service enable_motors)'),
             (age == math.inf, 'no command yet'),
             (age > c.command_timeout, f'no command for {age:.1f} s'),
             (silence == math.inf, 'no laser yet'),
             (silence > c.laser_timeout, f'laser silent for {silence:.1f} s'),
             (self._held_by_stall(inputs.stalled), 'wheel stalled'),
         )
-        return next((text for holds, text in reasons if holds), '')
+        return '; '.join(text for holds, text in reasons if holds)
 
     def _held_by_stall(self, stalled: bool) -> bool:
         """Return whether a stall forbids the command; the opposite direction is allowed."""

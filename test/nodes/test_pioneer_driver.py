@@ -62,6 +62,7 @@ class Rig:
             [sys.executable, '-m', 'explore_slam.nodes.pioneer_driver', '--ros-args', *arguments],
             env={
                 **os.environ, 'ROS_DOMAIN_ID': str(self.domain), 'ROS_PYTHON_CHECK_FIELDS': '1',
+                'ROS_HOME': str(self.folder),
             },
             stderr=stderr,
             text=True,
@@ -243,3 +244,63 @@ def test_exchanged_ports_are_named(rig):
     )  # fmt: skip
     assert rig.spin(25.0, lambda: 'SYNC' in rig.message('base') or 'SICK' in rig.message('base'))
     assert rig.spin(15.0, lambda: 'LMS-200' in rig.message('laser'))
+
+
+def test_enable_motors_answers_with_what_the_robot_reports(rig):
+    rig.start()
+    rig.command = (0.3, 0.0)
+    robot = rig.emulator.robot
+    assert rig.spin(20.0, lambda: rig.got['odom'] and 'motors off' in rig.message('safety'))
+    robot.faults.emergency_stop = True
+    assert rig.spin(5.0, lambda: 'emergency stop pressed' in rig.message('safety'))
+    assert 'motors off' in rig.message('safety')  # every reason
+    refused = rig.enable()
+    assert not refused.success
+    assert 'still reports motors off: emergency stop pressed' in refused.message
+    robot.faults.emergency_stop = False
+    assert not rig.spin(0.5, lambda: robot.motors_on)  # a refused request does not wait
+    allowed = rig.enable()
+    assert (allowed.success, allowed.message) == (True, 'the base reports motors on')
+    assert rig.spin(5.0, lambda: rig.message('safety') == 'as commanded')
+    assert rig.enable(on=False).message == 'the base reports motors off'
+    assert rig.spin(5.0, lambda: 'motors off' in rig.message('safety'))
+    assert rig.enable().success
+    robot.faults.left_stall = True  # the wheels stand, whatever is commanded
+    assert rig.spin(5.0, lambda: 'wheel stalled' in rig.message('safety'))
+    rig.emulator.base_line.unplug()
+    assert rig.spin(5.0, lambda: rig.message('safety').startswith('base not connected: '))
+    assert not rig.enable().success
+
+
+def test_the_odometry_frame_survives_a_restart_of_the_driver(rig):
+    rig.start().drive(0.4, 0.3)
+    assert rig.spin(10.0, lambda: rig.body.odometry().x > 0.5)
+    rig.command = None
+    rig.driver.kill()  # it rolls on until the watchdog of the robot stops it
+    rig.driver.wait(5.0)
+    assert rig.spin(5.0, lambda: rig.body.velocity() == (0.0, 0.0))
+    rig.got['odom'].clear()
+    rig.start()
+    assert rig.spin(20.0, lambda: rig.got['odom'])
+    pose = odometry_record(rig.got['odom'][0]).pose
+    assert pose == pytest.approx(tuple(rig.body.odometry()), abs=0.003)
+    assert pose.x > 0.5
+    rig.driver.terminate()
+    rig.driver.wait(8.0)
+    rig.emulator.robot.reset(time.monotonic())  # switched off and on: a new frame, from zero
+    rig.got['odom'].clear()
+    rig.start()
+    assert rig.spin(20.0, lambda: rig.got['odom'])
+    assert odometry_record(rig.got['odom'][0]).pose == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+
+
+def test_teleoperation_goes_before_the_follower_until_its_timeout(rig):
+    rig.start(teleop_timeout=1.0).drive(0.3)
+    by_hand = rig.node.create_publisher(Twist, 'cmd_vel_teleop', 1)
+    for _ in range(15):
+        by_hand.publish(twist_message(MESSAGES, -0.2, 0.0))
+        rig.spin(0.05)
+    assert rig.spin(2.0, lambda: rig.body.velocity()[0] < 0.0)
+    by_hand.publish(twist_message(MESSAGES, 0.0, 0.0))
+    assert rig.spin(1.0, lambda: rig.body.velocity() == (0.0, 0.0))
+    assert rig.spin(4.0, lambda: rig.body.velocity()[0] > 0.25)  # the follower again
