@@ -10,13 +10,21 @@ from typing import NamedTuple
 from explore_slam.geometry import Pose2, Pose3
 from explore_slam.settings import Section, setting
 
+# m; LMS-200 on a P3-DX as delivered: LaserX 18 mm in p3dx.p, 21 mm in p3dx-sh.p of ARIA
+STOCK_LASER_X = 0.02
+
 
 @dataclass(frozen=True)
 class LaserMountConfig(Section):
-    """Pose of the laser scanner in the vehicle frame."""
+    """Pose of the laser scanner in the vehicle frame; the default is that of a stock P3-DX."""
 
     laser_x: float = setting(
-        0.1, 'Laser ahead of the vehicle origin', unit='m', low=-10.0, high=10.0, tier='basic'
+        STOCK_LASER_X,
+        'Laser ahead of the vehicle origin',
+        unit='m',
+        low=-10.0,
+        high=10.0,
+        tier='basic',
     )
     laser_y: float = setting(
         0.0, 'Laser left of the vehicle origin', unit='m', low=-10.0, high=10.0, tier='basic'

@@ -40,6 +40,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--hardware', action='store_true', help='use the serial drivers on emulated hardware'
     )
+    parser.add_argument(
+        '--laser-boot-time',
+        type=float,
+        default=0.0,
+        help='with --hardware: lasers whose power their port switches, and which boot for this '
+        'long (s; default 0: they have power all the time)',
+    )
     parser.add_argument('--record', action='store_true', help='record a bag in the run folder')
     parser.add_argument(
         '--real-time-factor',
@@ -72,6 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
         hardware=arguments.hardware,
         record=arguments.record,
         real_time_factor=arguments.real_time_factor,
+        laser_boot_time=arguments.laser_boot_time,
         wall_time_limit=arguments.wall_time_limit,
     )
     live = LiveRun(options, arguments.out)

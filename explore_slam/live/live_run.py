@@ -35,7 +35,7 @@ from explore_slam.results.reachable_area import ReachableArea
 from explore_slam.results.run_data import RunData, RunRecorder
 from explore_slam.results.run_folder import RunFolder
 from explore_slam.settings import load_settings, save_settings, values_of, with_values
-from explore_slam.simulation import load_world, world_path
+from explore_slam.simulation import SimulationConfig, load_world, world_path
 from explore_slam.slam import OdometryCalibration
 
 ENDS = ('exploration_complete', 'returned_to_origin')
@@ -64,6 +64,7 @@ class LiveRunOptions:
     hardware: bool = False
     record: bool = False
     real_time_factor: float = 0.0
+    laser_boot_time: float = 0.0  # s; 0: the emulated lasers have power all the time
     wall_time_limit: float = 900.0  # s
 
 
@@ -101,6 +102,7 @@ class LiveRun:
         values = {
             'vehicles': list(self.starts),
             'start_poses': [float(v) for pose in self.starts.values() for v in pose],
+            **values_of(SimulationConfig().laser_mount),  # where there is no tf2_msgs
             'seed': self.options.seed,
             'vision': self.options.vision,
             **self.options.settings,
@@ -136,6 +138,7 @@ class LiveRun:
         }
         if self.options.hardware:
             values.update(hardware=str(self._ports()), real_time_factor=1.0, **HARDWARE_RATES)
+            values['laser_boot_time'] = self.options.laser_boot_time
         return _parameters(self._write('simulator', values), {})
 
     def _ports(self) -> Path:
@@ -148,7 +151,9 @@ class LiveRun:
 
     def _driver(self, name: str) -> list[NodeProcess]:
         """Return the processes of one vehicle."""
-        follower = _parameters(None, {**SIM_TIME, **values_of(self.config.team.body)}, name)
+        mount = values_of(SimulationConfig().laser_mount)
+        told = {**SIM_TIME, **values_of(self.config.team.body), **mount}
+        follower = _parameters(None, told, name)
         nodes = [NodeProcess(f'{name}_follower', FOLLOWER, follower)]
         if self.options.vision == 'vehicle':
             vision_file = self.folder.path / 'vision.yaml'
@@ -161,6 +166,8 @@ class LiveRun:
                 'laser_port': f'{self._ports()}/{name}_laser',
                 'enable_camera': False,
                 'motors_at_start': True,
+                'odometry_file': f'{self._ports()}/{name}_odometry.json',
+                **mount,
                 **SIM_TIME,
             }
             driver = _parameters(self._write(f'{name}_driver', ports), {}, name)

@@ -88,6 +88,14 @@ class SimulatorNodeConfig(Section):
         'Folder for serial ports <vehicle>_base and <vehicle>_laser of emulated hardware, which '
         'then replaces cmd_vel, odom and scan; empty: none; requires real_time_factor 1',
     )
+    laser_boot_time: float = setting(
+        0.0,
+        'Time for which the lasers of the emulated hardware boot, whose power their serial port '
+        'switches as on many Pioneers; 0: they have power all the time',
+        unit='s',
+        low=0.0,
+        high=600.0,
+    )
     map_frame: str = shared_parameters.map_frame()
     odom_frame: str = shared_parameters.odom_frame()
     robot_base_frame: str = shared_parameters.robot_base_frame()
@@ -141,7 +149,9 @@ class SimulatorNode(Node):
         """Offer the topics of the vehicles, and begin to simulate."""
         names = self.simulator.vehicles
         if self.config.hardware:
-            self._hardware = HardwareBridge(Path(self.config.hardware), names, self.config.seed)
+            self._hardware = HardwareBridge(
+                Path(self.config.hardware), names, self.config.seed, self.config.laser_boot_time
+            )
             for name, ports in self._hardware.paths.items():
                 self.get_logger().info(f'{name}: base at {ports[0]}, laser at {ports[1]}')
         self._commands: dict[str, tuple[float, float]] = {}

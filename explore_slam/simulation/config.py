@@ -54,6 +54,18 @@ class SimulatedOdometryConfig(Section):
 
 
 @dataclass(frozen=True)
+class SimulatedLaserMountConfig(LaserMountConfig):
+    """Pose of the simulated laser, which has a place of its own at the front of the vehicle.
+
+    The simulator states it like a robot: on /tf_static, and in its scans.
+    """
+
+    laser_x: float = setting(
+        0.1, 'Laser ahead of the vehicle origin', unit='m', low=-10.0, high=10.0, tier='basic'
+    )
+
+
+@dataclass(frozen=True)
 class SimulatedLaserConfig(Section):
     """The laser scanner; its pose in the plane is a LaserMountConfig."""
 
@@ -133,6 +145,6 @@ class SimulationConfig(Section):
     base: SimulatedBaseConfig = section(SimulatedBaseConfig)
     odometry: SimulatedOdometryConfig = section(SimulatedOdometryConfig)
     laser: SimulatedLaserConfig = section(SimulatedLaserConfig)
-    laser_mount: LaserMountConfig = section(LaserMountConfig)
+    laser_mount: SimulatedLaserMountConfig = section(SimulatedLaserMountConfig)
     kinect: SimulatedKinectConfig = section(SimulatedKinectConfig)
     camera_mount: CameraMountConfig = section(CameraMountConfig)

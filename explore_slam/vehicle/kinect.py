@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from explore_slam.data import Intrinsics, RgbdFrame
 from explore_slam.errors import VehicleError
 from explore_slam.settings import Section, setting
-from explore_slam.vehicle.devices import Clock, Statistics
+from explore_slam.vehicle.devices import Clock, Progress, Statistics
 from explore_slam.vehicle.driver_config import CameraConfig
+from explore_slam.vehicle.kinect_models import advice, kinect_model
 
 _log = logging.getLogger(__name__)
 WIDTH, HEIGHT = 640, 480
@@ -30,6 +31,8 @@ _RAW_OFFSET, _RAW_SLOPE = 3.3309495, -0.0030711016
 _QUEUE_LENGTH = 8  # images
 _EARLY = 0.9  # of a period of camera_rate that must have passed since the last frame
 _CLOSE_TIMEOUT = 0.5  # s
+_OPENING_TIME = 2.0  # s that libfreenect takes to open a Kinect, beside camera_timeout
+_LONGEST_WAIT = 0.1  # s after which an interruption is noticed
 
 
 class Image(NamedTuple):
@@ -91,7 +94,9 @@ class KinectConfig(Section):
     )
     camera_depth: str = setting(
         'registered',
-        'registered: depth in mm, aligned with colour; raw: disparities converted by a formula',
+        'registered: depth in mm, which libfreenect has moved from the infrared to the colour '
+        'camera (2.5 cm apart); raw: disparities converted by a formula, not registered: objects '
+        'at 1 m are about 20 columns beside their colour',
         choices=('registered', 'raw'),
     )
     camera_focal_length: float = setting(
@@ -106,7 +111,7 @@ class KinectConfig(Section):
 
 
 class Kinect:
-    """A Kinect v1 (protocol Camera): pairs of colour and registered depth.
+    """A Kinect v1 (protocols Camera and SlowDevice): pairs of colour and registered depth.
 
     libfreenect is called in a separate thread, since its calls never return once the camera is
     unplugged. clock gives the stamps (s).
@@ -129,6 +134,7 @@ class Kinect:
         self._running = threading.Event()
         self._heard = 0.0
         self._published = -math.inf
+        self.progress = Progress()
         focal = self.own.camera_focal_length
         self.intrinsics = Intrinsics(
             WIDTH, HEIGHT, focal, focal, self.own.camera_center_x, self.own.camera_center_y
@@ -143,11 +149,6 @@ class Kinect:
                 'lost; plug it in again and restart the driver'
             )
         self._freenect = _import_freenect()
-        if self._freenect.sync_get_depth(self.own.camera_index, self._depth_format()) is None:
-            raise VehicleError(
-                f'Kinect {self.own.camera_index}: not found or busy; is it plugged in, is its '
-                'power supply on, do the udev rules of libfreenect allow this user to open it?'
-            )
         self._images = queue.Queue(_QUEUE_LENGTH)
         self._running = threading.Event()
         self._running.set()
@@ -155,8 +156,45 @@ class Kinect:
             target=self._read, args=(self._running, self._images), name='kinect', daemon=True
         )
         self._reader.start()
+        self._await_images()
+        model = kinect_model()
+        raw = self.own.camera_depth == 'raw'
+        aligned = 'depth is not registered to colour' if raw else 'depth registered to colour'
+        return f'Kinect {", ".join(filter(None, (str(self.own.camera_index), model, aligned)))}'
+
+    def _await_images(self) -> None:
+        """Wait for the first image of each sensor; VehicleError when they do not come in time."""
+        missing = ['depth', 'color']
+        limit = _OPENING_TIME + self.config.camera_timeout
+        end = time.monotonic() + limit
+        name = f'Kinect {self.own.camera_index}'
+        while missing:
+            try:
+                item = self._images.get(timeout=_LONGEST_WAIT)
+            except queue.Empty:
+                if time.monotonic() < end and not self.progress.interrupted.is_set():
+                    continue
+                self._running.clear()
+                hint = advice()
+                raise VehicleError(
+                    f'{name}: opened, but no {" or ".join(missing)} image came for {limit:.0f} s; '
+                    'plug it into another USB port (USB 2, without a hub), check its power '
+                    f'supply, and restart the driver{"; " if hint else ""}{hint}'
+                ) from None
+            if item is None:
+                hint = advice()
+                raise VehicleError(
+                    f'{name}: not found or busy; is it plugged in, is its '
+                    'power supply on, do the udev rules of libfreenect allow this user to open '
+                    f'it?{" " if hint else ""}{hint}'
+                )
+            if item[0] in missing:
+                missing.remove(item[0])
         self._heard = time.monotonic()
-        return f'Kinect {self.own.camera_index}'
+
+    def suspend(self) -> None:
+        """Give up the camera after a failure, like close."""
+        self.close()
 
     def _depth_format(self) -> int:
         raw = self.own.camera_depth == 'raw'
@@ -174,6 +212,8 @@ class Kinect:
                     got = freenect.sync_get_video(index, freenect.VIDEO_RGB)
                 if got is None:
                     images.put(None)
+                    return
+                if not running.is_set():  # the call was given up
                     return
                 pixels, ticks = got
                 image = Image(

@@ -35,6 +35,7 @@ from explore_slam.data import Intrinsics
 from explore_slam.geometry import Pose2
 from explore_slam.live.processes import NodeProcess, NodeProcesses, one_machine_environment
 from explore_slam.mapping import load_map
+from explore_slam.mounts import LaserMountConfig
 from explore_slam.nodes.ros_types import MESSAGES
 
 DOMAIN = own_domain(93)
@@ -120,7 +121,7 @@ class Team:
                     cloud = messages.landmarks_message(MESSAGES, seen, f'{name}/base_link')
                     self.out[name, 'landmarks'].publish(cloud)
                 if tick % 3 == 0:
-                    laser = vehicle.pose.compose(Pose2(0.1, 0.0, 0.0))
+                    laser = vehicle.pose.compose(LaserMountConfig().pose)
                     scan = vehicle.world.scan_from(stamp, laser)
                     message = messages.scan_message(MESSAGES, scan, f'{name}/laser')
                     self.out[name, 'scan'].publish(message)

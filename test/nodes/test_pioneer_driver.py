@@ -272,28 +272,6 @@ def test_enable_motors_answers_with_what_the_robot_reports(rig):
     assert not rig.enable().success
 
 
-def test_the_odometry_frame_survives_a_restart_of_the_driver(rig):
-    rig.start().drive(0.4, 0.3)
-    assert rig.spin(10.0, lambda: rig.body.odometry().x > 0.5)
-    rig.command = None
-    rig.driver.kill()  # it rolls on until the watchdog of the robot stops it
-    rig.driver.wait(5.0)
-    assert rig.spin(5.0, lambda: rig.body.velocity() == (0.0, 0.0))
-    rig.got['odom'].clear()
-    rig.start()
-    assert rig.spin(20.0, lambda: rig.got['odom'])
-    pose = odometry_record(rig.got['odom'][0]).pose
-    assert pose == pytest.approx(tuple(rig.body.odometry()), abs=0.003)
-    assert pose.x > 0.5
-    rig.driver.terminate()
-    rig.driver.wait(8.0)
-    rig.emulator.robot.reset(time.monotonic())  # switched off and on: a new frame, from zero
-    rig.got['odom'].clear()
-    rig.start()
-    assert rig.spin(20.0, lambda: rig.got['odom'])
-    assert odometry_record(rig.got['odom'][0]).pose == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
-
-
 def test_teleoperation_goes_before_the_follower_until_its_timeout(rig):
     rig.start(teleop_timeout=1.0).drive(0.3)
     by_hand = rig.node.create_publisher(Twist, 'cmd_vel_teleop', 1)

@@ -8,6 +8,7 @@ import pytest
 
 from explore_slam.data import LaserScan, OdometryReading, Plan
 from explore_slam.geometry import IDENTITY, Pose2
+from explore_slam.mounts import LaserMountConfig
 from explore_slam.vehicle import PathFollower, VelocityCommand
 
 TICK = 0.01
@@ -35,7 +36,7 @@ class Track:
         self.last: VelocityCommand | None = None
 
     def scan(self):
-        laser = self.pose.compose(Pose2(0.1, 0.0, 0.0))
+        laser = self.pose.compose(LaserMountConfig().pose)
         angles = np.radians(np.arange(-90, 91))
         ranges = np.full(181, np.inf)
         for ox, oy, r in self.obstacles:

@@ -1,13 +1,15 @@
 """The base's driver against the emulated robot, over a pty and over TCP."""
 
+import logging
 import math
+import socket
 import time
 
 import pytest
 
 from explore_slam.errors import VehicleError
 from explore_slam.settings import with_values
-from explore_slam.simulation.emulators.arcos_robot import ArcosRobot
+from explore_slam.simulation.emulators.arcos_robot import ArcosRobot, Calibration
 from explore_slam.simulation.emulators.kinematic_body import KinematicBody
 from explore_slam.simulation.emulators.lms200_scanner import Lms200Scanner
 from explore_slam.simulation.emulators.serial_line import SerialLine
@@ -244,3 +246,114 @@ def test_a_clock_that_still_stands_at_zero_gives_stamps(rig):
     states = run(robot, 1.0, until=lambda _: True)
     assert [state.odometry.stamp for state in states] == [0.0] * len(states)
     assert states
+
+
+def test_every_kind_of_robot_drives_the_distance_it_reports(rig):
+    for subclass in ('p3at', 'p2dx', 'amigo', 'peoplebot-sh'):
+        device, line, robot = rig(subclass=subclass, baud=115200, config={'base_baud': 115200})
+        robot.connect()
+        robot.enable_motors(True)
+        run(robot, 2.0, until=lambda _: True)  # where odometry begins
+        state = run(robot, 5.0, (0.7, 0.4), until=lambda s: s.odometry.pose.x > 0.15)[-1]
+        assert state.linear == pytest.approx(device.body.velocity()[0], abs=0.15)
+        robot.close()
+        last, truth = robot._odometry.pose, device.odometry()
+        assert last == pytest.approx(truth, abs=0.004), subclass
+        line.stop()
+
+
+def test_calibration_is_sent_and_mends_wrong_wheels(rig):
+    wheels = Calibration(ticks_mm=140, rev_count=18000, drift_factor=200)
+    settings = {'ticks_mm': 140, 'rev_count': 18000, 'drift_factor': 200}
+    errors = []
+    for config in ({}, settings):
+        device, line, robot = rig(
+            wheels=wheels, baud=115200, config={'base_baud': 115200, **config}
+        )
+        robot.connect()
+        robot.enable_motors(True)
+        run(robot, 2.0, until=lambda _: True)  # where odometry begins
+        run(robot, 5.0, (0.7, 0.3), until=lambda s: s.odometry.pose.x > 0.4)
+        robot.close()
+        pose, truth = robot._odometry.pose, device.odometry()
+        errors.append(math.dist(pose[:2], truth[:2]) + abs(pose.theta - truth.theta))
+        sent = {command for _, command, _ in device.commands}
+        calibrations = {Command.TICKSMM, Command.REVCOUNT, Command.DRIFTFACTOR}
+        assert calibrations & sent == (calibrations if config else set())
+        line.stop()
+    assert errors[0] > 0.02
+    assert errors[1] < 0.004
+
+
+def test_old_packet_types_stuck_bumpers_and_a_battery_of_24_volts(rig):
+    device, _, robot = rig(
+        old_types=True, config={'ignored_front_bumpers': 0b101, 'bump_stall': 0}
+    )
+    device.faults.front_bumpers, device.faults.rear_bumpers = 0b111, 0b1
+    device.battery = 27.1  # more than fits into the first byte
+    robot.connect()
+    state = run(robot, 2.0, until=lambda _: True)[-1]
+    assert (state.front_bumpers, state.rear_bumpers) == (0b010, 0b1)
+    assert robot.statistics()['ignored_front_bumpers'] == '101'
+    assert state.battery == pytest.approx(27.1)
+    assert (Command.BUMPSTALL, 0) in [(command, given) for _, command, given in device.commands]
+
+
+def test_a_robot_left_at_another_baud_rate_than_base_baud_is_found_and_named(rig, caplog):
+    _, _, robot = rig(baud=38400, config={'base_baud': 9600})
+    with caplog.at_level(logging.WARNING):
+        robot.connect()
+    assert robot.last_baud == 38400
+    assert 'found at 38400 Bd, not at base_baud 9600' in caplog.text
+
+
+def test_the_odometry_frame_continues_in_the_next_driver_while_the_robot_has_power(rig, tmp_path):
+    settings = {'odometry_file': str(tmp_path / 'ros' / 'odometry.json'), 'base_baud': 115200}
+    device, line, robot = rig(baud=115200, counters=(32700, 5), config=settings)
+    robot.connect()
+    robot.enable_motors(True)
+    run(robot, 2.0, until=lambda _: True)  # where odometry begins
+    run(robot, 5.0, (0.7, 0.3), until=lambda s: s.odometry.pose.x > 0.5)
+    robot._port.close()  # as after SIGKILL: it rolls on until its watchdog stops it
+    robot._port = None
+    assert wait(lambda: device.body.velocity() == (0.0, 0.0), 5.0)
+    following = driver(line.path, **settings)
+    following.connect()
+    state = run(following, 2.0, until=lambda _: True)[-1]
+    assert state.odometry.pose == pytest.approx(device.odometry(), abs=0.0011)
+    assert state.odometry.pose.x > 1.0
+    assert following.statistics()['odometry_frame'] == 'continued'
+    covariance = state.odometry.covariance
+    assert covariance[0, 0] > 0.0
+    following.close()
+    device.reset(time.monotonic())  # switched off and on
+    third = driver(line.path, **settings)
+    assert wait(lambda: connects(third), 10.0)
+    state = run(third, 2.0, until=lambda _: True)[-1]
+    assert state.odometry.pose == (0.0, 0.0, 0.0)
+    assert third.statistics()['odometry_frame'] == 'new'
+    assert not state.odometry.covariance.any()
+    third.close()
+    (tmp_path / 'ros' / 'odometry.json').write_text('{"robot": 7')
+    last = driver(line.path, **settings)
+    last.connect()  # a damaged file costs the frame only
+    assert run(last, 2.0, until=lambda _: True)[-1].odometry.pose == (0.0, 0.0, 0.0)
+    last.close()
+
+
+def test_a_network_address_without_port_is_that_of_a_robot():
+    server = socket.socket()
+    server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        server.bind(('127.0.0.1', 8101))
+    except OSError:
+        server.close()
+        pytest.skip('TCP port 8101 is in use')
+    server.close()
+    with SerialLine(ArcosRobot(KinematicBody()), tcp_port=8101):
+        robot = driver('tcp://127.0.0.1')
+        assert robot.connect().subclass == 'p3dx-sh'
+        robot.close()
+    for bad in ('tcp://', 'tcp://:8101', 'tcp://host:x', 'tcp://host:99999', 'tcp://h/p'):
+        with pytest.raises(VehicleError, match=r"expected 'tcp://host' or 'tcp://host:port'"):
+            driver(bad).connect()

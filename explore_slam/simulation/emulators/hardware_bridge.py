@@ -65,9 +65,18 @@ class BridgedVehicle:
 
 
 class HardwareBridge:
-    """Emulators of all vehicles: `<folder>/<vehicle>_base` and `<folder>/<vehicle>_laser`."""
+    """Emulators of all vehicles: `<folder>/<vehicle>_base` and `<folder>/<vehicle>_laser`.
 
-    def __init__(self, folder: Path, vehicles: Iterable[str], seed: int = 0) -> None:
+    laser_boot_time: s for which a laser boots whose power its port switches; 0: always on.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        vehicles: Iterable[str],
+        seed: int = 0,
+        laser_boot_time: float = 0.0,
+    ) -> None:
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -78,7 +87,13 @@ class HardwareBridge:
         self.bodies = {name: BridgedVehicle() for name in vehicles}
         self.emulators = {
             name: VehicleEmulator(
-                folder, name, body, body.scan, clock=lambda: self._time, seed=seed + 2 * index
+                folder,
+                name,
+                body,
+                body.scan,
+                clock=lambda: self._time,
+                seed=seed + 2 * index,
+                laser_boot_time=laser_boot_time,
             )
             for index, (name, body) in enumerate(self.bodies.items())
         }

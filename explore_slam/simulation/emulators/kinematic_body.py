@@ -9,6 +9,7 @@ import numpy as np
 
 from explore_slam.data import LaserScan
 from explore_slam.geometry import IDENTITY, Pose2, wrap_angle
+from explore_slam.mounts import STOCK_LASER_X
 
 LASER_RANGE = 8.0  # m, of an LMS-200 in mm
 _LONGEST_STEP = 0.005  # s of integration
@@ -27,7 +28,7 @@ class KinematicBody:
         *,
         acceleration: float = 1.0,
         turn_acceleration: float = 4.0,
-        laser_x: float = 0.1,
+        laser_x: float = STOCK_LASER_X,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.obstacles: list[tuple[float, float, float]] = []

@@ -38,7 +38,7 @@ _ACK_DELAY = 0.005  # s; the manual allows 60 ms
 _REPLY_DELAY = 0.02  # s after the acknowledgement
 _MODE_DELAY = 0.05  # s more for a change of mode; the manual allows 3 s
 _WRITE_DELAY = 0.1  # s more for writing the EEPROM
-_BOOT_TIME = 0.5  # s; a real scanner takes 20 to 65 s
+BOOT_TIME = 0.5  # s; a real scanner takes 20 to 65 s
 _STREAM_DELAY = 0.02  # s from the reply to the first scan
 _TYPE = b'LMS200;S18063;V02.19 '
 _STATUS_LENGTH = 152  # bytes of a status block
@@ -86,7 +86,7 @@ class Lms200Scanner:
         variant: tuple[int, int] = (180, 50),
         streaming: bool = False,
         mode_delay: float = _MODE_DELAY,
-        boot_time: float = _BOOT_TIME,
+        boot_time: float = BOOT_TIME,
         answers_while_booting: bool = False,
     ) -> None:
         """Make a scanner that has booted.

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from explore_slam.data import LaserScan
 from explore_slam.simulation.emulators.arcos_robot import ArcosRobot, Body
-from explore_slam.simulation.emulators.lms200_scanner import Lms200Scanner
+from explore_slam.simulation.emulators.lms200_scanner import BOOT_TIME, Lms200Scanner
 from explore_slam.simulation.emulators.serial_line import SerialLine
 
 
@@ -14,6 +14,8 @@ class VehicleEmulator:
     """A Pioneer at the pty `<folder>/<name>_base`, a laser at `<folder>/<name>_laser`.
 
     clock: time (s) of devices and lines, real or simulated.
+    laser_boot_time: s for which the laser boots when its port is opened, which switches its power;
+    0: it has power all the time.
     """
 
     def __init__(
@@ -26,13 +28,20 @@ class VehicleEmulator:
         subclass: str = 'p3dx-sh',
         clock: Callable[[], float] = time.monotonic,
         laser_baud: int = 9600,
+        laser_boot_time: float = 0.0,
         seed: int = 0,
     ) -> None:
         self.robot = ArcosRobot(body, subclass=subclass, name=name)
-        self.scanner = Lms200Scanner(scan, baud=laser_baud)
+        powered = laser_boot_time > 0.0
+        boot_time = laser_boot_time if powered else BOOT_TIME
+        self.scanner = Lms200Scanner(scan, baud=laser_baud, boot_time=boot_time)
         self.base_line = SerialLine(self.robot, folder / f'{name}_base', clock=clock, seed=seed)
         self.laser_line = SerialLine(
-            self.scanner, folder / f'{name}_laser', clock=clock, seed=seed + 1
+            self.scanner,
+            folder / f'{name}_laser',
+            powered=powered,
+            clock=clock,
+            seed=seed + 1,
         )
 
     def start(self) -> 'VehicleEmulator':

@@ -146,6 +146,7 @@ class LaserScanner:
             ranges.astype(np.float32),
             RANGE_MIN,
             limit,
+            self._mount,
             time_increment=self._time_increment,
             scan_time=1.0 / config.simulated_scan_rate if config.simulated_scan_rate else 0.0,
         )
