@@ -6,6 +6,7 @@ import numpy as np
 
 from explore_slam.data import LandmarkObservations, LaserScan, OdometryReading
 from explore_slam.geometry import Pose2, to_world
+from explore_slam.mounts import LaserMountConfig
 
 ROOM = 4.0  # half the side of the room (m)
 
@@ -74,7 +75,7 @@ class SyntheticVehicle:
 
     def scan(self, mount=None):
         """The scan taken now, from the laser's mount on the vehicle."""
-        laser = self.pose.compose(mount or Pose2(0.1, 0.0, 0.0))
+        laser = self.pose.compose(mount or LaserMountConfig().pose)
         return self.world.scan_from(self.stamp, laser)
 
     def error_of(self, pose):

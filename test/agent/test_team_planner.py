@@ -126,6 +126,32 @@ def test_a_follower_that_becomes_blocked_is_reported_once():
     assert agent.track('robot1').state is VehicleState.DRIVING
 
 
+def test_the_goals_of_a_teleoperated_vehicle_go_to_the_others_while_it_is_mapped():
+    starts = {'robot1': START, 'robot2': START.compose(Pose2(0.0, 0.9, 0.0))}
+    agent = Agent(CONFIG, starts, 1)
+    team = {
+        name: SyntheticVehicle(HalfRoom(), start, speed=0.0, turn=0.0)
+        for name, start in starts.items()
+    }
+    for _ in range(3):
+        for name, vehicle in team.items():
+            agent.add(name, vehicle.advance())
+            agent.add(name, vehicle.scan())
+    planner = TeamPlanner(agent)
+    assert set(planner.plan(1.0).plans) == set(starts)
+    planner.report_follower('robot1', FollowerReport(FollowerState.TELEOPERATED), 1.5)
+    assert set(planner.plan(2.0).plans) == {'robot2'}
+    assert agent.track('robot1').state is VehicleState.TELEOPERATED
+    before = agent.map_pose('robot1')
+    team['robot1'] = SyntheticVehicle(HalfRoom(), START, speed=0.5, turn=0.0)
+    for _ in range(12):
+        agent.add('robot1', team['robot1'].advance())
+        agent.add('robot1', team['robot1'].scan())
+    assert agent.map_pose('robot1').x > before.x + 0.3  # it goes on being localized and mapped
+    planner.report_follower('robot1', DRIVING, 3.0)
+    assert set(planner.plan(4.0).plans) == set(starts)
+
+
 def test_a_report_of_an_unknown_vehicle_is_refused():
     _, planner, _ = make()
     with pytest.raises(AgentError, match="unknown vehicle 'robot9'"):

@@ -167,3 +167,24 @@ def test_stops_when_the_laser_falls_silent(harness):
     assert harness.spin(30, lambda: harness.velocity[0] > 0.3)
     assert harness.spin(5, lambda: harness.velocity == (0.0, 0.0), send=('pose', 'odom'))
     assert harness.spin(5, lambda: 'laser silent' in harness.state(), send=('pose', 'odom'))
+
+
+def test_a_vehicle_without_laser_and_teleoperation_that_goes_before_the_plan(harness):
+    by_hand = harness.node.create_publisher(Twist, 'cmd_vel_teleop', 1)
+    process = follower_process(DOMAIN, '-p', 'use_laser:=false', '-p', 'teleop_timeout:=1.0')
+    try:
+        harness.send_plan([[0, 0], [30.0, 0]])
+        driving = ('pose', 'odom')  # one parameter is enough to do without scans
+        assert harness.spin(30, lambda: harness.velocity[0] > 0.3, send=driving)
+        for _ in range(12):
+            by_hand.publish(messages.twist_message(MESSAGES, -0.25, 0.0))
+            harness.spin(0.05, send=driving)
+        assert harness.velocity == (-0.25, 0.0)
+        assert harness.state() == 'teleoperated: driven by cmd_vel_teleop'
+        # nothing more by hand: the vehicle stands, then the plan is followed again
+        assert harness.spin(1.0, lambda: harness.velocity == (0.0, 0.0), send=driving)
+        assert harness.spin(5.0, lambda: harness.velocity[0] > 0.3, send=driving)
+        assert harness.state() == 'driving'
+    finally:
+        process.kill()
+        process.communicate()
