@@ -444,7 +444,7 @@ class DriverSession:
             return f'base not connected: {health.message}'
         if not self._active:
             return 'the driver is inactive'
-        reason = self._safe.reason
+        reason = self._safe.all_reasons
         laser = self.supervisors.get('laser')
         if laser is not None and not laser.health.connected:
             reason = '; '.join(filter(None, (reason, f'laser: {laser.health.message}')))

@@ -61,6 +61,7 @@ _FATAL = 3  # severity (0-4) from which measurements are invalid
 _NOISE = 2048  # bytes without a telegram, longer than two scans: of another baud rate
 _KEPT = 4096  # bytes kept for the diagnosis of a wrong device
 _ROBOT_TIMEOUT = 0.25  # s for the reply of a robot at this port
+_ALL_RATES_EVERY = 4  # rounds of searching, in between only the rate of a laser that has booted
 _BOOT_LISTENING = 2.0  # s between attempts to reach a laser that may be booting
 _LONGEST_READ = 0.2  # s after which an interruption is noticed
 
@@ -104,6 +105,10 @@ class _NotReadyError(VehicleError):
         self.restarted = restarted
 
 
+class _RefusedError(VehicleError):
+    """The scanner answers, but refuses what it is asked for."""
+
+
 class Lms200:
     """An LMS-200 (protocols Laser and SlowDevice): configures it and reads its stream of scans.
 
@@ -133,6 +138,7 @@ class Lms200:
         self._faulty = 0  # unusable scans since the last valid one
         self._telegrams = 0  # decoded while listening for a reply
         self._tried_for_robot = False
+        self._rounds = 0  # of searching for the scanner in this connection
         self.progress = Progress()
 
     @property
@@ -148,13 +154,15 @@ class Lms200:
         The port stays open while the scanner does not answer, up to laser_startup_timeout: where
         the port switches its power, closing the port would restart it. It boots for 20 to 65 s,
         ends that with a power-on telegram, and is also found if that telegram was lost.
-        Raises VehicleError that says what is wrong and what to do; the port is released then.
+        Raises VehicleError that says what is wrong and what to do; the port is released then,
+        unless the scanner answers but refuses a setting: it may still be booting.
         """
         if self._port is None:
             self._port = SerialPort(
                 self.config.laser_port, self._last_baud, tcp_port=LASER_TCP_PORT
             )
         self._tried_for_robot = False
+        self._rounds = 0
         began = time.monotonic()
         try:
             while True:
@@ -162,6 +170,8 @@ class Lms200:
                     return self._set_up()
                 except _NotReadyError as error:
                     self._await_power_on(began, error)
+        except _RefusedError:
+            raise
         except VehicleError:
             self._release()
             raise
@@ -187,11 +197,11 @@ class Lms200:
         """Listen for the power-on telegram for a while; VehicleError when the time is over."""
         port = self._port
         assert port is not None
-        if cause.restarted:  # it is ready now
-            return
         limit, waited = self.config.laser_startup_timeout, time.monotonic() - began
         if waited >= limit:
             raise VehicleError(f'{cause} (waited {waited:.0f} s: laser_startup_timeout)')
+        if cause.restarted:  # it is ready now
+            return
         self.progress.tell(
             f'{cause}; the port stays open for a laser that boots now (20 to 65 s): '
             f'{waited:.0f} of {limit:.0f} s'
@@ -206,6 +216,8 @@ class Lms200:
         assert self._port is not None
         if self._port.is_network:
             return [self._port.baud]
+        if self._rounds % _ALL_RATES_EVERY:  # a laser that boots will be at this one
+            return [_POWER_ON_RATE]
         rates = (self._last_baud, self.own.laser_baud, *_RATES)
         return list(dict.fromkeys(rates))
 
@@ -247,6 +259,7 @@ class Lms200:
                     'and laser_port'
                 )
         self._tried_for_robot = True
+        self._rounds += 1
         raise _NotReadyError(f'{port.url}: {_diagnose_port(collected, rates, refused)}')
 
     def _ask_for_robot(self) -> bytes:
@@ -309,7 +322,7 @@ class Lms200:
         """Change the operating mode; raises VehicleError where the scanner refuses."""
         telegram = self._ask(Request.MODE, bytes([mode]) + data, Reply.MODE, timeout)
         if telegram.data[:1] != b'\0':
-            raise VehicleError(
+            raise _RefusedError(
                 f'{self.config.laser_port}: the laser refuses mode {mode:02X} '
                 f'(reply {telegram.data.hex()}, expected 00)'
             )
@@ -332,7 +345,7 @@ class Lms200:
         data = angle.to_bytes(2, 'little') + hundredths.to_bytes(2, 'little')
         answer = self._ask(Request.VARIANT, data, Reply.VARIANT, _SLOW_TIMEOUT).data
         if answer[:1] != b'\1':
-            raise VehicleError(
+            raise _RefusedError(
                 f'{self.config.laser_port}: the laser refuses {angle}° at {hundredths / 100}°, '
                 'expected 100 or 180 at 1 or 0.5, or 100 at 0.25'
             )
@@ -342,7 +355,7 @@ class Lms200:
         answer = self._ask(Request.READ_CONFIGURATION, b'', Reply.CONFIGURATION)
         present = parse_configuration(answer.data)
         if present is None:
-            raise VehicleError(
+            raise _RefusedError(
                 f'{self.config.laser_port}: the configuration has {len(answer.data)} bytes, '
                 f'expected {CONFIGURATION_LENGTH}'
             )
@@ -359,7 +372,7 @@ class Lms200:
         self.written += 1
         self._change_mode(Mode.ON_REQUEST)
         if answer.data[:1] != b'\1':
-            raise VehicleError(f'{self.config.laser_port}: the laser refuses its configuration')
+            raise _RefusedError(f'{self.config.laser_port}: the laser refuses its configuration')
         self.configuration = wanted
 
     def suspend(self) -> None:

@@ -31,12 +31,19 @@ class SafetyInputs:
 class SafeVelocity:
     """Velocity that may be driven (m/s, rad/s).
 
-    reason: all that makes it differ from the command, '' if it does not.
+    reason: the first that makes it differ from the command, '' if it does not.
+    others: further reasons to stand, which remain when the first one is gone.
     """
 
     linear: float
     angular: float
     reason: str
+    others: tuple[str, ...] = ()
+
+    @property
+    def all_reasons(self) -> str:
+        """All reasons in one line."""
+        return '; '.join(filter(None, (self.reason, *self.others)))
 
 
 class SafetyGate:
@@ -62,10 +69,10 @@ class SafetyGate:
         last = self._updated
         step = _FIRST_STEP if last is None else min(max(now - last, 0.0), _LONGEST_STEP)
         self._updated = now
-        reason = self._stop_reasons(inputs, now)
-        if reason:
+        reasons = self._stop_reasons(inputs, now)
+        if reasons:
             self._last = (0.0, 0.0)
-            return SafeVelocity(0.0, 0.0, reason)
+            return SafeVelocity(0.0, 0.0, reasons[0], tuple(reasons[1:]))
         linear, angular = (
             min(max(value, -limit), limit)
             for value, limit in zip(self._command, self._maximum, strict=True)
@@ -75,8 +82,8 @@ class SafetyGate:
         self._last = limited
         return SafeVelocity(*limited, reason)
 
-    def _stop_reasons(self, inputs: SafetyInputs, now: float) -> str:
-        """Return all reasons to stop in any direction, or ''."""
+    def _stop_reasons(self, inputs: SafetyInputs, now: float) -> list[str]:
+        """Return all reasons to stop in any direction."""
         c = self.config
         age = now - self._commanded
         silence = 0.0 if inputs.laser_last_received is None else now - inputs.laser_last_received
@@ -85,12 +92,12 @@ class SafetyGate:
             (inputs.emergency_stop, 'emergency stop pressed'),
             (not inputs.motors_on, 'motors off (service enable_motors)'),
             (age == math.inf, 'no command yet'),
-            (age > c.command_timeout, f'no command for {age:.1f} s'),
+            (c.command_timeout < age < math.inf, f'no command for {age:.1f} s'),
             (silence == math.inf, 'no laser yet'),
-            (silence > c.laser_timeout, f'laser silent for {silence:.1f} s'),
+            (c.laser_timeout < silence < math.inf, f'laser silent for {silence:.1f} s'),
             (self._held_by_stall(inputs.stalled), 'wheel stalled'),
         )
-        return '; '.join(text for holds, text in reasons if holds)
+        return [text for holds, text in reasons if holds]
 
     def _held_by_stall(self, stalled: bool) -> bool:
         """Return whether a stall forbids the command; the opposite direction is allowed."""

@@ -14,8 +14,9 @@ def test_the_demo_runs_through_the_serial_drivers(tmp_path, monkeypatch):
     monkeypatch.setenv('ROS_DOMAIN_ID', str(own_domain(78)))
     options = LiveRunOptions(
         world='small',
-        vehicles=1,
+        vehicles=2,
         hardware=True,
+        laser_boot_time=4.0,  # lasers whose power follows the port, from cold
         settings={'particles': 200},
         wall_time_limit=150.0,
     )
@@ -32,7 +33,8 @@ def test_the_demo_runs_through_the_serial_drivers(tmp_path, monkeypatch):
     assert driven > 0.3
     assert state.coverage > 0.5
     assert state.position_error('robot1') < 0.3
-    driver = (live.folder.path / 'logs' / 'robot1_driver.log').read_text()
-    assert 'base: connected' in driver
-    assert 'laser: connected: LMS200' in driver
-    assert live.finish().metrics['collisions'] == {'robot1': 0}
+    for name in ('robot1', 'robot2'):
+        driver = (live.folder.path / 'logs' / f'{name}_driver.log').read_text()
+        assert 'base: connected' in driver
+        assert driver.index('boots now') < driver.index('laser: connected: LMS200')
+    assert live.finish().metrics['collisions'] == {'robot1': 0, 'robot2': 0}

@@ -42,6 +42,10 @@ def test_any_yaml_boolean_is_read(word):
         (lambda: read.remappings({'scan_topic': '/scan'}, ['a', 'b']), 'would share one topic'),
         (lambda: read.remappings({'scan_topic': 'my scan'}), "scan_topic is 'my scan', expected"),
         (lambda: read.remappings({'odom_topic': 'odom/'}, ['a']), "odom_topic is 'odom/', exp"),
+        (
+            lambda: read.one_each('base_ports', 'tcp://a', ['robot1', 'robot2'], []),
+            'base_ports is .*, expected 2 different texts, .*: one for each of robot1, robot2',
+        ),
         (lambda: read.ros_name('name', '9bot'), "name is '9bot', expected a name of ROS"),
         (lambda: read.ros_name('namespace', '/a//b'), "namespace is '/a//b', expected a name"),
     ],
@@ -134,6 +138,23 @@ def test_the_launch_files_start_their_nodes():
     nodes = [e.node_executable for e in vehicle if hasattr(e, 'node_executable')]
     assert nodes == ['pioneer_driver', 'feature_extractor']
     assert len(entities_of('vehicles', vehicles='a,b,c')) == 3
+    without = {'vehicles': 'a,b', 'base_ports': 'tcp://h1, tcp://h2:8102', 'use_laser': 'false'}
+    for vehicle, port in zip(entities_of('vehicles', **without), ('h1', 'h2:8102'), strict=True):
+        given = dict(vehicle.launch_arguments)
+        assert given['base_port'] == f'tcp://{port}'
+        assert given['laser_port'] == f'/dev/{given["name"]}_laser'
+
+
+def test_ports_of_several_vehicles_are_listed_or_follow_a_pattern():
+    usual = ['/dev/a_base', '/dev/b_base']
+    assert read.one_each('base_ports', '', ['a', 'b'], usual) == usual
+    given = 'tcp://192.168.1.11, tcp://192.168.1.12:8101'
+    assert read.one_each('base_ports', given, ['a', 'b'], usual) == given.split(', ')
+
+
+def test_a_vehicle_without_laser_needs_one_parameter():
+    for executable in ('pioneer_driver', 'path_follower'):
+        assert given_to('vehicle', executable, use_laser='false')['use_laser'] is False
 
 
 def parameters_of(node):

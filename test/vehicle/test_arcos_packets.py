@@ -106,6 +106,7 @@ def test_commands_and_rates_are_those_of_the_manual():
         'PULSE': 0, 'OPEN': 1, 'CLOSE': 2, 'ENABLE': 4, 'SETA': 5, 'SETV': 6, 'SETO': 7,
         'SETRV': 10, 'VEL': 11, 'CONFIG': 18, 'RVEL': 21, 'SETRA': 23, 'SONAR': 28, 'STOP': 29,
         'VEL2': 32, 'BUMPSTALL': 44, 'HOSTBAUD': 50, 'ESTOP': 55, 'BATTERYINFO': 62,
+        'REVCOUNT': 88, 'DRIFTFACTOR': 89, 'TICKSMM': 93,
     }  # fmt: skip
     assert BAUD_CODES == {9600: 0, 19200: 1, 38400: 2, 57600: 3, 115200: 4}
     assert (RATE_CHANGE_DELAY, RATE_CHANGE_TIMEOUT) == (0.01, 0.9)

@@ -7,6 +7,7 @@ import pytest
 
 from explore_slam.data import LaserScan, OdometryReading, Plan, SweepTiming
 from explore_slam.geometry import IDENTITY, Pose2
+from explore_slam.mounts import STOCK_LASER_X
 from explore_slam.settings import with_values
 from explore_slam.vehicle import FollowerState, PathFollower, PathFollowerConfig
 
@@ -447,7 +448,9 @@ def test_obstacles_are_where_they_are_although_the_beams_are_measured_one_by_one
     angles = -math.pi + 2.0 * math.pi / beams * np.arange(beams)
     shares = np.arange(beams) / (beams - 1)
     at = [pose(2.0 + 0.4 * share) for share in (1.0 - shares if begin else shares)]
-    x, heading = np.array([(place.x + 0.1 * math.cos(place.theta), place.theta) for place in at]).T
+    x, heading = np.array(
+        [(place.x + STOCK_LASER_X * math.cos(place.theta), place.theta) for place in at]
+    ).T
     with np.errstate(divide='ignore'):
         ranges = (4.0 - x) / np.cos(angles + heading)
     ranges[(ranges < 0.0) | (ranges > 8.0)] = np.inf

@@ -234,6 +234,15 @@ def test_timeouts_hold_to_the_second(timeout):
         assert (made.update(SafetyInputs(heard), now + later).linear > 0.0) == drives
 
 
+def test_all_reasons_are_reported_the_first_one_by_itself():
+    made = gate()
+    inputs = SafetyInputs(-math.inf, emergency_stop=True, motors_on=False)
+    assert made.update(inputs, 1.0).all_reasons == (
+        'emergency stop pressed; motors off (service enable_motors); no command yet; no laser yet'
+    )
+    assert drive(made, 0.4, motors_on=False).linear == 0.0
+
+
 def test_the_first_reason_is_the_one_reported():
     made = gate()
     inputs = SafetyInputs(laser_last_received=-math.inf, stalled=True, emergency_stop=True)
