@@ -223,6 +223,11 @@ class Agent:
         self.laser_map.redraw(self.belief.best_path(), self.belief.keyframes_in_map())
         return self.laser_map.grid
 
+    @property
+    def no_returns(self) -> dict[str, tuple[float, bool]]:
+        """Vehicle -> share of its beams without return (+inf), and whether they free cells."""
+        return self.laser_map.no_returns
+
     def take_events(self) -> list[KeyframeEvent]:
         """Return the keyframes since the last call."""
         events, self._team.events = self._team.events, []

@@ -2,7 +2,10 @@
 
 import argparse
 from collections.abc import Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from explore_slam.settings import Section
 
 
 def named_settings(arguments: argparse.Namespace, names: Iterable[str]) -> dict[str, Any]:
@@ -57,6 +60,37 @@ def add_topic_option(parser: argparse.ArgumentParser) -> None:
         'repeated; kinds: scan, odometry, color, depth, camera_info, landmarks, inter_robot, '
         'ground_truth, initial_pose',
     )
+
+
+def add_section_options(parser: argparse._ActionsContainer, section: 'Section') -> None:
+    """Declare an option for each setting of a section, with its default and meaning.
+
+    A setting that is a list of texts may be given repeatedly, one each.
+    """
+    from explore_slam.settings import settings_of
+
+    for info, value in settings_of(section):
+        flag = '--' + info.name.replace('_', '-')
+        unit = f' ({info.unit})' if info.unit else ''
+        if isinstance(value, tuple):
+            parser.add_argument(
+                flag, action='append', default=[], metavar='VALUE', help=f'{info.doc}{unit}'
+            )
+        else:
+            parser.add_argument(
+                flag,
+                type=type(value),
+                default=value,
+                choices=info.choices or None,
+                help=f'{info.doc}{unit} (default: %(default)s)',
+            )
+
+
+def section_of[S: 'Section'](arguments: argparse.Namespace, section: S) -> S:
+    """Return the section with the values that the options of `add_section_options` have."""
+    from explore_slam.settings import values_of, with_values
+
+    return with_values(section, {name: getattr(arguments, name) for name in values_of(section)})
 
 
 def whole_numbers(text: str) -> list[int]:

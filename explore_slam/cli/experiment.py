@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from explore_slam.cli.arguments import whole_numbers
+from explore_slam.cli.arguments import add_section_options, section_of, whole_numbers
 
 if TYPE_CHECKING:
     from explore_slam.studies.experiments.tables import ExperimentReport
@@ -44,6 +44,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         '--data',
         type=Path,
         help='experiment 2: folder of TUM RGB-D frames (default $EXPLORE_SLAM_DATA/tum_fr1_rpy)',
+    )
+    from explore_slam.studies.experiments.tum_frames import DEFAULTS
+
+    add_section_options(
+        parser.add_argument_group('experiment 2: how the frames of --data are read'), DEFAULTS
     )
     parser.add_argument(
         '--world', type=Path, help='experiments 2, 3, 4: world file of the simulated Kinect'
@@ -94,7 +99,11 @@ def _run_named(arguments: argparse.Namespace) -> 'ExperimentReport':
         world=arguments.world,
     )
     if arguments.name == '2':
-        return experiment2.run(experiment2.Options(options, arguments.data or _recorded_frames()))
+        from explore_slam.studies.experiments.tum_frames import DEFAULTS
+
+        data = arguments.data or _recorded_frames()
+        sequence = section_of(arguments, DEFAULTS)
+        return experiment2.run(experiment2.Options(options, data, sequence))
     if arguments.name == '3':
         return experiment3.run(options)
     return experiment4.run(options)

@@ -10,7 +10,9 @@ HELP = 'publish a recorded bag on live topics, with /clock (needs ROS)'
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument('bag', type=Path, help='rosbag2 folder, or its .mcap or .db3 file')
+    parser.add_argument(
+        'bag', type=Path, help='rosbag2 folder, or a .mcap, .db3 or ROS 1 .bag file'
+    )
     parser.add_argument(
         '--rate', type=float, default=1.0, help='speed relative to real time (default 1)'
     )

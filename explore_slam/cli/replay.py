@@ -4,12 +4,8 @@ import argparse
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from explore_slam.cli.arguments import add_set_option, add_topic_option, named_settings
-
-if TYPE_CHECKING:
-    from explore_slam.geometry import Pose2
 
 HELP = 'run a recorded bag through the agent and write a run folder'
 THREAD_VARIABLES = (
@@ -23,7 +19,9 @@ THREAD_VARIABLES = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument('bag', type=Path, help='rosbag2 folder, or its .mcap or .db3 file')
+    parser.add_argument(
+        'bag', type=Path, help='rosbag2 folder, or a .mcap, .db3 or ROS 1 .bag file'
+    )
     parser.add_argument(
         '--maps', choices=('common', 'dedicated'), help='one common map, or one for each vehicle'
     )
@@ -40,7 +38,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         action='append',
         default=[],
         metavar='VEHICLE=X,Y,THETA',
-        help='start pose in the map (m, rad) where the bag has none; VEHICLE=unknown: the vehicle '
+        help='start pose in the map (m; rad, or degrees as in 90deg) where the bag has none; '
+        'VEHICLE=unknown: the vehicle '
         'joins the map when its scans are found there',
     )
     add_topic_option(parser)
@@ -59,6 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
     _limit_threads(arguments.threads)
     from explore_slam.cli.progress import progress_bar
     from explore_slam.cli.summary import print_summary
+    from explore_slam.recording.start_poses import start_poses
     from explore_slam.results.replay_run import replay_bag
     from explore_slam.results.run_folder import RunFolder
 
@@ -74,7 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
             options=named_settings(arguments, ('maps', 'engine', 'particles')),
             seed=arguments.seed,
             vehicles=arguments.vehicles,
-            starts=dict(_start(text) for text in arguments.start),
+            starts=start_poses(arguments.start, unknown=True),
             until=arguments.until,
             progress=show,
             topics=arguments.topic,
@@ -99,22 +99,3 @@ def _limit_threads(count: int | None) -> None:
         raise ConfigError(f'--threads is {count}, expected at least 1')
     for name in THREAD_VARIABLES:
         os.environ[name] = str(count)
-
-
-def _start(text: str) -> tuple[str, 'Pose2 | None']:
-    from explore_slam.errors import ConfigError
-    from explore_slam.geometry import Pose2
-
-    name, _, values = text.partition('=')
-    if name and values == 'unknown':
-        return name, None
-    try:
-        x, y, theta = (float(value) for value in values.split(','))
-    except ValueError:
-        raise ConfigError(
-            f'--start is {text!r}, expected VEHICLE=X,Y,THETA or VEHICLE=unknown'
-        ) from None
-    pose = Pose2(x, y, theta)
-    if not name or not pose.is_finite():
-        raise ConfigError(f'--start is {text!r}, expected VEHICLE=X,Y,THETA or VEHICLE=unknown')
-    return name, pose

@@ -29,6 +29,12 @@ class GridConfig(Section):
         high=200.0,
         tier='basic',
     )
+    no_return_meaning: str = setting(
+        'auto',
+        'Whether beams without return (+inf) passed through free space or measured nothing; auto: '
+        'as the other ranges of the same laser suggest',
+        choices=('auto', 'free', 'nothing'),
+    )
     hit_probability: float = setting(
         0.7, 'Probability that a cell is occupied, given one beam that ends in it',
         low=0.51, high=0.99,

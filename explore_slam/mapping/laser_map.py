@@ -18,6 +18,7 @@ from explore_slam.data import LaserScan
 from explore_slam.errors import MappingError
 from explore_slam.geometry import IDENTITY, Array, Pose2, wrap_angles
 from explore_slam.mapping.config import GridConfig
+from explore_slam.mapping.no_return import NoReturnJudge
 from explore_slam.mapping.occupancy_grid import NO_BODIES, OccupancyGrid, PlacedScan
 
 logger = logging.getLogger(__name__)
@@ -88,6 +89,17 @@ class LaserMap:
         self._path: Array = np.empty((0, 3))
         self._in_map: NDArray[np.bool_] = np.empty(0, np.bool_)  # which of these keyframes
         self._snapshots: dict[int, OccupancyGrid] = {}
+        self._judges: dict[str, NoReturnJudge] = {}
+        self._not_free: set[str] = set()  # vehicles whose no returns the drawn scans did not free
+
+    @property
+    def no_returns(self) -> dict[str, tuple[float, bool]]:
+        """Share of the beams without return of each vehicle, and whether they free cells."""
+        return {name: (judge.share, self._is_free(name)) for name, judge in self._judges.items()}
+
+    def _is_free(self, vehicle: str) -> bool:
+        meaning = self.config.no_return_meaning
+        return self._judges[vehicle].is_free if meaning == 'auto' else meaning == 'free'
 
     @property
     def scans(self) -> Sequence[KeyframeScan]:
@@ -105,6 +117,7 @@ class LaserMap:
         """Store a scan; it enters the grid at the next redraw whose path holds its keyframes."""
         if keyframe < 0:
             raise MappingError(f'keyframe is {keyframe}, expected the number of a keyframe, >= 0')
+        self._judges.setdefault(vehicle, NoReturnJudge()).add(scan)
         self._scans.append(KeyframeScan(keyframe, vehicle, scan, laser_in_keyframe, tuple(bodies)))
 
     def redraw(self, path: ArrayLike, in_map: NDArray[np.bool_] | None = None) -> RedrawSummary:
@@ -127,6 +140,8 @@ class LaserMap:
         common = len(moved)
         moved |= placed[:common] != self._in_map[:common]
         kept = self._count_unchanged(moved)
+        if self._meaning_changed():
+            kept = 0
         if kept < self._drawn:
             self._restore_snapshot(kept)
         start, refused = self._drawn, 0
@@ -141,6 +156,27 @@ class LaserMap:
             if stop % SNAPSHOT_SPACING == 0 and stop > start:
                 self._keep_snapshot()
         return RedrawSummary(start, self._drawn - start, len(self._scans) - self._drawn, refused)
+
+    def _meaning_changed(self) -> bool:
+        """Decide what beams without return mean; return whether drawn scans took them otherwise.
+
+        It changes once, after the first scans, if at all.
+        """
+        not_free = {vehicle for vehicle in self._judges if not self._is_free(vehicle)}
+        changed, self._not_free = not_free ^ self._not_free, not_free
+        for vehicle in sorted(changed):
+            logger.warning(
+                '%s: %.0f %% of the beams have no return (+inf), and %s: they free %s '
+                '(no_return_meaning)', vehicle, 100.0 * self._judges[vehicle].share,
+                *(
+                    ('hardly any other is long', 'no cells')
+                    if vehicle in not_free
+                    else ('others are long as well', 'cells')
+                ),
+            )  # fmt: skip
+        return bool(changed) and any(
+            item.vehicle in changed for item in self._scans[: self._drawn]
+        )
 
     @property
     def path(self) -> Array:
@@ -208,7 +244,8 @@ class LaserMap:
                 pose = base.compose(body.offset)
                 rows.append((pose.x, pose.y, body.radius))
             ignore = np.array(rows).reshape(-1, 3)
-        return PlacedScan(keyframe.compose(item.laser_in_keyframe), item.scan, ignore)
+        pose = keyframe.compose(item.laser_in_keyframe)
+        return PlacedScan(pose, item.scan, ignore, item.vehicle not in self._not_free)
 
     def _keep_snapshot(self) -> None:
         """Store the current grid; drop old snapshots by position and by memory."""

@@ -53,11 +53,13 @@ class PlacedScan(NamedTuple):
     """A scan and the pose of the laser in the map.
 
     ignore (V, 3): x, y and radius (m) of vehicles, whose bodies must not become walls.
+    no_return_is_free: whether beams without return free cells, up to no_return_range.
     """
 
     pose: Pose2
     scan: LaserScan
     ignore: ArrayLike = NO_BODIES
+    no_return_is_free: bool = True
 
 
 class _Area(NamedTuple):
@@ -231,7 +233,7 @@ class OccupancyGrid:
             scan.range_min,
             scan.range_max,
             config.max_laser_range,
-            config.no_return_range,
+            config.no_return_range if placed.no_return_is_free else 0.0,
         )
         beams = Beams(pose.x, pose.y, scan.angles + pose.theta, lengths, kinds)
         if len(bodies):

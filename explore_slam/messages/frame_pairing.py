@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from explore_slam.data import Intrinsics, RgbdFrame
 from explore_slam.errors import DataError, VisionError
@@ -14,26 +14,41 @@ from explore_slam.messages.images import (
     image_message,
     intrinsics_record,
 )
-from explore_slam.messages.measurement import MeasurementKind, TopicMessages
+from explore_slam.messages.measurement import (
+    MeasurementKind,
+    RefusedMessageError,
+    TopicMessages,
+)
 from explore_slam.messages.sensor_mounts import SensorMounts
 from explore_slam.messages.topics import COLOR_TOPICS, DEPTH_TOPICS, TopicKind
+from explore_slam.messages.vehicle_settings import VehicleConfig
 from explore_slam.vision import decode_compressed
 
 CLOCK_JUMP = 1.0  # s; a stamp that is older by more than this belongs to a restarted clock
-# s; half the period of a Kinect at 30 Hz is 0.017 s, and its two sensors are not synchronized
-PAIRING_TOLERANCE = 0.02
 PAIRING_DEPTH = 6  # images of either kind that wait; 0.2 s at 30 Hz
 
-_Images = deque[tuple[float, Any]]
+# names of what could not be used
+UNPAIRED, WITHOUT_CAMERA_INFO = 'unpaired_images', 'frames_without_camera_info'
+
+
+class _Image(NamedTuple):
+    stamp: float
+    message: Any
+    topic: TopicKind
+
+
+_Images = deque[_Image]
 
 
 class FramePairing:
     """Keeps the newest images of either kind until their partner arrives.
 
     The add methods return a frame when one is complete, else None. Malformed images raise
-    DataError.
+    RefusedMessageError with the topic they came on. An image that comes raw and compressed is
+    used once: the second one with its stamp is ignored.
 
     mounts: of the vehicle's sensors, for the pose of the camera.
+    tolerance: largest difference of the stamps of a pair (s); default: the vehicle's setting.
     unpaired: images whose partner never arrived.
     without_camera_info: pairs that arrived before any camera_info.
     """
@@ -41,14 +56,16 @@ class FramePairing:
     def __init__(
         self,
         mounts: SensorMounts | None = None,
-        tolerance: float = PAIRING_TOLERANCE,
+        tolerance: float | None = None,
         depth: int = PAIRING_DEPTH,
     ) -> None:
         self._mounts = mounts
-        self._tolerance = tolerance
+        config = VehicleConfig() if mounts is None else mounts.config
+        self._tolerance = config.pairing_tolerance if tolerance is None else tolerance
         self._colors: _Images = deque()
         self._depths: _Images = deque()
         self._depth = depth
+        self._paired: deque[tuple[bool, float]] = deque(maxlen=2 * depth)
         self._intrinsics: Intrinsics | None = None
         self.unpaired = 0
         self.without_camera_info = 0
@@ -56,56 +73,70 @@ class FramePairing:
     def read(self, topic: TopicKind, message: Any) -> RgbdFrame | None:
         """Add the message of a topic of the camera."""
         if topic in COLOR_TOPICS:
-            return self.add_color(message)
+            return self.add_color(message, topic)
         if topic in DEPTH_TOPICS:
-            return self.add_depth(message)
+            return self.add_depth(message, topic)
         self.add_camera_info(message)
         return None
 
     def losses(self) -> Mapping[str, int]:
         """Return what could not be used so far, by name."""
+        return {UNPAIRED: self.unpaired, WITHOUT_CAMERA_INFO: self.without_camera_info}
+
+    def explanations(self) -> Mapping[str, str]:
+        """Return name of a loss -> why, as the end of a sentence that begins with the number."""
         return {
-            'unpaired_images': self.unpaired,
-            'frames_without_camera_info': self.without_camera_info,
+            UNPAIRED: (
+                'images have no partner, colour or depth, whose stamp differs by at most '
+                f'{1e3 * self._tolerance:g} ms (pairing_tolerance)'
+            ),
+            WITHOUT_CAMERA_INFO: 'frames came before any camera_info',
         }
 
     def add_camera_info(self, message: Any) -> None:
         """Set the intrinsics of all later frames."""
         self._intrinsics = intrinsics_record(message)
 
-    def add_color(self, message: Any) -> RgbdFrame | None:
+    def add_color(self, message: Any, topic: TopicKind = TopicKind.COLOR) -> RgbdFrame | None:
         """Add a colour image, raw or compressed."""
-        return self._add(message, self._colors, self._depths)
+        return self._add(message, topic, self._colors, self._depths)
 
-    def add_depth(self, message: Any) -> RgbdFrame | None:
+    def add_depth(self, message: Any, topic: TopicKind = TopicKind.DEPTH) -> RgbdFrame | None:
         """Add a registered depth image, raw or compressed as PNG."""
-        return self._add(message, self._depths, self._colors)
+        return self._add(message, topic, self._depths, self._colors)
 
-    def _add(self, message: Any, own: _Images, partners: _Images) -> RgbdFrame | None:
-        stamp = seconds(message.header.stamp)
-        if own and stamp < own[-1][0] - CLOCK_JUMP:
+    def _add(
+        self, message: Any, topic: TopicKind, own: _Images, partners: _Images
+    ) -> RgbdFrame | None:
+        image = _Image(seconds(message.header.stamp), message, topic)
+        stamp = image.stamp
+        is_color = own is self._colors
+        if own and stamp < own[-1].stamp - CLOCK_JUMP:
             self.unpaired += len(own) + len(partners)
             own.clear()
             partners.clear()
+            self._paired.clear()
+        if (is_color, stamp) in self._paired or any(other.stamp == stamp for other in own):
+            return None  # the same image in its other form
         for other in partners:
-            if abs(other[0] - stamp) <= self._tolerance:
+            if abs(other.stamp - stamp) <= self._tolerance:
                 partners.remove(other)
-                self._drop_older(partners, other[0])
+                self._drop_older(partners, other.stamp)
                 self._drop_older(own, stamp)
-                color, depth = (message, other[1]) if own is self._colors else (other[1], message)
-                return self._frame(color, depth)
-        own.append((stamp, message))
+                self._paired.extend(((is_color, stamp), (not is_color, other.stamp)))
+                return self._frame(*((image, other) if is_color else (other, image)))
+        own.append(image)
         if len(own) > self._depth:
             own.popleft()
             self.unpaired += 1
         return None
 
     def _drop_older(self, images: _Images, stamp: float) -> None:
-        while images and images[0][0] <= stamp:
+        while images and images[0].stamp <= stamp:
             images.popleft()
             self.unpaired += 1
 
-    def _frame(self, color: Any, depth: Any) -> RgbdFrame | None:
+    def _frame(self, color: _Image, depth: _Image) -> RgbdFrame | None:
         if self._intrinsics is None:
             self.without_camera_info += 1
             return None
@@ -113,17 +144,21 @@ class FramePairing:
         metres = _pixels(depth, depth_array)
         mount = None
         if self._mounts is not None:
-            mount = self._mounts.optical_pose(color.header.frame_id)
-        return RgbdFrame(seconds(color.header.stamp), rgb, metres, self._intrinsics, mount)
+            mount = self._mounts.optical_pose(color.message.header.frame_id)
+        return RgbdFrame(color.stamp, rgb, metres, self._intrinsics, mount)
 
 
-def _pixels(message: Any, raw: Callable[[Any], Any]) -> Any:
-    if hasattr(message, 'encoding'):
-        return raw(message)
+def _pixels(image: _Image, raw: Callable[[Any], Any]) -> Any:
+    message = image.message
     try:
+        if hasattr(message, 'encoding'):
+            return raw(message)
         return decode_compressed(bytes(message.data))
+    except DataError as error:
+        raise RefusedMessageError(str(error), image.topic) from error
     except VisionError as error:
-        raise DataError(f'compressed image of format {message.format!r}: {error}') from error
+        text = f'compressed image of format {message.format!r}: {error}'
+        raise RefusedMessageError(text, image.topic) from error
 
 
 def frame_messages(factory: MessageFactory, frame_id: str, frame: RgbdFrame) -> TopicMessages:

@@ -11,6 +11,7 @@ from explore_slam.data import (
     OdometryReading,
     RgbdFrame,
 )
+from explore_slam.errors import DataError
 from explore_slam.messages.base import MessageFactory
 from explore_slam.messages.frames import FrameNames
 from explore_slam.messages.sensor_mounts import SensorMounts
@@ -28,17 +29,28 @@ class MeasurementSink(Protocol):
         """Add a record of a vehicle, of any kind."""
 
 
+class RefusedMessageError(DataError):
+    """A message that waited for others is malformed; topic: the one it came on."""
+
+    def __init__(self, text: str, topic: TopicKind) -> None:
+        super().__init__(text)
+        self.topic = topic
+
+
 class Reader(Protocol):
     """Converts the messages of one vehicle on the topics of one kind of measurement."""
 
     def read(self, topic: TopicKind, message: Any) -> Any:
         """Return the record, or None while messages of other topics are missing.
 
-        DataError if the message is malformed.
+        DataError if the message is malformed, RefusedMessageError if an earlier one is.
         """
 
     def losses(self) -> Mapping[str, int]:
         """Return what could not be used so far, by name."""
+
+    def explanations(self) -> Mapping[str, str]:
+        """Return name of a loss -> why, as the end of a sentence that begins with the number."""
 
 
 class MessageReader:
@@ -53,6 +65,10 @@ class MessageReader:
 
     def losses(self) -> Mapping[str, int]:
         """Return nothing: no message waits for another."""
+        return {}
+
+    def explanations(self) -> Mapping[str, str]:
+        """Return nothing: there are no losses."""
         return {}
 
 
@@ -128,4 +144,11 @@ class VehicleReader:
         found: dict[str, int] = {}
         for _, reader in self._readers:
             found.update(reader.losses())
+        return found
+
+    def explanations(self) -> dict[str, str]:
+        """Return name of a loss -> why, as the end of a sentence that begins with the number."""
+        found: dict[str, str] = {}
+        for _, reader in self._readers:
+            found.update(reader.explanations())
         return found

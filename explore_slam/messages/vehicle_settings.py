@@ -50,6 +50,13 @@ class VehicleConfig(Section):
         'if /tf_static does not provide it; a single NaN: camera_x to camera_yaw',
         tier='basic',
     )
+    pairing_tolerance: float = setting(
+        0.02,  # half the period of a Kinect at 30 Hz is 0.017 s; its sensors are not synchronized
+        'Largest difference of the stamps of a colour and a depth image of one frame',
+        unit='s',
+        low=0.0,
+        high=1.0,
+    )
     sweep: SweepConfig = section(SweepConfig)
     odom_frame: str = setting(
         '', "Odometry frame; empty: as the vehicle's odometry messages name it", tier='basic'

@@ -14,7 +14,12 @@ from explore_slam.errors import DataError, ExploreSlamError
 from explore_slam.geometry import Array, Pose2
 from explore_slam.messages.base import planar_covariance, planar_pose, seconds, time_message
 from explore_slam.messages.clocks import StampProblem, StampWatch
-from explore_slam.messages.measurement import MeasurementKind, MeasurementSink, VehicleReader
+from explore_slam.messages.measurement import (
+    MeasurementKind,
+    MeasurementSink,
+    RefusedMessageError,
+    VehicleReader,
+)
 from explore_slam.messages.measurement_kinds import KIND_OF_TOPIC, MEASUREMENT_KINDS
 from explore_slam.messages.sensor_mounts import SensorMounts
 from explore_slam.messages.topics import (
@@ -198,6 +203,9 @@ class VehicleInputs:
         """Take a message; a malformed one is counted and named."""
         try:
             take(message)
+        except RefusedMessageError as error:
+            self.malformed += 1
+            self._warn(error.topic, f'{error}; message omitted')
         except (ExploreSlamError, ValueError, TypeError) as error:
             self.malformed += 1
             self._warn(topic, f'{error}; message omitted')

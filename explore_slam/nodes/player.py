@@ -20,7 +20,7 @@ from explore_slam.nodes.ros_types import MESSAGES, message_class
 from explore_slam.recording.bag import BagReader
 from explore_slam.recording.ordering import StampOrder
 from explore_slam.recording.recorded_transforms import static_transforms
-from explore_slam.recording.salvage import RawMessage
+from explore_slam.recording.storage.storage import RawMessage
 from explore_slam.recording.topic_selection import TopicChoice, vehicle_topics
 
 CLOCK_PERIOD = 0.01  # s

@@ -1,11 +1,9 @@
-"""Bags: rosbag2 folders, written as mcap, read as mcap or sqlite3, without ROS.
+"""Bags: recordings of ROS 1 and ROS 2 are read, rosbag2 folders are written, without ROS."""
 
-A truncated bag is read up to its damage, with a warning.
-"""
-
+import heapq
+import itertools
 import logging
-from collections.abc import Collection, Iterator
-from contextlib import suppress
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -22,7 +20,6 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import (
     CompressionFormat,
     CompressionMode,
-    Reader,
     StoragePlugin,
     Writer,
     WriterError,
@@ -30,30 +27,45 @@ from rosbags.rosbag2 import (
 
 from explore_slam.errors import RecordingError
 from explore_slam.recording.rosbags_types import deserialize, full_name, serialize, typestore
-from explore_slam.recording.salvage import McapSalvage, RawMessage
+from explore_slam.recording.storage.bag_folder import BagFiles, bag_files
+from explore_slam.recording.storage.compression import ZSTD_MAGIC, decompress
+from explore_slam.recording.storage.file_kinds import open_storage
+from explore_slam.recording.storage.storage import RawMessage, Storage, UnusableTopic
 
 logger = logging.getLogger(__name__)
 
-SUFFIXES = ('.mcap', '.db3')
-
 
 class BagReader:
-    """Reads a rosbag2 folder, or one of its .mcap or .db3 files, in the order of log times."""
+    """Reads a recording in the order of log times: a rosbag2 folder, or a file of any format.
+
+    Formats: mcap, sqlite3 and ROS 1 bags, also compressed as a whole (.zstd, .bz2 ...). Damaged
+    recordings are read as far as they can be.
+
+    topics: message type by topic. counts: messages by topic that the files hold.
+    expected: messages by topic that were counted when they were recorded; more than in counts
+    where some are lost.
+    unusable: topics whose messages cannot be used, with the reasons.
+    start, end: first and last log time (ns).
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.topics: dict[str, str] = {}
         self.counts: dict[str, int] = {}
+        self.expected: dict[str, int] = {}
+        self.unusable: dict[str, UnusableTopic] = {}
         self.start = 0
         self.end = 0
-        self.warnings: list[str] = []
-        self._reader: Reader | None = None
-        self._parts: list[BagReader | McapSalvage] = []
-        if not path.exists():
-            raise RecordingError(f'{path} does not exist, expected a bag (a rosbag2 folder)')
-        if path.is_file() and path.suffix not in SUFFIXES:
-            raise RecordingError(f'{path} is not a bag: expected a folder, .mcap or .db3')
-        self._open()
+        self._warnings: list[str] = []
+        self._is_whole = True  # all files are there and can be opened
+        found = bag_files(path)
+        self._warnings += found.notes
+        self._storages = self._open_all(found)
+        try:
+            self._join(found)
+        except RecordingError:
+            self.close()
+            raise
 
     @property
     def message_count(self) -> int:
@@ -66,6 +78,12 @@ class BagReader:
         duration = max((self.end - self.start) * 1e-9, 1e-9)
         return {topic: count / duration for topic, count in self.counts.items()}
 
+    @property
+    def warnings(self) -> list[str]:
+        """What is wrong with the recording; more may come while it is read."""
+        damages = [text for storage in self._storages for text in storage.damages]
+        return [*self._warnings, *damages]
+
     def __enter__(self) -> 'BagReader':
         return self
 
@@ -74,38 +92,41 @@ class BagReader:
 
     def close(self) -> None:
         """Close the files."""
-        if self._reader is not None:
-            with suppress(Exception):
-                self._reader.close()
-            self._reader = None
-        for part in self._parts:
-            if isinstance(part, BagReader):
-                part.close()
+        for storage in self._storages:
+            storage.close()
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
-        """Yield the messages of the given topics, or all; damage ends them with a warning."""
-        if self._reader is None:
-            for part in self._parts:
-                if isinstance(part, BagReader):
-                    yield from part.messages(topics)
-                else:
-                    whole = part.messages()
-                    yield from (m for m in whole if topics is None or m.topic in topics)
-            return
-        wanted = [
-            connection
-            for connection in self._reader.connections
-            if topics is None or connection.topic in topics
+        """Yield the messages of the given topics, or all; damaged ones are left out.
+
+        Where fewer come than the files state, the warnings say so afterwards.
+        """
+        read: dict[str, int] = {}
+        for message in self._by_time(topics):
+            read[message.topic] = read.get(message.topic, 0) + 1
+            if message.data[: len(ZSTD_MAGIC)] == ZSTD_MAGIC:  # CDR begins with a zero
+                content, _ = decompress(message.data, 'zstd')
+                yield message._replace(data=content)
+            else:
+                yield message
+        self._compare(read, self.counts if topics is None else topics)
+
+    def _by_time(self, topics: Collection[str] | None) -> Iterator[RawMessage]:
+        parts = sorted(self._storages, key=lambda storage: storage.start)
+        if all(a.end <= b.start for a, b in itertools.pairwise(parts)):
+            return itertools.chain.from_iterable(part.messages(topics) for part in parts)
+        return heapq.merge(
+            *(part.messages(topics) for part in parts), key=lambda message: message.log_time
+        )
+
+    def _compare(self, read: Mapping[str, int], topics: Iterable[str]) -> None:
+        """Warn of messages that were counted and could not be read."""
+        lost = [
+            f'{read.get(topic, 0)} of {self.expected[topic]} on {topic}'
+            for topic in sorted(topics)
+            if read.get(topic, 0) < self.expected.get(topic, 0)
         ]
-        if not wanted:
-            return
-        count = 0
-        try:
-            for connection, log_time, data in self._reader.messages(wanted):
-                yield RawMessage(connection.topic, connection.msgtype, log_time, bytes(data))
-                count += 1
-        except Exception as error:  # rosbags lets the errors of its storages and parsers through
-            self.warn(f'{self.path} is damaged after {count} messages ({error}): the rest is lost')
+        if lost:
+            self.warn(f'{self.path}: messages are lost, read were {", ".join(lost)}')
 
     @staticmethod
     def decode(message: RawMessage) -> Any:
@@ -118,70 +139,65 @@ class BagReader:
                 f'{message.type} ({len(message.data)} bytes): {error}'
             ) from error
 
-    def _open(self) -> None:
-        if self.path.is_dir() and not (self.path / 'metadata.yaml').exists():
-            self._open_damaged('metadata.yaml is missing (the recording was not closed)')
-            return
-        try:
-            reader = Reader(self.path)
-            reader.open()
-        except Exception as error:  # rosbags lets the errors of its storages and parsers through
-            self._open_damaged(str(error))
-            return
-        self._reader = reader
-        for connection in reader.connections:
-            self.topics[connection.topic] = connection.msgtype
-            self.counts[connection.topic] = (
-                self.counts.get(connection.topic, 0) + connection.msgcount
-            )
-        if reader.message_count:
-            self.start, self.end = reader.start_time, reader.end_time
+    def _open_all(self, found: BagFiles) -> list[Storage]:
+        """Open all files; RecordingError with the reasons if there is none that can be read."""
+        storages, reasons = [], []
+        for file in found.files:
+            try:
+                storages.append(open_storage(file))
+            except RecordingError as error:
+                reasons.append(str(error))
+        reasons += [f'{self.path / name} is missing' for name in found.missing]
+        if not storages:
+            raise RecordingError('; '.join(reasons))
+        self._is_whole = not reasons
+        for reason in reasons:
+            self.warn(f'{reason}: the rest of the recording is read')
+        return storages
 
-    def _open_damaged(self, reason: str) -> None:
-        """Read the storage files one by one where the bag as a whole cannot be opened."""
-        if self.path.is_dir():
-            files = sorted(file for file in self.path.iterdir() if file.suffix in SUFFIXES)
-            if not files:
-                raise RecordingError(f'{self.path} is not a bag: {reason}')
-            self.warn(f'{self.path}: {reason}; reading its files one by one')
-            for file in files:
-                try:
-                    self._parts.append(BagReader(file))
-                except RecordingError as error:
-                    self.warn(str(error))
-        elif self.path.suffix == '.mcap':
-            salvage = McapSalvage(self.path)
-            self._survey(salvage)
-            if not salvage.complete:
-                self.warn(
-                    f'{self.path} is truncated: its first {self.message_count} messages are used'
-                )
-            self._parts.append(salvage)
-        else:
-            raise RecordingError(f'{self.path} cannot be read: {reason}')
-        parts = [part for part in self._parts if isinstance(part, BagReader)]
-        for part in parts:
-            self.topics |= part.topics
-            self.warnings += part.warnings
-            for topic, count in part.counts.items():
+    def _join(self, found: BagFiles) -> None:
+        """Add up what the files hold, and compare it with what metadata.yaml states."""
+        for storage in self._storages:
+            self.topics |= storage.topics
+            self.unusable |= storage.unusable
+            for topic in {*storage.counts, *storage.declared}:
+                count = storage.counts.get(topic, 0)
+                stated = max(count, storage.declared.get(topic, 0))
                 self.counts[topic] = self.counts.get(topic, 0) + count
-        if parts:
-            self.start = min(part.start for part in parts)
-            self.end = max(part.end for part in parts)
-        if not self.message_count:
-            raise RecordingError(f'{self.path} holds no readable message: {reason}')
+                self.expected[topic] = self.expected.get(topic, 0) + stated
+        for topic in self.topics:
+            self.counts.setdefault(topic, 0)
+        held = [storage for storage in self._storages if storage.message_count]
+        if held:
+            self.start = min(storage.start for storage in held)
+            self.end = max(storage.end for storage in held)
+        if found.counts is not None:
+            self._compare_with_metadata(found.counts)
+        for topic, (_, reason) in sorted(self.unusable.items()):
+            self.warn(f'{topic} holds {reason}, which cannot be used: expected CDR of ROS 2')
+        if not self.message_count and (self.warnings or not self.topics):
+            reasons = '; '.join(self.warnings) or 'there are none on any topic'
+            raise RecordingError(f'{self.path} holds no readable message: {reasons}')
 
-    def _survey(self, salvage: McapSalvage) -> None:
-        for message in salvage.messages():
-            self.start = message.log_time if not self.counts else min(self.start, message.log_time)
-            self.end = max(self.end, message.log_time)
-            self.topics[message.topic] = message.type
-            self.counts[message.topic] = self.counts.get(message.topic, 0) + 1
+    def _compare_with_metadata(self, stated: Mapping[str, int]) -> None:
+        """Warn of other numbers in metadata.yaml; those of damaged files are expected."""
+        there = {t: count for t, count in stated.items() if count and t not in self.unusable}
+        if there == {topic: count for topic, count in self.counts.items() if count}:
+            return
+        self.warn(
+            f'{self.path}: metadata.yaml counts {sum(there.values())} messages, its files hold '
+            f'{self.message_count}'
+        )
+        if self._is_whole and not any(storage.damages for storage in self._storages):
+            return  # it is metadata.yaml that is wrong
+        for topic, count in there.items():
+            self.expected[topic] = max(self.expected.get(topic, 0), count)
 
     def warn(self, text: str) -> None:
-        """Keep a warning: the caller shows it in the report, on the terminal or in a log."""
-        logger.info('%s', text)
-        self.warnings.append(text)
+        """Keep a warning, once: the caller shows it in the report, on the terminal or in a log."""
+        if text not in self._warnings:
+            logger.info('%s', text)
+            self._warnings.append(text)
 
 
 class BagWriter:

@@ -31,6 +31,8 @@ from explore_slam.data import LaserScan
 from explore_slam.errors import RecordingError
 from explore_slam.geometry import IDENTITY, Array, Pose2, between
 from explore_slam.recording.carmen_stamps import NAMED_LINES, regular_stamps
+from explore_slam.recording.storage.compression import FORMAT_OF_MAGIC, decompress
+from explore_slam.recording.storage.file_kinds import check_not_lfs_pointer
 
 # Chosen by hand, for the logs of several recorders; test_carmen_log shows what they decide.
 DEFAULT_RANGE_MAX = 80.0  # m; what the SICK drivers of CARMEN write where nothing returned
@@ -222,10 +224,15 @@ class _Content:
 
 
 def _read_lines(path: Path) -> _Content:
+    check_not_lfs_pointer(path)
     try:
-        text = path.read_text(encoding='utf-8', errors='replace')
+        data = path.read_bytes()
     except OSError as error:
         raise RecordingError(f'{path} cannot be read: {error}') from error
+    for magic, compression in FORMAT_OF_MAGIC.items():
+        if data.startswith(magic):
+            data, _ = decompress(data, compression)
+    text = data.decode('utf-8', 'replace')
     lines = [(number, line.split()) for number, line in enumerate(text.splitlines(), start=1)]
     lines = [(number, words) for number, words in lines if words and words[0][0] != '#']
     kinds = [words[0] for _, words in lines]

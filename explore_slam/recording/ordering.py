@@ -1,21 +1,20 @@
 """Messages in the order of their stamps, with a bounded look-ahead; and what their stamps say."""
 
 import heapq
-import itertools
 import struct
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from explore_slam.recording.salvage import RawMessage
+from explore_slam.recording.storage.storage import RawMessage
 
 # Chosen by hand; test_ordering shows what they decide.
 WINDOW = 2_000_000_000  # ns; how much later than its stamp a message may be logged
 CLOCK_JUMP = 5_000_000_000  # ns; more than the window, so that no late message looks like a jump
 CLOCKS_APART = 1.0  # s between stamps and log times, or between topics, that are named
 _SAMPLES = 1000  # messages per topic whose stamps are compared with their log times
-_SURVEY = 500  # messages from which topics without stamps are known
+_UNSTAMPED = 1_000_000_000  # ns; a stamp of zero logged later is none, as in clocks.StampWatch
 _LITTLE_ENDIAN, _BIG_ENDIAN = 1, 0  # second byte of the encapsulation header of CDR
 _STAMP = {_BIG_ENDIAN: struct.Struct('>iI'), _LITTLE_ENDIAN: struct.Struct('<iI')}
 _ENCAPSULATION = 4  # bytes before the content
@@ -29,19 +28,12 @@ def header_stamp(data: bytes) -> int | None:
     return int(seconds) * 10**9 + int(nanoseconds)
 
 
-def unstamped_topics(messages: Iterable[RawMessage]) -> set[str]:
-    """Return the topics of which the first messages of a recording all have the stamp zero."""
-    zero: dict[str, bool] = {}
-    for message in itertools.islice(messages, _SURVEY):
-        zero[message.topic] = zero.get(message.topic, True) and header_stamp(message.data) == 0
-    return {topic for topic, only in zero.items() if only}
-
-
 @dataclass
 class StampStatistics:
     """What the stamps of one topic say: numbers of messages, times in ns.
 
-    zero: without a stamp, on a topic that has none.
+    zero: without a stamp; the log time is used.
+    repeated: with the stamp of the message before.
     late: logged more than the window out of order, and omitted.
     backwards, largest_step_back: stamps before that of the message before.
     ahead: stamp minus log time of the first messages that have a stamp.
@@ -49,6 +41,7 @@ class StampStatistics:
 
     count: int = 0
     zero: int = 0
+    repeated: int = 0
     late: int = 0
     malformed: int = 0
     backwards: int = 0
@@ -58,12 +51,18 @@ class StampStatistics:
 
     def add(self, stamp: int, log_time: int) -> None:
         """Count a stamp."""
+        self.repeated += stamp == self.newest
         if stamp < self.newest:
             self.backwards += 1
             self.largest_step_back = max(self.largest_step_back, self.newest - stamp)
         self.newest = stamp
         if len(self.ahead) < _SAMPLES:
             self.ahead.append(stamp - log_time)
+
+    @property
+    def is_reversed(self) -> bool:
+        """Whether most stamps are earlier than those before: no jitter, which goes to and fro."""
+        return 2 * self.backwards > self.count
 
     @property
     def median_ahead(self) -> float:
@@ -78,7 +77,6 @@ class StampOrder:
     even later is omitted and counted, except that a clock that jumps back starts a new order.
 
     offsets: topic -> ns that are added to its stamps.
-    unstamped: topics whose stamps are all zero; the log time is used instead.
     statistics: of every topic so far.
     """
 
@@ -86,10 +84,8 @@ class StampOrder:
         self,
         window: int = WINDOW,
         offsets: Mapping[str, int] | None = None,
-        unstamped: Collection[str] = (),
     ) -> None:
         self._window = window
-        self._unstamped = frozenset(unstamped)
         self._offsets = dict(offsets or {})
         self.statistics: dict[str, StampStatistics] = {}
         self.clock_jumps: list[tuple[float, float]] = []
@@ -142,7 +138,7 @@ class StampOrder:
         if stamp is None:
             known.malformed += 1
             return None
-        if stamp == 0 and message.topic in self._unstamped:
+        if stamp == 0 and message.log_time > _UNSTAMPED:
             known.zero += 1
             return message.log_time
         known.add(stamp, message.log_time)
@@ -161,12 +157,17 @@ class StampOrder:
                     f'{item.zero} of {item.count} messages on {topic} have the stamp zero: the '
                     'log time is used'
                 )
+            if 2 * item.repeated > item.count:
+                found.append(
+                    f'{item.repeated} of {item.count} messages on {topic} have the stamp of the '
+                    'one before'
+                )
             if item.late:
                 found.append(
                     f'{item.late} messages on {topic} came more than '
                     f'{self._window * 1e-9:.0f} s out of order: omitted'
                 )
-            if item.backwards > item.late and not self.clock_jumps:
+            if item.is_reversed or (item.backwards > item.late and not self.clock_jumps):
                 found.append(
                     f'stamps on {topic} go back {item.backwards} times, by up to '
                     f'{item.largest_step_back * 1e-9:.3f} s'
@@ -187,6 +188,7 @@ class StampOrder:
             for topic, item in sorted(self.statistics.items())
             if item.ahead
         }
+        ahead |= {topic: 0.0 for topic, item in self.statistics.items() if item.zero}
         if not ahead:
             return []
         common = float(np.median(list(ahead.values())))

@@ -4,7 +4,7 @@ Nothing depends on the wall clock or on threads: the same bag gives the same res
 """
 
 import logging
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -12,19 +12,30 @@ from explore_slam.data import OdometryReading
 from explore_slam.errors import ExploreSlamError, RecordingError
 from explore_slam.geometry import Array, Pose2, moved_enough
 from explore_slam.messages.base import planar_pose, time_message
-from explore_slam.messages.measurement import MeasurementSink, VehicleReader
+from explore_slam.messages.frame_pairing import UNPAIRED, WITHOUT_CAMERA_INFO
+from explore_slam.messages.measurement import (
+    MeasurementSink,
+    RefusedMessageError,
+    VehicleReader,
+)
 from explore_slam.messages.measurement_kinds import KIND_OF_TOPIC, MEASUREMENT_KINDS
 from explore_slam.messages.odometry import odometry_record
 from explore_slam.messages.sensor_mounts import SensorMounts
-from explore_slam.messages.topics import RecordedTopic, TopicKind
+from explore_slam.messages.topics import (
+    COLOR_TOPICS,
+    DEPTH_TOPICS,
+    RecordedTopic,
+    TopicKind,
+    vehicle_topic,
+)
 from explore_slam.messages.vehicle_settings import VehicleConfig, settings_of_vehicles
 from explore_slam.mounts import ExplicitMounts
 from explore_slam.recording.bag import BagReader
 from explore_slam.recording.events import Event
-from explore_slam.recording.ordering import StampOrder, unstamped_topics
+from explore_slam.recording.ordering import StampOrder, StampStatistics, header_stamp
 from explore_slam.recording.recorded_transforms import recorded_transforms
-from explore_slam.recording.rosbags_types import MESSAGES
-from explore_slam.recording.salvage import RawMessage
+from explore_slam.recording.rosbags_types import MESSAGES, full_name
+from explore_slam.recording.storage.storage import RawMessage
 from explore_slam.recording.topic_selection import (
     TopicChoice,
     frames_or_landmarks,
@@ -39,6 +50,9 @@ TICK = 0.1  # s of recorded time between calls of `advance`
 START_TOLERANCE = (0.05, 0.05)
 # topics of poses in the map frame; from the first of each the start poses are taken
 POSE_KINDS = (TopicKind.INITIAL_POSE, TopicKind.GROUND_TRUTH)
+
+# kinds of which several messages may have one stamp: one for each vehicle, or one for each camera
+_SEVERAL_AT_ONCE = (TopicKind.INTER_ROBOT, TopicKind.LANDMARKS, TopicKind.CAMERA_INFO)
 
 
 class Listener(MeasurementSink, Protocol):
@@ -96,7 +110,8 @@ class Replay:
         self.bag = bag
         found, warnings = vehicle_topics(bag.topics, vehicles, choices, bag.rates)
         self._topics = frames_or_landmarks(found, vision, warnings)
-        self.warnings = list(bag.warnings) + warnings
+        self._notes = warnings
+        self._is_complete = False  # all messages have been read
         self._by_name = {topic.name: topic for topic in self._topics}
         self.vehicles = sorted({topic.vehicle for topic in self._topics})
         self.tally = Tally()
@@ -107,13 +122,13 @@ class Replay:
             name: SensorMounts(name, trees[name], configs[name], team_mounts)
             for name in self.vehicles
         }
-        self._unstamped = unstamped_topics(bag.messages(set(self._by_name)))
         offsets = {topic.name: self._offset(topic, configs) for topic in self._topics}
-        self._order = StampOrder(offsets=offsets, unstamped=self._unstamped)
+        self._order = StampOrder(offsets=offsets)
         self._readers = {
             name: VehicleReader(MEASUREMENT_KINDS, mounts) for name, mounts in self.mounts.items()
         }
         self._find_base_frames()
+        self._find_camera_infos()
         given = dict(starts or {})
         unknown = sorted(set(given) - set(self.vehicles))
         if unknown:
@@ -144,6 +159,11 @@ class Replay:
                     waiting[message.topic] = topic
             if not waiting:
                 break
+
+    @property
+    def warnings(self) -> list[str]:
+        """What is wrong with the recording, and what was chosen without being asked for."""
+        return [*self.bag.warnings, *self._notes]
 
     def topic_of(self, vehicle: str, kind: TopicKind) -> str | None:
         """Return the name of a vehicle's topic of a kind in the recording."""
@@ -176,7 +196,7 @@ class Replay:
                 and truth is not None
                 and moved_enough(recorded.between(truth), *START_TOLERANCE)
             ):
-                self._note(
+                self.note(
                     f'the recording of {vehicle} begins after it had moved: its start pose is '
                     'taken from its ground truth'
                 )
@@ -187,7 +207,7 @@ class Replay:
                 found[vehicle] = initial
             elif truth is not None:
                 found[vehicle] = truth
-                self._note(f'start pose of {vehicle} is taken from its ground truth')
+                self.note(f'start pose of {vehicle} is taken from its ground truth')
         return self._with_defaults(found)
 
     def _first_poses(self, vehicles: set[str]) -> dict[tuple[str, TopicKind], Pose2]:
@@ -219,7 +239,7 @@ class Replay:
                 'or --start VEHICLE=unknown'
             )
         if missing:
-            self._note(f'start pose of {missing[0]} is not recorded: (0, 0, 0) is used')
+            self.note(f'start pose of {missing[0]} is not recorded: (0, 0, 0) is used')
             found[missing[0]] = Pose2(0.0, 0.0, 0.0)
         return {vehicle: found[vehicle] for vehicle in self.vehicles}
 
@@ -230,34 +250,44 @@ class Replay:
             self.tally.refuse(topic.name, str(error))
             return None
 
-    def events(self, progress: Callable[[float], None] | None = None) -> Iterator[Event]:
+    def events(self, progress: Callable[[float], None] | None = None) -> Generator[Event]:
         """Yield the records of the bag in the order of stamps.
 
         The first pose that was set of a vehicle is its start, and left out where this is given as
         unknown; of a live run with an unknown start, it was set by the operator.
         progress: called with the fraction of the bag that has been read.
         """
-        span = max(self.bag.end - self.bag.start, 1)
         unknown = {vehicle for vehicle, pose in self._given.items() if pose is None}
+        self._is_complete = False
+        try:
+            for event in self._all_events(progress):
+                if event.kind is TopicKind.INITIAL_POSE and event.vehicle in unknown:
+                    unknown.remove(event.vehicle)
+                    continue
+                yield event
+            self._is_complete = True
+        finally:
+            self._report_losses()
+
+    def _all_events(self, progress: Callable[[float], None] | None) -> Iterator[Event]:
+        span = max(self.bag.end - self.bag.start, 1)
         for stamp, message in self._order.sort(self.bag.messages(set(self._by_name))):
             if progress is not None:
                 progress((message.log_time - self.bag.start) / span)
             topic = self._by_name[message.topic]
             try:
                 decoded = self.bag.decode(message)
-                if message.topic in self._unstamped:
+                if stamp and header_stamp(message.data) == 0:
                     decoded.header.stamp = time_message(MESSAGES, stamp * 1e-9)
                 event = self._event(topic, stamp * 1e-9, decoded)
+            except RefusedMessageError as error:
+                refused = self.topic_of(topic.vehicle, error.topic)
+                self.tally.refuse(refused or topic.name, str(error))
             except ExploreSlamError as error:
                 self.tally.refuse(topic.name, str(error))
-                continue
-            if event is None:
-                continue
-            if event.kind is TopicKind.INITIAL_POSE and event.vehicle in unknown:
-                unknown.remove(event.vehicle)
-                continue
-            yield event
-        self._report_losses()
+            else:
+                if event is not None:
+                    yield event
 
     def feed(
         self,
@@ -276,7 +306,8 @@ class Replay:
         """
         begin: float | None = None
         next_tick = 0.0
-        for event in self.events(progress):
+        events = self.events(progress)
+        for event in events:
             if begin is None or event.stamp < next_tick - 2 * TICK:
                 begin, next_tick = event.stamp if begin is None else begin, event.stamp
             if until is not None and event.stamp > begin + until:
@@ -294,6 +325,7 @@ class Replay:
                 self.tally.refuse(f'{event.vehicle}/{event.kind.value}', str(error))
             else:
                 self.tally.feed(f'{event.vehicle}/{event.kind.value}')
+        events.close()
         return self.tally
 
     @staticmethod
@@ -320,36 +352,96 @@ class Replay:
 
     def _report_losses(self) -> None:
         for text in self._order.notes():
-            self._note(text)
+            self.note(text)
         for vehicle, reader in sorted(self._readers.items()):
             for what, count in reader.losses().items():
                 if count:
-                    self._note(f'{vehicle}: {count} {what.replace("_", " ")}: omitted')
+                    self.note(f'{vehicle}: {count} {reader.explanations()[what]}: omitted')
         for topic, count in sorted(self.tally.refused.items()):
-            self._note(f'{count} messages on {topic} refused; {self.tally.first_refusals[topic]}')
+            self.note(f'{count} messages on {topic} refused; {self.tally.first_refusals[topic]}')
 
     def unusable(self) -> list[str]:
         """Return the topics of which more than half of the messages could not be used, and why.
 
         Ground truth and initial poses are not needed: they are left out here.
         """
-        found = []
+        found = [
+            f'no message on {name} can be used: {reason}'
+            for name, (kind, reason) in sorted(self.bag.unusable.items())
+            if self._is_needed(name, kind)
+        ]
         for topic in self._topics:
-            known = self._order.statistics.get(topic.name)
-            if known is None or topic.kind not in KIND_OF_TOPIC:
+            if topic.kind not in KIND_OF_TOPIC:
                 continue
-            refused = self.tally.refused.get(topic.name, 0)
+            known = self._order.statistics.get(topic.name, StampStatistics())
+            expected = self.bag.expected.get(topic.name, 0) if self._is_complete else 0
+            named = (topic.name, f'{topic.vehicle}/{topic.kind.value}')  # as read, as fed
+            refused = sum(self.tally.refused.get(name, 0) for name in named)
+            first = next(filter(None, map(self.tally.first_refusals.get, named)), '')
+            frozen = 0 if topic.kind in _SEVERAL_AT_ONCE else known.repeated
+            backwards = known.backwards if known.is_reversed else 0
             reasons = {
+                f'{backwards} have an earlier stamp than the one before': backwards,
+                f'{frozen} have the stamp of the one before': frozen,
+                f'{max(expected - known.count, 0)} cannot be read, see the notes': max(
+                    expected - known.count, 0
+                ),
                 f'{known.late} came out of order': known.late,
                 f'{known.malformed} are too short': known.malformed,
-                f'{refused} refused: {self.tally.first_refusals.get(topic.name)}': refused,
+                f'{refused} refused: {first}': refused,
             }
-            lost = sum(reasons.values())
-            if 2 * lost > known.count:
-                why = '; '.join(text for text, count in reasons.items() if count)
-                found.append(f'{lost} of {known.count} messages on {topic.name} unusable: {why}')
+            lost, count = sum(reasons.values()), max(known.count, expected)
+            if 2 * lost > count:
+                why = '; '.join(text for text, number in reasons.items() if number)
+                found.append(f'{lost} of {count} messages on {topic.name} unusable: {why}')
+        return found + self._lost_images()
+
+    def _lost_images(self) -> list[str]:
+        """Return the vehicles of which most images gave no frame, and why."""
+        found = []
+        for vehicle, reader in sorted(self._readers.items()):
+            numbers = [
+                self._order.statistics[topic.name].count
+                for topic in self._topics
+                if topic.vehicle == vehicle
+                and topic.kind in (*COLOR_TOPICS, *DEPTH_TOPICS)
+                and topic.name in self._order.statistics
+            ]
+            losses = reader.losses()
+            frames_lost = losses.get(WITHOUT_CAMERA_INFO, 0)
+            lost = losses.get(UNPAIRED, 0) + 2 * frames_lost
+            if 2 * lost > sum(numbers) > 0:
+                why = '; '.join(
+                    f'{count} {reader.explanations()[what]}'
+                    for what, count in losses.items()
+                    if count
+                )
+                found.append(f'most of {sum(numbers)} images of {vehicle} unusable: {why}')
         return found
 
-    def _note(self, text: str) -> None:
+    def _find_camera_infos(self) -> None:
+        """Let each camera have its first camera_info before its first image.
+
+        It may have been published once, or recorded later than the images.
+        """
+        waiting = {t.name: t for t in self._topics if t.kind is TopicKind.CAMERA_INFO}
+        for message in self.bag.messages(list(waiting)) if waiting else ():
+            topic = waiting.pop(message.topic, None)
+            if topic is not None:
+                try:
+                    self._readers[topic.vehicle].read(topic.kind, self.bag.decode(message))
+                except ExploreSlamError:  # counted and named when the events are read
+                    waiting[message.topic] = topic
+            if not waiting:
+                break
+
+    def _is_needed(self, name: str, kind: str) -> bool:
+        """Return whether a topic that cannot be used seems to be a measurement of a vehicle."""
+        types = {topic.message_type for topic in KIND_OF_TOPIC}
+        missing = any(not self.kinds(v) & {TopicKind.SCAN, *COLOR_TOPICS} for v in self.vehicles)
+        return missing and (full_name(kind) in types or vehicle_topic('/x' + name) is not None)
+
+    def note(self, text: str) -> None:
+        """Add a warning."""
         logger.info('%s', text)
-        self.warnings.append(text)
+        self._notes.append(text)

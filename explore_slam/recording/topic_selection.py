@@ -5,12 +5,18 @@ is found by type: a recording without namespaces is one vehicle, `robot1`. Where
 type would do, no choice is made: they are listed with their rates, and `--topic` decides.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from explore_slam.errors import RecordingError
 from explore_slam.messages.frame_pairing import FRAME
-from explore_slam.messages.topics import COLOR_TOPICS, RecordedTopic, TopicKind, vehicle_topic
+from explore_slam.messages.topics import (
+    COLOR_TOPICS,
+    DEPTH_TOPICS,
+    RecordedTopic,
+    TopicKind,
+    vehicle_topic,
+)
 
 SINGLE_VEHICLE = 'robot1'  # name of the vehicle of a recording without namespaces
 # one of these makes a recording of a vehicle useful
@@ -91,6 +97,7 @@ def vehicle_topics(
     _take_choices(selection, chosen)
     _take_named(selection)
     _take_by_type(selection, [choice.vehicle for choice in chosen])
+    _take_one_form_of_images(selection, {choice.name for choice in chosen})
     wanted = list(vehicles)
     others = {topic.vehicle for topic in selection.found} - set(wanted) if wanted else set()
     found = [topic for topic in selection.found if topic.vehicle not in others]
@@ -253,6 +260,29 @@ def _take_camera(selection: _Selection, vehicle: str, names: set[str]) -> None:
     guess = reason if registered else f'{reason}; taken as registered to the colour image'
     selection.add(depth, vehicle, kind, guess)
     selection.add((beside or infos)[0], vehicle, TopicKind.CAMERA_INFO, reason)
+
+
+def _take_one_form_of_images(selection: _Selection, chosen: Collection[str]) -> None:
+    """Keep one form of each image that was recorded raw and compressed.
+
+    It is the one that was chosen, else the raw one, unless it has far fewer messages.
+    """
+    for vehicle in {topic.vehicle for topic in selection.found}:
+        for kinds in (COLOR_TOPICS, DEPTH_TOPICS):
+            forms = [t for t in selection.found if t.vehicle == vehicle and t.kind in kinds]
+            most = max((selection.rates.get(form.name, 0.0) for form in forms), default=0.0)
+            forms.sort(
+                key=lambda form: (
+                    form.name not in chosen,
+                    2.0 * selection.rates.get(form.name, 0.0) < most,
+                    kinds.index(form.kind),
+                )
+            )
+            for other in forms[1:]:
+                selection.found.remove(other)
+                selection.warnings.append(
+                    f'{other.name} is left out: {forms[0].name} is the same image'
+                )
 
 
 def _by_base(names: Iterable[str]) -> dict[str, str]:

@@ -62,20 +62,40 @@ def write_poses(path: Path, poses: SpatialPoses) -> None:
 
 
 def read_associations(path: Path) -> list[Association]:
-    """Read `stamp color_file stamp depth_file` lines, sorted by the stamp of the colour image."""
+    """Read `stamp color_file stamp depth_file` lines, sorted by the stamp of the colour image.
+
+    Files in which the depth images come first are read as well.
+    """
     found = []
     for number, line in _data_lines(path):
         try:
-            color_stamp, color_file, depth_stamp, depth_file = line.split()
-            found.append(
-                Association(float(color_stamp), color_file, float(depth_stamp), depth_file)
-            )
+            first_stamp, first_file, second_stamp, second_file = line.split()
+            pair = Association(float(first_stamp), first_file, float(second_stamp), second_file)
         except ValueError as error:
             raise RecordingError(
                 f'{path} line {number} is {line!r}, expected: stamp file stamp file'
             ) from error
+        if first_file.startswith('depth/') and second_file.startswith('rgb/'):
+            pair = Association(*pair[2:], *pair[:2])  # associated in the other order
+        found.append(pair)
     if not found:
         raise RecordingError(f'{path} names no frames')
+    return sorted(found)
+
+
+def read_images(path: Path) -> list[tuple[float, str]]:
+    """Read `stamp file` lines of rgb.txt or depth.txt, sorted by stamp."""
+    found = []
+    for number, line in _data_lines(path):
+        stamp, _, file = line.partition(' ')
+        try:
+            found.append((float(stamp), file.strip()))
+        except ValueError as error:
+            raise RecordingError(
+                f'{path} line {number} is {line!r}, expected: stamp file'
+            ) from error
+    if not found:
+        raise RecordingError(f'{path} names no images')
     return sorted(found)
 
 

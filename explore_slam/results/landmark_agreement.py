@@ -54,7 +54,10 @@ def evaluate_frames(replay: Replay, config: AgentConfig, until: float | None = N
         if isinstance(event.record, RgbdFrame):
             seen[event.vehicle].append(extractor.extract(event.record))
     if not any(seen.values()):
-        raise RecordingError(f'{replay.bag.path} holds no frame with color, depth and camera_info')
+        reasons = '; '.join(['', *replay.unusable()])
+        raise RecordingError(
+            f'{replay.bag.path} holds no frame with color, depth and camera_info{reasons}'
+        )
     truths = {vehicle: true_trajectory(replay, vehicle) for vehicle in replay.vehicles}
     gate = config.slam.association.maximum_descriptor_distance
     metrics: dict[str, Any] = {
@@ -70,7 +73,11 @@ def evaluate_frames(replay: Replay, config: AgentConfig, until: float | None = N
     return RunData(
         f'Landmark observations in {replay.bag.path.name}',
         runs,
-        {'vehicles': {run.name: run.metrics() for run in runs}, 'observations': metrics},
+        {
+            'vehicles': {run.name: run.metrics() for run in runs},
+            'observations': metrics,
+            'unusable': replay.unusable(),
+        },
         landmarks=place_observations(seen, truths),
         settings=config,
         notes=(*replay.warnings, *([PLACED_NOTE] if runs else [])),

@@ -30,6 +30,7 @@ logger = logging.getLogger(__name__)
 # Time (s) between two samples of the mapped area: 300 samples in a recording of 25 minutes.
 COVERAGE_PERIOD = 5.0
 POSE_PERIOD = 0.2  # s between samples of the pose online: at 0.5 m/s one every 10 cm
+NAMED_NO_RETURNS = 0.01  # share of beams without return that a note tells
 _RECORDED = {TopicKind.ODOMETRY, TopicKind.GROUND_TRUTH}
 
 
@@ -185,11 +186,13 @@ def replay_bag(
         grid = agent.grid
         collector.tick(agent.now)
         wall = time.perf_counter() - begin
+    no_returns = agent.no_returns
     recorded = collector.last - (collector.first or collector.last)
     apart = [vehicle for vehicle in poses if not agent.is_in_map(vehicle)]
     for warning in (
         *replay.warnings,
         *_mount_notes(replay),
+        *_no_return_notes(no_returns, effective.mapping.no_return_range),
         *_warn_without_sensors(replay),
         *_join_notes(agent, poses, apart),
     ):
@@ -210,6 +213,9 @@ def replay_bag(
                 name: found._asdict() for name, found in calibrations.items()
             },
             'mounts': {name: dict(item.report()) for name, item in replay.mounts.items()},
+            'no_return': {
+                name: {'share': share, 'free': free} for name, (share, free) in no_returns.items()
+            },
             'unusable': [*replay.unusable(), *_lost_in_agent(agent, tally)],
             'timing': {
                 'wall_seconds': wall,
@@ -230,10 +236,28 @@ def _mount_notes(replay: Replay) -> list[str]:
     ]
 
 
+def _no_return_notes(no_returns: Mapping[str, tuple[float, bool]], limit: float) -> list[str]:
+    """Return how many beams have no return, and what they are taken for."""
+    return [
+        f'{vehicle}: {100.0 * share:.0f} % of the beams have no return (+inf): '
+        + (f'they free cells up to {limit:g} m' if free and limit else 'they free no cells')
+        + ' (no_return_meaning, no_return_range)'
+        for vehicle, (share, free) in no_returns.items()
+        if share >= NAMED_NO_RETURNS or not free
+    ]
+
+
 def _lost_in_agent(agent: Agent, tally: Tally) -> list[str]:
-    """Return the vehicles of which most measurements did not fit the odometry in time."""
+    """Return the vehicles of which the agent could not use most measurements, or odometry."""
     found = []
     for vehicle, counts in agent.summary().items():
+        odometry = tally.fed.get(f'{vehicle}/{TopicKind.ODOMETRY.value}', 0)
+        late = counts.get('late_odometry', 0)
+        if 2 * late > odometry > 0:
+            found.append(
+                f'{late} of {odometry} odometry messages of {vehicle} have a stamp that is not '
+                'later than the one before: they are omitted'
+            )
         kinds = (TopicKind.SCAN, TopicKind.COLOR, TopicKind.LANDMARKS)
         fed = sum(tally.fed.get(f'{vehicle}/{kind.value}', 0) for kind in kinds)
         lost = counts.get('dropped_without_odometry', 0) + counts.get('late_observations', 0)
@@ -272,5 +296,5 @@ def _has_odometry(replay: Replay) -> bool:
             f'{without}, without which no vehicle can be localized'
         )
     for vehicle in without:
-        replay.warnings.append(f'{vehicle} has no odometry: its observations are not mapped')
+        replay.note(f'{vehicle} has no odometry: its observations are not mapped')
     return len(without) < len(kinds)

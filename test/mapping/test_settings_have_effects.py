@@ -55,10 +55,20 @@ def laser_map_of_a_long_drive(config):
     return first.refused, laser_map.redraw(path).drawn
 
 
+def laser_map_without_long_beams(config):
+    """Return which cells are known where many beams have no return and none is long."""
+    laser_map = LaserMap(config)
+    ranges = np.tile(np.array([2.02, 3.0, 1.0, np.inf], np.float32), 200)
+    laser_map.add(0, 'a', LaserScan(0.0, -1.0, 0.005, ranges, 0.1, 30.0))
+    laser_map.redraw(np.zeros((1, 3)))
+    return laser_map.grid.known().tobytes()
+
+
 EFFECTS = {
     'resolution': (0.1, grid_of_one_scan),
     'max_laser_range': (5.0, grid_of_one_scan),
     'no_return_range': (4.0, grid_of_one_scan),
+    'no_return_meaning': ('free', laser_map_without_long_beams),
     'hit_probability': (0.9, grid_of_one_scan),
     'miss_probability': (0.2, grid_of_one_scan),
     'clamp_low': (0.1, grid_of_many_scans),

@@ -13,6 +13,7 @@ from explore_slam.files import atomic, write_text
 from explore_slam.geometry import Array
 from explore_slam.recording.bag import BagWriter
 from explore_slam.recording.events import Event, write_event
+from explore_slam.recording.storage.file_kinds import check_not_lfs_pointer
 
 SETTINGS_FILE = 'settings.yaml'
 
@@ -41,11 +42,14 @@ def read_table(path: Path, columns: int) -> Array:
 
 def require(folder: Path, names: Iterable[str], what: str) -> None:
     """Raise RecordingError unless the folder holds all the files of a data set."""
+    names = list(names)
     if not folder.is_dir():
         raise RecordingError(f'{folder} is not a folder, expected {what}')
     missing = [name for name in names if not (folder / name).exists()]
     if missing:
         raise RecordingError(f'{folder} is not {what}: {", ".join(missing)} is missing')
+    for name in names:
+        check_not_lfs_pointer(folder / name)
 
 
 def write_bag(

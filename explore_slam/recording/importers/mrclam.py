@@ -30,6 +30,8 @@ from explore_slam.messages.topics import TopicKind
 from explore_slam.recording.events import Event, odometry_event, start_event, truth_event
 from explore_slam.recording.importers.importing import read_table, require, write_bag
 from explore_slam.recording.importers.registry import importer
+from explore_slam.recording.start_poses import start_poses
+from explore_slam.settings import Section, setting
 
 logger = logging.getLogger(__name__)
 
@@ -67,7 +69,10 @@ MINIMUM_BEARINGS = 50  # pairs of bearings below which no delay is estimated
 
 @dataclass(frozen=True)
 class _Robot:
-    """One robot's tables: odometry (t, v, omega), measurements (t, subject, range, bearing)."""
+    """One robot's tables: odometry (t, v, omega), measurements (t, subject, range, bearing).
+
+    truth (t, x, y, theta) may be empty.
+    """
 
     number: int
     odometry: Array
@@ -79,26 +84,69 @@ class _Robot:
         return f'robot{self.number}'
 
 
-@importer('mrclam', 'UTIAS MR.CLAM: five robots, bar-coded landmarks')
-def import_mrclam(folder: Path, out: Path) -> dict[str, int]:
-    """Write the data set in the folder as a bag; return the messages per topic."""
-    kinds = ('Odometry', 'Measurement', 'Groundtruth')
+@dataclass(frozen=True)
+class MrclamOptions(Section):
+    """Options of the importer."""
+
+    start: tuple[str, ...] = setting(
+        (),
+        'Start pose of a robot, VEHICLE=X,Y,THETA (m; rad, or degrees as in 90deg), where its '
+        'ground truth is missing, and instead of it; may be repeated',
+    )
+
+
+@importer('mrclam', 'UTIAS MR.CLAM: five robots, bar-coded landmarks', options=MrclamOptions)
+def import_mrclam(folder: Path, out: Path, start: Sequence[str] = ()) -> dict[str, int]:
+    """Write the data set in the folder as a bag; return the messages per topic.
+
+    Stamps are kept as they are logged: from 1970 in the data set as published, from the start of
+    the logs where they were resampled by its scripts. RecordingError for a robot whose start pose
+    is neither given nor known from its ground truth.
+    """
+    kinds = ('Odometry', 'Measurement')
     names = [f'Robot{number}_{kind}.dat' for number in ROBOTS for kind in kinds]
     require(folder, ['Barcodes.dat', *names], 'an MR.CLAM data set')
     subjects = {
         int(code): int(subject) for subject, code in read_table(folder / 'Barcodes.dat', 2)
     }
     robots = [_read_robot(folder, number, subjects) for number in ROBOTS]
-    begin = max(max(robot.odometry[0, 0], robot.truth[0, 0]) for robot in robots)
-    end = min(min(robot.odometry[-1, 0], robot.truth[-1, 0]) for robot in robots)
+    starts = _given_starts(robots, start)
+    spans = [
+        table[[0, -1], 0]
+        for robot in robots
+        for table in (robot.odometry, robot.truth)
+        if len(table)
+    ]
+    begin, end = max(first for first, _ in spans), min(last for _, last in spans)
     if begin >= end:
         raise RecordingError(f'{folder}: the logs of the robots do not overlap in time')
     delay = odometry_delay([(robot.odometry, robot.measurements) for robot in robots])
     logger.info('%s: the robots follow the logged odometry %.2f s later', folder, delay)
     streams = [
-        stream for robot in robots for stream in _streams(robot, float(begin), float(end), delay)
+        stream
+        for robot in robots
+        for stream in _streams(robot, float(begin), float(end), delay, starts.get(robot.name))
     ]
     return write_bag(out, streams, SETTINGS)
+
+
+def _given_starts(robots: Sequence[_Robot], texts: Sequence[str]) -> dict[str, Pose2]:
+    """Return the start poses given by the user; RecordingError where one is missing."""
+    found = {name: pose for name, pose in start_poses(texts).items() if pose is not None}
+    names = [robot.name for robot in robots]
+    if unknown := sorted(set(found) - set(names)):
+        raise RecordingError(f'--start for {unknown}, expected some of {names}')
+    missing = [r for r in robots if not len(r.truth) and r.name not in found]
+    if missing:
+        files = ', '.join(f'Robot{robot.number}_Groundtruth.dat' for robot in missing)
+        raise RecordingError(
+            f'{files} is missing, from which the start pose is taken: give it as '
+            f'--start {missing[0].name}=X,Y,THETA'
+        )
+    without = [robot.name for robot in robots if not len(robot.truth)]
+    if without:
+        logger.warning('%s: no ground truth, start pose as given', ', '.join(without))
+    return found
 
 
 def _read_robot(folder: Path, number: int, subjects: dict[int, int]) -> _Robot:
@@ -119,8 +167,13 @@ def _read_robot(folder: Path, number: int, subjects: dict[int, int]) -> _Robot:
         number,
         _in_order(read_table(folder / f'Robot{number}_Odometry.dat', 3)),
         measurements[np.argsort(measurements[:, 0], kind='stable')],
-        _in_order(read_table(folder / f'Robot{number}_Groundtruth.dat', 4)),
+        _truth_table(folder / f'Robot{number}_Groundtruth.dat'),
     )
+
+
+def _truth_table(path: Path) -> Array:
+    """Return the true poses (N, 4) with their times; none without the file."""
+    return _in_order(read_table(path, 4)) if path.exists() else np.empty((0, 4))
 
 
 def distances(ranges: Array, bearings: Array) -> Array:
@@ -169,8 +222,10 @@ def odometry_delay(robots: Sequence[tuple[Array, Array]]) -> float:
     return float(DELAYS[np.argmin(unexplained)]) if count >= MINIMUM_BEARINGS else 0.0
 
 
-def _streams(robot: _Robot, begin: float, end: float, delay: float) -> list[Iterator[Event]]:
-    start = _pose_at(robot.truth, begin)
+def _streams(
+    robot: _Robot, begin: float, end: float, delay: float, given: Pose2 | None
+) -> list[Iterator[Event]]:
+    start = _pose_at(robot.truth, begin) if given is None else given
     return [
         iter([start_event(robot.name, begin, start)]),
         _odometry(robot, begin, end, delay),

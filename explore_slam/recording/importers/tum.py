@@ -8,22 +8,29 @@ results.landmark_agreement needs.
 
 import logging
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from explore_slam.data import Intrinsics, RgbdFrame
+from explore_slam.data import RgbdFrame
 from explore_slam.errors import RecordingError, VisionError
 from explore_slam.geometry import Quaternion, multiply_quaternions
 from explore_slam.messages.topics import TopicKind
 from explore_slam.recording.events import Event, TruePose3
 from explore_slam.recording.importers.importing import require, write_bag
 from explore_slam.recording.importers.registry import importer
-from explore_slam.recording.tum_format import Association, read_associations, read_poses
-from explore_slam.settings import Section, setting
+from explore_slam.recording.tum_format import Association, read_poses
+from explore_slam.recording.tum_sequence import (
+    ASSOCIATION_TOLERANCE,
+    AUTOMATIC,
+    TRUTH,
+    Calibration,
+    TumOptions,
+    camera_of,
+    frame_files,
+)
 from explore_slam.vision import decode_compressed
 
 logger = logging.getLogger(__name__)
@@ -31,13 +38,6 @@ logger = logging.getLogger(__name__)
 VEHICLE = 'robot1'
 TRUTH_MARGIN = 0.1  # s before the first and after the last frame
 UNITS_PER_MILLIMETRE = 5.0  # of the depth images: 5000 per metre
-ASSOCIATIONS, TRUTH = 'associations.txt', 'groundtruth.txt'
-# fx, fy, cx, cy and distortion of the three Kinects, from the data set's web page
-CAMERAS: dict[str, tuple[float, float, float, float, tuple[float, ...]]] = {
-    'freiburg1': (517.3, 516.5, 318.6, 255.3, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)),
-    'freiburg2': (520.9, 521.0, 325.1, 249.7, (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)),
-    'freiburg3': (535.4, 539.2, 320.1, 247.6, ()),
-}
 # the vehicle frame is the camera's body frame
 SETTINGS: dict[str, float | str] = {
     'camera_x': 0.0,
@@ -51,31 +51,29 @@ SETTINGS: dict[str, float | str] = {
 BODY_IN_OPTICAL: Quaternion = (0.5, -0.5, 0.5, 0.5)
 
 
-@dataclass(frozen=True)
-class TumOptions(Section):
-    """Options of the importer."""
-
-    camera: str = setting(
-        'freiburg1', 'The Kinect that recorded the sequence', choices=tuple(CAMERAS)
-    )
-
-
 @importer('tum', 'TUM RGB-D: frames of a hand-held Kinect', options=TumOptions)
-def import_tum(folder: Path, out: Path, camera: str = 'freiburg1') -> dict[str, int]:
+def import_tum(
+    folder: Path,
+    out: Path,
+    camera: str = AUTOMATIC,
+    association_tolerance: float = ASSOCIATION_TOLERANCE,
+    truth_offset: float = 0.0,
+) -> dict[str, int]:
     """Write the data set in the folder as a bag; return the messages per topic."""
-    camera = TumOptions(camera).camera
-    require(folder, [ASSOCIATIONS, 'rgb', 'depth'], 'a TUM RGB-D data set')
-    pairs = read_associations(folder / ASSOCIATIONS)
-    streams: list[Iterator[Event]] = [_frames(folder, pairs, camera)]
+    options = TumOptions(camera, association_tolerance, truth_offset)
+    require(folder, ['rgb', 'depth'], 'a TUM RGB-D data set')
+    pairs = frame_files(folder, options.association_tolerance)
+    calibration = camera_of(folder, options.camera)
+    streams: list[Iterator[Event]] = [_frames(folder, pairs, calibration)]
     if (folder / TRUTH).exists():
-        streams.append(_truth(folder / TRUTH, pairs[0].color_stamp, pairs[-1].color_stamp))
+        begin, end = pairs[0].color_stamp, pairs[-1].color_stamp
+        streams.append(_truth(folder / TRUTH, begin, end, options.truth_offset))
     else:
         logger.warning('%s is missing: the bag has no ground truth', folder / TRUTH)
     return write_bag(out, streams, SETTINGS)
 
 
-def _frames(folder: Path, pairs: list[Association], camera: str) -> Iterator[Event]:
-    fx, fy, cx, cy, distortion = CAMERAS[camera]
+def _frames(folder: Path, pairs: list[Association], camera: Calibration) -> Iterator[Event]:
     for stamp, color_name, _, depth_name in pairs:
         color, depth = _image(folder / color_name), _image(folder / depth_name)
         if depth.dtype != np.uint16 or color.dtype != np.uint8:
@@ -84,13 +82,8 @@ def _frames(folder: Path, pairs: list[Association], camera: str) -> Iterator[Eve
                 f'type {color.dtype}, expected uint16 and uint8'
             )
         height, width = depth.shape
-        intrinsics = Intrinsics(width, height, fx, fy, cx, cy, distortion)
-        yield Event(
-            stamp,
-            VEHICLE,
-            TopicKind.COLOR,
-            RgbdFrame(stamp, color, depth_millimetres(depth), intrinsics),
-        )
+        frame = RgbdFrame(stamp, color, depth_millimetres(depth), camera.intrinsics(width, height))
+        yield Event(stamp, VEHICLE, TopicKind.COLOR, frame)
 
 
 def depth_millimetres(depth: NDArray[np.uint16]) -> NDArray[np.uint16]:
@@ -105,9 +98,10 @@ def _image(path: Path) -> NDArray[Any]:
         raise RecordingError(f'{path} cannot be read as an image: {error}') from error
 
 
-def _truth(path: Path, begin: float, end: float) -> Iterator[Event]:
+def _truth(path: Path, begin: float, end: float, offset: float) -> Iterator[Event]:
     """Yield the true poses of the camera's body frame while there are frames."""
-    stamps, positions, quaternions = read_poses(path)
+    captured, positions, quaternions = read_poses(path)
+    stamps = captured - offset
     inside = (stamps >= begin - TRUTH_MARGIN) & (stamps <= end + TRUTH_MARGIN)
     for stamp, (x, y, z), optical in zip(
         stamps[inside].tolist(),

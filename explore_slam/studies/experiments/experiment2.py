@@ -7,12 +7,14 @@ capture, where the paper counted by eye.
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from explore_slam.recording.tum_sequence import TumOptions
 from explore_slam.settings import with_values
 from explore_slam.studies.experiments.association_study import (
     RULES,
@@ -30,7 +32,7 @@ from explore_slam.studies.experiments.tables import (
     Table,
     spread,
 )
-from explore_slam.studies.experiments.tum_frames import TumFrame, read_tum
+from explore_slam.studies.experiments.tum_frames import DEFAULTS, TumFrame, read_tum
 from explore_slam.studies.experiments.walk_trials import (
     CORRIDOR,
     ENGINES,
@@ -53,18 +55,23 @@ Sweep = dict[float, list[int]]
 
 @dataclass(frozen=True)
 class Options:
-    """Options of the walks; data: folder of TUM RGB-D frames, None to leave the tables out."""
+    """Options of the walks; data: folder of TUM RGB-D frames, None to leave the tables out.
+
+    sequence: how its frames are read.
+    """
 
     walks: WalkOptions
     data: Path | None = None
+    sequence: TumOptions = DEFAULTS
 
 
 def run(options: Options) -> ExperimentReport:
     """Evaluate matches on real frames and sweep P0 and E0 on the simulated path."""
     report = ExperimentReport('Experiment 2: association of SIFT features')
     if options.data is not None:
-        study_frames(read_tum(options.data, _vision(400)), report)
-        frames = read_tum(options.data, _vision(200))
+        read = partial(read_tum, options.data, options=options.sequence)
+        study_frames(read(_vision(400)), report)
+        frames = read(_vision(200))
         report.tables.append(_filter_table(frames, options.walks, report))
     else:
         report.remarks.append('without --data: tables IV and V are left out')

@@ -8,14 +8,22 @@ to be estimated.
 import logging
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from explore_slam.data import Intrinsics, LandmarkObservations, RgbdFrame
-from explore_slam.errors import EvaluationError
+from explore_slam.data import LandmarkObservations, RgbdFrame
+from explore_slam.errors import EvaluationError, RecordingError
 from explore_slam.geometry import Array, Pose2, planar_rotation
-from explore_slam.recording.tum_format import Association, read_associations, read_poses
+from explore_slam.recording.tum_format import Association, read_poses
+from explore_slam.recording.tum_sequence import (
+    TRUTH,
+    Calibration,
+    TumOptions,
+    camera_of,
+    frame_files,
+)
 from explore_slam.results.spatial_trajectory import SpatialTrajectory
 from explore_slam.vision import FeatureExtractor, VisionConfig, decode_compressed
 from explore_slam.vision.camera_mount import OPTICAL_TO_BODY, CameraMount
@@ -24,13 +32,9 @@ logger = logging.getLogger(__name__)
 
 # Metres per unit of the depth images (Sturm et al., section III).
 DEPTH_SCALE = np.float32(1.0 / 5000.0)
-# Calibration of the freiburg1 Kinect with its lens distortion, from the page of the data set.
-FREIBURG1 = Intrinsics(
-    640, 480, 517.3, 516.5, 318.6, 255.3, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)
-)
 # Offset (s) from the stamps of images to those of motion capture: the one at which static points
 # of fr1_rpy agree best, found by a search in steps of 5 ms.
-TRUTH_OFFSET = -0.015
+DEFAULTS = TumOptions(truth_offset=-0.015)
 
 
 @dataclass(frozen=True)
@@ -67,37 +71,48 @@ class CameraTruth:
 
 
 def read_tum(
-    folder: Path, config: VisionConfig, every: int = 1, limit: int | None = None
+    folder: Path,
+    config: VisionConfig,
+    every: int = 1,
+    limit: int | None = None,
+    options: TumOptions = DEFAULTS,
 ) -> list[TumFrame]:
-    """Read frames of a TUM RGB-D folder (rgb, depth, associations.txt, groundtruth.txt).
+    """Read frames of a TUM RGB-D folder (rgb, depth, their lists, groundtruth.txt).
 
     every: use each `every`-th frame. limit: largest number of frames.
     """
-    if not (folder / 'associations.txt').is_file():
-        raise EvaluationError(
-            f'{folder} holds no associations.txt, expected a TUM RGB-D data set such as fr1_rpy '
-            '(--data FOLDER)'
-        )
-    truth = CameraTruth(folder / 'groundtruth.txt')
+    try:
+        associations = frame_files(folder, options.association_tolerance)[::every][:limit]
+    except RecordingError as error:
+        raise EvaluationError(f'{error} (--data FOLDER)') from error
+    truth = CameraTruth(folder / TRUTH)
+    sequence = _Sequence(folder, truth, camera_of(folder, options.camera), options.truth_offset)
     extractor = FeatureExtractor(config, CameraMount())
-    associations = read_associations(folder / 'associations.txt')[::every][:limit]
-    frames = [_frame(folder, association, truth, extractor) for association in associations]
+    frames = [_frame(sequence, association, extractor) for association in associations]
     logger.info('%s: %d frames', folder, len(frames))
     return frames
 
 
-def _frame(
-    folder: Path, association: Association, truth: CameraTruth, extractor: FeatureExtractor
-) -> TumFrame:
+class _Sequence(NamedTuple):
+    folder: Path
+    truth: CameraTruth
+    camera: Calibration
+    truth_offset: float
+
+
+def _frame(sequence: _Sequence, association: Association, extractor: FeatureExtractor) -> TumFrame:
+    folder, truth = sequence.folder, sequence.truth
     try:
         color = decode_compressed((folder / association.color_file).read_bytes())
         depth = decode_compressed((folder / association.depth_file).read_bytes())
     except OSError as error:
         raise EvaluationError(f'{folder}: {error}') from error
     stamp = association.color_stamp
+    height, width = depth.shape
+    intrinsics = sequence.camera.intrinsics(width, height)
     metres = depth.astype(np.float32) * DEPTH_SCALE
-    seen = extractor.extract(RgbdFrame(stamp, color, metres, FREIBURG1))
-    rotation, position = truth.at(association.depth_stamp + TRUTH_OFFSET)
+    seen = extractor.extract(RgbdFrame(stamp, color, metres, intrinsics))
+    rotation, position = truth.at(association.depth_stamp + sequence.truth_offset)
     heading = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
     # From the camera body to the planar vehicle frame: undo the heading, keep roll and pitch.
     level = planar_rotation(-heading) @ rotation

@@ -11,6 +11,7 @@ from explore_slam.agent.config import AgentConfig
 from explore_slam.errors import RecordingError
 from explore_slam.recording import BagReader, Replay, TopicKind
 from explore_slam.recording.importers import intel, mrclam, tum
+from explore_slam.recording.tum_sequence import ASSOCIATIONS, TRUTH
 from explore_slam.settings import values_of, with_values
 
 
@@ -269,10 +270,10 @@ def small_tum(tmp_path) -> Path:
         cv2.imwrite(str(folder / 'rgb' / f'{stamp}.png'), color[:, :, ::-1])
         cv2.imwrite(str(folder / 'depth' / f'{stamp}.png'), depth)
         lines.append(f'{stamp} rgb/{stamp}.png {stamp} depth/{stamp}.png\n')
-    (folder / tum.ASSOCIATIONS).write_text(''.join(lines))
+    (folder / ASSOCIATIONS).write_text(''.join(lines))
     # an optical frame that looks along the map's y axis, level: body heading is pi / 2
     quaternion = '-0.70710678 0 0 0.70710678'
-    (folder / tum.TRUTH).write_text(
+    (folder / TRUTH).write_text(
         '# t x y z q\n' + ''.join(f'{t} 1 2 3 {quaternion}\n' for t in (0.95, 1.05, 1.15, 9.0))
     )
     return folder
@@ -358,7 +359,7 @@ def test_damaged_files_are_named_and_nothing_is_left_behind(
     (small_tum / 'depth' / '1.100000.png').write_bytes(b'no image')
     with pytest.raises(RecordingError, match=r'1\.100000\.png cannot be read'):
         tum.import_tum(small_tum, out)
-    (small_tum / tum.ASSOCIATIONS).write_text('1.0 one.png\n')
+    (small_tum / ASSOCIATIONS).write_text('1.0 one.png\n')
     with pytest.raises(RecordingError, match='line 1'):
         tum.import_tum(small_tum, out)
     assert not out.exists()
