@@ -125,9 +125,9 @@ class Relocalization:
         enabled = team.config.relocalization.relocalization and team.engine.relocalizes
         if not enabled:
             return RelocalizationResult(relocalizer.is_lost, False, False)
-        self._note_closure(number, recorded)
         if not relocalizer.is_lost:
             outcome = self._search_loop(number, observations, recorded)
+            self._note_closure(number, recorded)
             return outcome or RelocalizationResult(False, False, False)
         positions = team.map.positions(
             relocalizer.similar_ids(), team.best_particles(), team.groups
@@ -142,7 +142,10 @@ class Relocalization:
         return outcome._replace(lost=True)
 
     def _note_closure(self, number: int, recorded: Places) -> None:
-        """Note which landmarks an update observes: a loop may be closed by data association."""
+        """Note which landmarks an update observes: a loop may be closed by data association.
+
+        This comes after the search, which may contradict the closures noted so far.
+        """
         team, loops = self._team, self._loops[number]
         known = recorded[recorded >= 0]
         if team.joint is None or not len(known):
