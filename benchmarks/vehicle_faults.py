@@ -4,7 +4,8 @@
 
 Pioneer and LMS-200 are emulated, driver and follower are processes, and this script stands in for
 the agent: plan, pose at 5 Hz, heartbeat at 10 Hz. Each fault occurs at 0.4 m/s. Required: 0.3 s
-plus one status packet (0.1 s); after a cable is pulled and plugged in again, data within 3 s.
+plus one status packet (0.1 s); by the watchdog of the robot where the driver is killed; after a
+cable is pulled and plugged in again, data within 3 s.
 """
 
 import argparse
@@ -30,13 +31,16 @@ from explore_slam.nodes.endpoints import publisher
 from explore_slam.nodes.heartbeat import Heartbeat
 from explore_slam.nodes.node_support import now_seconds
 from explore_slam.nodes.ros_types import MESSAGES
+from explore_slam.simulation.emulators.arcos_robot import WATCHDOG
 from explore_slam.simulation.emulators.kinematic_body import KinematicBody
 from explore_slam.simulation.emulators.vehicle_emulator import VehicleEmulator
 
-REQUIRED = 0.4  # s: 0.3 s plus one status packet
+PACKET = 0.1  # s between status packets
+REQUIRED = 0.3 + PACKET  # s
 FAULTS = (
     'silent agent', 'silent laser', 'SIGKILL of the follower', 'SIGTERM of the driver',
-    'SIGINT twice to the driver', 'front bumper', 'cable of the base', 'cable of the laser',
+    'SIGKILL of the driver', 'SIGINT twice to the driver', 'front bumper', 'cable of the base',
+    'cable of the laser',
 )  # fmt: skip
 
 
@@ -62,6 +66,7 @@ class Scene:
         ports = {
             'base_port': f'{folder}/robot1_base', 'laser_port': f'{folder}/robot1_laser',
             'enable_camera': 'false', 'motors_at_start': 'true', 'motors_after_reconnect': 'true',
+            'odometry_file': f'{folder}/odometry.json',
         }  # fmt: skip
         self.driver = self._start('pioneer_driver', ports)
         self.follower = self._start('path_follower', {})
@@ -106,6 +111,8 @@ class Scene:
             self.emulator.laser_line.faults.silent = True
         elif fault == 'SIGKILL of the follower':
             self.follower.kill()
+        elif fault == 'SIGKILL of the driver':
+            self.driver.kill()
         elif fault == 'SIGTERM of the driver':
             self.driver.terminate()
         elif fault == 'SIGINT twice to the driver':
@@ -171,6 +178,8 @@ def main() -> int:
                     scene.close()
             values.append(value)
         required = 3.0 if fault.startswith('cable') else REQUIRED
+        if fault == 'SIGKILL of the driver':
+            required = WATCHDOG + PACKET
         worst += max(values) > required
         text = ' '.join(f'{value:.3f}' for value in values)
         print(f'{fault:28} {what}: {text} s (required {required:.1f} s)', flush=True)

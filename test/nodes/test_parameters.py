@@ -144,6 +144,10 @@ def test_one_file_serves_the_agent_and_the_nodes_of_a_vehicle(tmp_path, capfd):
         assert follower.get_parameter('robot_base_frame').value == 'robot1/chassis'
         (answer,) = follower.set_parameters([Parameter('robot_base_frame', value='other')])
         assert (answer.successful, answer.reason) == (False, 'robot_base_frame: set at start only')
+        follower.trigger_configure()
+        follower.trigger_activate()
+        # use_laser is false: one parameter is enough to do without scans
+        assert follower.active.follower.config.obstacle_stop is False
     finally:
         follower.stop()
         follower.destroy_node()

@@ -122,6 +122,7 @@ def follower_process(domain, *arguments):
         [
             sys.executable, '-m', 'explore_slam.nodes.path_follower', '--ros-args',
             '-r', '__ns:=/robot7', '-p', 'follow_speed:=1', '-p', 'follow_acceleration:=1.0',
+            '-p', 'teleop_timeout:=1.0',
             *arguments,
         ],
         env=environment,
@@ -139,7 +140,7 @@ def follower():
     process.communicate()
 
 
-def test_drives_a_plan_stops_before_a_wall_and_at_sigterm(harness, follower):
+def test_drives_a_plan_stops_before_a_wall_for_teleoperation_and_at_sigterm(harness, follower):
     assert harness.spin(20, lambda: 'waiting: no plan yet' in harness.states)
     assert harness.commands == []  # idle: another may drive
     harness.send_plan([[0, 0], [1.0, 0.3]])
@@ -154,6 +155,16 @@ def test_drives_a_plan_stops_before_a_wall_and_at_sigterm(harness, follower):
     assert any(status.name == 'robot7/path_follower: path follower' for status in text)
     harness.wall = None
     assert harness.spin(10, lambda: harness.velocity[0] > 0.3)
+    by_hand = harness.node.create_publisher(Twist, 'cmd_vel_teleop', 1)
+    assert harness.spin(5, lambda: by_hand.get_subscription_count() > 0)
+    for _ in range(8):
+        by_hand.publish(messages.twist_message(MESSAGES, -0.25, 0.0))
+        harness.spin(0.05)
+    assert harness.spin(2, lambda: harness.velocity == (-0.25, 0.0))
+    assert harness.spin(2, lambda: harness.state().startswith('teleoperated'))
+    # nothing more by hand: the vehicle stands, then the plan is followed again
+    assert harness.spin(2, lambda: harness.velocity == (0.0, 0.0))
+    assert harness.spin(5, lambda: harness.velocity[0] > 0.3 and harness.state() == 'driving')
     follower.send_signal(signal.SIGTERM)
     follower.send_signal(signal.SIGINT)
     ok = harness.spin(5, lambda: follower.poll() is not None and harness.velocity == (0.0, 0.0))
@@ -167,24 +178,3 @@ def test_stops_when_the_laser_falls_silent(harness):
     assert harness.spin(30, lambda: harness.velocity[0] > 0.3)
     assert harness.spin(5, lambda: harness.velocity == (0.0, 0.0), send=('pose', 'odom'))
     assert harness.spin(5, lambda: 'laser silent' in harness.state(), send=('pose', 'odom'))
-
-
-def test_a_vehicle_without_laser_and_teleoperation_that_goes_before_the_plan(harness):
-    by_hand = harness.node.create_publisher(Twist, 'cmd_vel_teleop', 1)
-    process = follower_process(DOMAIN, '-p', 'use_laser:=false', '-p', 'teleop_timeout:=1.0')
-    try:
-        harness.send_plan([[0, 0], [30.0, 0]])
-        driving = ('pose', 'odom')  # one parameter is enough to do without scans
-        assert harness.spin(30, lambda: harness.velocity[0] > 0.3, send=driving)
-        for _ in range(12):
-            by_hand.publish(messages.twist_message(MESSAGES, -0.25, 0.0))
-            harness.spin(0.05, send=driving)
-        assert harness.velocity == (-0.25, 0.0)
-        assert harness.state() == 'teleoperated: driven by cmd_vel_teleop'
-        # nothing more by hand: the vehicle stands, then the plan is followed again
-        assert harness.spin(1.0, lambda: harness.velocity == (0.0, 0.0), send=driving)
-        assert harness.spin(5.0, lambda: harness.velocity[0] > 0.3, send=driving)
-        assert harness.state() == 'driving'
-    finally:
-        process.kill()
-        process.communicate()

@@ -13,7 +13,7 @@ from explore_slam.simulation.emulators.arcos_robot import ArcosRobot
 from explore_slam.simulation.emulators.kinematic_body import KinematicBody
 from explore_slam.simulation.emulators.lms200_scanner import Lms200Scanner
 from explore_slam.simulation.emulators.serial_line import SerialLine
-from explore_slam.vehicle import DriverConfig, Supervisor, make_laser
+from explore_slam.vehicle import DriverConfig, Supervisor, lms200, make_laser
 
 
 class CountingScanner(Lms200Scanner):
@@ -66,6 +66,12 @@ def rig(tmp_path):
         one.close()
 
 
+@pytest.fixture
+def two_rates(monkeypatch):
+    """Let the driver try two rates only, that of a laser that has booted among them."""
+    monkeypatch.setattr(lms200, '_RATES', (9600,))
+
+
 def until(condition, limit=10.0):
     end = time.monotonic() + limit
     while not condition() and time.monotonic() < end:
@@ -76,7 +82,6 @@ def until(condition, limit=10.0):
 @pytest.mark.parametrize(
     'options',
     [
-        {'boot_time': 1.2},
         {'boot_time': 0.5, 'answers_while_booting': True},
         {'boot_time': 0.5, 'tcp': True},
     ],
@@ -92,8 +97,9 @@ def test_the_port_stays_open_until_the_laser_has_booted(rig, options):
     assert one.part.health.losses == 0
 
 
+@pytest.mark.usefixtures('two_rates')
 def test_what_is_waited_for_is_said_meanwhile(rig):
-    one = rig(boot_time=3.8)
+    one = rig(boot_time=2.2)
     one.part.start()
     assert until(lambda: one.part.health.waiting)
     assert 'boots now' in one.part.health.message
@@ -104,6 +110,7 @@ def test_what_is_waited_for_is_said_meanwhile(rig):
     assert one.scanner.power_cycles == 1
 
 
+@pytest.mark.usefixtures('two_rates')
 def test_a_lost_power_on_telegram_and_lost_bytes_delay_the_start_only(rig):
     one = rig(boot_time=0.6)
     one.line.faults.deaf = one.line.faults.silent = True
@@ -114,16 +121,20 @@ def test_a_lost_power_on_telegram_and_lost_bytes_delay_the_start_only(rig):
     assert one.scanner.power_cycles == 1
 
 
-def test_a_fault_in_mid_run_does_not_cut_the_power(rig):
-    one = rig(boot_time=0.3, settings={'scanner_timeout': 0.5})
+@pytest.mark.usefixtures('two_rates')
+def test_a_fault_in_mid_run_is_named_as_what_it_is_and_does_not_cut_the_power(rig):
+    one = rig(boot_time=0.3, settings={'scanner_timeout': 0.6})
     one.part.start()
     assert one.await_scan()
-    one.scanner.faults.stalled = True
-    assert until(lambda: one.part.health.losses == 1)
-    one.scanner.faults.stalled = False
+    one.scanner.faults.severe = one.scanner.faults.polluted = True
+    assert until(lambda: 'severity 3' in one.part.health.message)
+    assert 'reports an error' in one.part.health.message
+    assert 'front screen is dirty' in one.part.health.message
+    one.scanner.faults.severe = False
     assert one.await_scan()
+    losses = one.part.health.losses
     one.scanner.reset(time.monotonic())  # its supply has dropped out
-    assert until(lambda: one.part.health.losses == 2)
+    assert until(lambda: one.part.health.losses > losses)
     assert one.await_scan()
     assert one.scanner.power_cycles == 1
 
@@ -138,9 +149,10 @@ def test_closing_the_driver_switches_the_laser_off_and_waiting_can_be_interrupte
     assert until(lambda: not one.scanner._power)
 
 
+@pytest.mark.usefixtures('two_rates')
 def test_the_wait_ends_with_laser_startup_timeout_and_releases_the_port(rig):
     one = rig(boot_time=60.0, settings={'laser_startup_timeout': 1.0})
-    with pytest.raises(VehicleError, match='no reply from an LMS-200 at 38400/9600/500000/19200'):
+    with pytest.raises(VehicleError, match='no reply from an LMS-200 at 38400/9600 Bd'):
         one.laser.connect()
     assert until(lambda: not one.scanner._power)
 
@@ -152,18 +164,6 @@ def test_a_silent_robot_at_the_port_is_named_at_once(tmp_path):
         with pytest.raises(VehicleError, match='a Pioneer robot is at this port'):
             make_laser(settings, time.time).connect()
         assert time.monotonic() - began < 5.0
-
-
-def test_a_severe_status_is_named_as_what_it_is(rig):
-    one = rig(boot_time=0.1, settings={'scanner_timeout': 0.6})
-    one.part.start()
-    assert one.await_scan()
-    one.scanner.faults.severe = one.scanner.faults.polluted = True
-    assert until(lambda: 'severity 3' in one.part.health.message)
-    assert 'reports an error' in one.part.health.message
-    assert 'front screen is dirty' in one.part.health.message
-    one.scanner.faults.severe = False
-    assert one.await_scan()
 
 
 def test_the_power_follows_any_client_that_opens_the_port(rig):

@@ -4,7 +4,12 @@ import math
 
 import pytest
 
-from explore_slam.simulation.emulators.arcos_robot import STATUS_PERIOD, WATCHDOG, ArcosRobot
+from explore_slam.simulation.emulators.arcos_robot import (
+    STATUS_PERIOD,
+    WATCHDOG,
+    ArcosRobot,
+    Calibration,
+)
 from explore_slam.simulation.emulators.kinematic_body import KinematicBody
 from explore_slam.vehicle.arcos_packets import (
     Command,
@@ -13,6 +18,7 @@ from explore_slam.vehicle.arcos_packets import (
     encode_packet,
 )
 from explore_slam.vehicle.arcos_status import parse_status
+from explore_slam.vehicle.pioneer_models import MODELS
 
 
 class Client:
@@ -154,3 +160,40 @@ def test_garbage_between_packets_is_survived():
     client.robot.receive(bytes(250), client.now)
     client.send(Command.ENABLE, 1)
     assert client.robot.motors_on
+
+
+@pytest.mark.parametrize(
+    ('wheels', 'mend'),
+    [
+        (Calibration(ticks_mm=140), (Command.TICKSMM, 140)),
+        (Calibration(rev_count=18000), (Command.REVCOUNT, 18000)),
+        (Calibration(drift_factor=200), (Command.DRIFTFACTOR, 200)),
+    ],
+)
+def test_a_wrong_calibration_shows_until_the_host_sends_the_right_one(wheels, mend):
+    errors = []
+    for commands in ([], [mend]):
+        client = Client(wheels=wheels).open()
+        for command in (*commands, (Command.ENABLE, 1), (Command.VEL, 500), (Command.RVEL, 20)):
+            client.send(*command)
+        last = [parse_status(p) for p in client.run(3.0)][-1]
+        truth = client.robot.odometry()
+        heading = math.tau / 4096 * last.heading
+        apart = math.dist((0.001 * last.x, 0.001 * last.y), truth[:2])
+        errors.append(apart + abs(math.remainder(heading - truth.theta, math.tau)))
+    assert errors[0] > 0.04
+    assert errors[1] < 0.01  # a packet old
+
+
+def test_every_known_kind_of_robot_reports_in_its_own_units():
+    for subclass, model in MODELS.items():
+        client = Client(subclass=subclass).open()
+        client.send(Command.ENABLE, 1)
+        client.send(Command.VEL, 300)
+        last = [parse_status(p) for p in client.run(2.0)][-1]
+        moved = 0.001 * model.factors.distance * last.x
+        assert moved == pytest.approx(client.robot.odometry().x, abs=0.035), subclass
+        assert model.factors.velocity * last.left_velocity == pytest.approx(300, abs=1)
+        assert (model.factors.distance == 1.0) == ('-sh' in subclass or subclass == 'researchpb')
+        assert 0.18 <= model.factors.wheel_base <= 0.63
+        assert model.laser is None or 0.0 < model.laser[0] < 0.3

@@ -120,6 +120,43 @@ def test_answers_a_recorded_host_as_the_real_scanner_did(recordings):
             expected.append(real.command)
             assert got[0].command == real.command
             assert got[0].status == real.status
-            if real.command != Reply.STATUS:  # counters and temperatures are its own
+            if real.command != Reply.STATUS:
                 assert got[0].data == real.data
+                continue
+            # counters and temperatures are its own; how it measures is not
+            for own in (
+                slice(0, 8),
+                slice(9, 17),
+                slice(101, 102),
+                slice(106, 111),
+                slice(115, 130),
+            ):
+                assert got[0].data[own] == real.data[own]
     assert len(expected) == 11
+
+
+@pytest.mark.parametrize('length', [7, 32, 34])
+def test_configuration_blocks_of_other_clients_may_be_short(length):
+    host = Host()
+    stock = host.scanner.configuration.block
+    block = bytes((0, 0, 70, 0, 0, 5, 0)) + bytes(range(length - 7))
+    host.ask(Request.MODE, b'\x00SICK_LMS')
+    [reply] = host.ask(Request.WRITE_CONFIGURATION, block)
+    assert reply.data == b'\x01' + block + stock[length:]
+    assert host.scanner.configuration.block == block + stock[length:]
+    assert (host.scanner.configuration.mode, host.scanner.configuration.unit) == (5, 0)
+    [refused] = host.ask(Request.WRITE_CONFIGURATION, block[:6])
+    assert refused.data[0] == 0
+
+
+def test_the_status_telegram_says_how_it_measures():
+    host = Host(baud=38400)
+    host.ask(Request.VARIANT, bytes((100, 0, 25, 0)))
+    host.ask(Request.MODE, bytes([Mode.STREAM]), 0.3)
+    [status] = [t.data for t in host.ask(Request.STATUS) if t.command == Reply.STATUS]
+    assert len(status) == 152
+    assert (status[:7], status[7], status[9:17]) == (b'V02.19 ', Mode.STREAM, b'05270497')
+    assert status[101] == host.scanner.configuration.mode
+    angle, resolution = status[106:108], status[108:110]
+    assert [int.from_bytes(word, 'little') for word in (angle, resolution)] == [100, 25]
+    assert (status[115:117], status[121], status[123:130]) == (b'\x19\x80', 1, b'V02.02 ')
