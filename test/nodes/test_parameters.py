@@ -74,6 +74,17 @@ def test_names_are_unique_and_all_have_a_meaning():
         assert all(info.doc for info, _ in settings_of(tree))
 
 
+def test_the_odometry_frame_is_kept_in_a_file_per_vehicle_and_port(monkeypatch, tmp_path):
+    monkeypatch.setenv('ROS_HOME', str(tmp_path))
+    config = with_values(DriverNodeConfig(), {'base_port': 'tcp://10.0.0.7:8101'})
+    file = values_of(config.with_odometry_file('robot1'))['odometry_file']
+    assert file == f'{tmp_path}/explore_slam/odometry_robot1_tcp_10_0_0_7_8101.json'
+    own = with_values(config, {'odometry_file': '/var/lib/odometry.json'})
+    assert own.with_odometry_file('robot1') == own
+    without = with_values(own, {'keep_odometry': False}).with_odometry_file('robot1')
+    assert values_of(without)['odometry_file'] == ''
+
+
 @pytest.mark.parametrize('tree', [AgentNodeConfig(), DriverNodeConfig(), PathFollowerConfig()])
 def test_agent_driver_and_follower_have_the_same_settings_of_the_laser_mount(tree):
     values = {'laser_x': -0.2, 'laser_y': 0.1, 'laser_yaw': 3.0}
