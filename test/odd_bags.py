@@ -16,6 +16,7 @@ from explore_slam import messages
 from explore_slam.data import LaserScan, OdometryReading
 from explore_slam.geometry import Pose2
 from explore_slam.recording.rosbags_types import MESSAGES, serialize, typestore
+from explore_slam.recording.storage.storage import RawMessage
 
 ODOMETRY, SCAN = 'nav_msgs/msg/Odometry', 'sensor_msgs/msg/LaserScan'
 TOPICS = {'/odom': ODOMETRY, '/scan': SCAN}
@@ -34,6 +35,10 @@ def content(count=COUNT, begin=100.0):
         scan = LaserScan(stamp, -1.5, 0.03, ranges, 0.1, 8.0)
         message = messages.scan_message(MESSAGES, scan, 'laser')
         yield '/scan', SCAN, round(stamp * 1e9) + 1000, serialize(SCAN, message)
+
+
+def raw(topic, kind, time, data):
+    return RawMessage(topic, kind, time, data)
 
 
 def times(found):
