@@ -137,3 +137,14 @@ def test_a_refusal_names_the_topic_of_the_malformed_image(pairer):
     with pytest.raises(RefusedMessageError) as caught:
         pairer.read(TopicKind.COLOR, color(2.0, encoding='yuv422'))
     assert caught.value.topic is TopicKind.COLOR
+
+
+def test_depth_of_another_frame_is_named_once(caplog):
+    pairer = FramePairing(SensorMounts('robot1', TransformTree()))
+    pairer.add_camera_info(messages.camera_info_message(MESSAGES, 1.0, 'c', CAMERA))
+    for stamp in (1.0, 2.0):
+        pairer.add_color(color(stamp))
+        late = depth(stamp)
+        late.header.frame_id = 'depth_frame'
+        assert pairer.add_depth(late) is not None
+    assert caplog.text.count("depth images are in frame 'depth_frame'") == 1
