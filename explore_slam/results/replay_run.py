@@ -227,12 +227,12 @@ def replay_bag(
 
 
 def _mount_notes(replay: Replay) -> list[str]:
-    """Return the mounts that were used, and where they come from."""
+    """Return the mounts that are not those of the settings, and where they come from."""
     return [
-        f'{vehicle}: sensor {frame or "without frame"} '
-        + (f'at {mount}' if mount.pose is not None else f'mounted as in {mount}: none is recorded')
+        f'{vehicle}: sensor {frame or "without frame"} at {mount}'
         for vehicle, mounts in replay.mounts.items()
         for frame, mount in sorted(mounts.used.items())
+        if mount.pose is not None
     ]
 
 
