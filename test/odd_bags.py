@@ -16,6 +16,7 @@ from explore_slam import messages
 from explore_slam.data import LaserScan, OdometryReading
 from explore_slam.geometry import Pose2
 from explore_slam.recording.rosbags_types import MESSAGES, serialize, typestore
+from explore_slam.recording.storage.storage import RawMessage
 
 ODOMETRY, SCAN = 'nav_msgs/msg/Odometry', 'sensor_msgs/msg/LaserScan'
 TOPICS = {'/odom': ODOMETRY, '/scan': SCAN}
@@ -34,6 +35,10 @@ def content(count=COUNT, begin=100.0):
         scan = LaserScan(stamp, -1.5, 0.03, ranges, 0.1, 8.0)
         message = messages.scan_message(MESSAGES, scan, 'laser')
         yield '/scan', SCAN, round(stamp * 1e9) + 1000, serialize(SCAN, message)
+
+
+def raw(topic, kind, time, data):
+    return RawMessage(topic, kind, time, data)
 
 
 def times(found):
@@ -67,6 +72,10 @@ def write_compressed(path, mode):
     return path
 
 
+def as_ros1(data, kind):
+    return bytes(typestore().cdr_to_ros1(data, kind))
+
+
 def write_ros1(path, compression=None):
     """A bag of ROS 1, with several chunks."""
     noetic = get_typestore(Stores.ROS1_NOETIC)
@@ -79,7 +88,7 @@ def write_ros1(path, compression=None):
         for topic, kind, time, data in content():
             if topic not in known:
                 known[topic] = writer.add_connection(topic, kind, typestore=noetic)
-            writer.write(known[topic], time, bytes(typestore().cdr_to_ros1(data, kind)))
+            writer.write(known[topic], time, as_ros1(data, kind))
     return path
 
 
@@ -120,6 +129,8 @@ def write_mcap(path, encoding='cdr', compression='zstd', per_chunk=60, shuffled=
             4, struct.pack('<HH', number, number) + text(topic) + text(encoding) + text('')
         )
     found = list(content())
+    if encoding == 'ros1':
+        found = [(*rest, kind, at, as_ros1(data, kind)) for *rest, kind, at, data in found]
     numbers = {topic: number for number, topic in enumerate(TOPICS, start=1)}
     parts = [found[at : at + per_chunk] for at in range(0, len(found), per_chunk)]
     data = MAGIC + record(1, text('ros2') + text('test'))

@@ -144,7 +144,9 @@ class FramePairing:
         metres = _pixels(depth, depth_array)
         mount = None
         if self._mounts is not None:
-            mount = self._mounts.optical_pose(color.message.header.frame_id)
+            frame = color.message.header.frame_id
+            self._mounts.check_registered(frame, depth.message.header.frame_id)
+            mount = self._mounts.optical_pose(frame)
         return RgbdFrame(color.stamp, rgb, metres, self._intrinsics, mount)
 
 

@@ -127,6 +127,15 @@ class SensorMounts:
         pose = self._camera(frame).pose
         return pose if isinstance(pose, Pose3) else None
 
+    def check_registered(self, color_frame: str, depth_frame: str) -> None:
+        """Warn, once, of depth images that are not in the frame of the colour images."""
+        if frame_name(color_frame) != frame_name(depth_frame):
+            self._warn_once(
+                f'registered {depth_frame}',
+                f'depth images are in frame {depth_frame!r}, colour images in {color_frame!r}; '
+                'they are used as if they were registered (depth_image_proc) to the colour image',
+            )
+
     def _laser(self, frame: str) -> Mount:
         own, team = self.config.laser_pose, self._team.laser
         found = self._lookup(frame, own, team, 'laser_mount')

@@ -8,6 +8,11 @@ from explore_slam import messages
 from explore_slam.data import Intrinsics
 from explore_slam.errors import DataError
 from explore_slam.messages.frame_pairing import FramePairing
+from explore_slam.messages.measurement import RefusedMessageError
+from explore_slam.messages.sensor_mounts import SensorMounts
+from explore_slam.messages.topics import TopicKind
+from explore_slam.messages.transforms import TransformTree
+from explore_slam.messages.vehicle_settings import VehicleConfig
 from explore_slam.recording.rosbags_types import MESSAGES
 
 CAMERA = Intrinsics(8, 6, 10.0, 10.0, 4.0, 3.0)
@@ -101,3 +106,45 @@ def test_another_size_and_encoding_are_named(pairer):
         pairer.add_depth(depth(2.0))
     pairer.add_color(color(3.0))
     assert pairer.add_depth(depth(3.0)) is not None
+
+
+def test_an_image_in_two_forms_gives_one_frame(pairer):
+    frames = []
+    for stamp in (1.0, 1.033, 1.066):
+        frames += [pairer.add_color(color(stamp)), pairer.add_depth(depth(stamp + 0.004))]
+        frames.append(pairer.read(TopicKind.COLOR_COMPRESSED, compressed(stamp, jpeg(RGB))))
+        packed = compressed(stamp + 0.004, png(DEPTH))
+        frames.append(pairer.read(TopicKind.DEPTH_COMPRESSED, packed))
+    assert [frame.stamp for frame in frames if frame is not None] == [1.0, 1.033, 1.066]
+    assert pairer.unpaired == 0
+
+
+def test_the_tolerance_is_a_setting_and_is_named():
+    config = VehicleConfig(pairing_tolerance=0.05)
+    pairer = FramePairing(SensorMounts('robot1', TransformTree(), config))
+    pairer.add_camera_info(messages.camera_info_message(MESSAGES, 1.0, 'c', CAMERA))
+    pairer.add_color(color(1.0))
+    assert pairer.add_depth(depth(1.04)) is not None
+    assert '50 ms (pairing_tolerance)' in pairer.explanations()['unpaired_images']
+
+
+def test_a_refusal_names_the_topic_of_the_malformed_image(pairer):
+    pairer.read(TopicKind.DEPTH_COMPRESSED, compressed(1.0, b'no image'))
+    with pytest.raises(RefusedMessageError) as caught:
+        pairer.read(TopicKind.COLOR, color(1.0))
+    assert caught.value.topic is TopicKind.DEPTH_COMPRESSED
+    pairer.read(TopicKind.DEPTH, depth(2.0))
+    with pytest.raises(RefusedMessageError) as caught:
+        pairer.read(TopicKind.COLOR, color(2.0, encoding='yuv422'))
+    assert caught.value.topic is TopicKind.COLOR
+
+
+def test_depth_of_another_frame_is_named_once(caplog):
+    pairer = FramePairing(SensorMounts('robot1', TransformTree()))
+    pairer.add_camera_info(messages.camera_info_message(MESSAGES, 1.0, 'c', CAMERA))
+    for stamp in (1.0, 2.0):
+        pairer.add_color(color(stamp))
+        late = depth(stamp)
+        late.header.frame_id = 'depth_frame'
+        assert pairer.add_depth(late) is not None
+    assert caplog.text.count("depth images are in frame 'depth_frame'") == 1

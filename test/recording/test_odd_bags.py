@@ -107,6 +107,15 @@ def test_an_mcap_without_index_and_without_summary(tmp_path, compression):
     assert read_whole(path) == []
 
 
+def test_messages_of_ros_1_in_an_mcap_become_those_of_ros_2(tmp_path):
+    path = odd_bags.write_mcap(tmp_path / 'x.mcap', 'ros1')
+    assert read_whole(path) == []
+    with BagReader(path) as bag:
+        assert bag.topics == odd_bags.TOPICS
+        last = list(bag.messages(['/odom']))[-1]
+        assert messages.odometry_record(bag.decode(last)).pose.x == pytest.approx(0.02 * 299)
+
+
 def test_chunks_in_any_order_are_read_by_time(tmp_path):
     assert read_whole(odd_bags.write_mcap(tmp_path / 'x.mcap', shuffled=True)) == []
 

@@ -158,3 +158,15 @@ def test_a_realsense_is_found_with_its_aligned_depth():
 def test_ground_truth_is_no_odometry():
     found, _ = vehicle_topics({'/ground_truth/odom': ODOMETRY, '/wheel': ODOMETRY, '/s': SCAN})
     assert chosen(found)[('robot1', TopicKind.ODOMETRY)] == '/wheel'
+
+
+@pytest.mark.parametrize(('raw_rate', 'kept'), [(30.0, ''), (2.0, '/compressed')])
+def test_of_an_image_in_two_forms_one_is_kept(raw_rate, kept):
+    raw = '/a/camera/rgb/image_raw'
+    names = {'/a/odom': ODOMETRY, raw: IMAGE, f'{raw}/compressed': COMPRESSED}
+    found, warnings = vehicle_topics(names, rates={raw: raw_rate, f'{raw}/compressed': 30.0})
+    assert [topic.name for topic in found if topic.name.startswith(raw)] == [raw + kept]
+    assert any('is the same image' in text for text in warnings)
+    chosen_form = topic_choices([f'a.color={raw}/compressed'])
+    found, _ = vehicle_topics(names, choices=chosen_form, rates={raw: 30.0})
+    assert [t.name for t in found if t.name.startswith(raw)] == [f'{raw}/compressed']

@@ -14,7 +14,7 @@ from explore_slam.recording.storage.storage import RawMessage, Storage, Unusable
 
 MAGIC = b'SQLite format 3\x00'
 _LOGS = ('-wal', '-journal')  # of transactions that have not reached the database itself
-_LONGEST_GAP = 100_000  # rows that are looked for one by one where no index tells the last one
+_LONGEST_GAP = 20_000  # rows that are looked for one by one where no index tells the last one
 
 
 class SqliteFile(Storage):

@@ -8,6 +8,7 @@ import pytest
 
 from explore_slam import messages
 from explore_slam.agent.config import AgentConfig
+from explore_slam.cli.main import main
 from explore_slam.errors import RecordingError
 from explore_slam.recording import BagReader, Replay, TopicKind
 from explore_slam.recording.importers import intel, mrclam, tum
@@ -88,6 +89,38 @@ def test_mrclam_becomes_odometry_landmarks_inter_robot_observations_and_truth(
     assert of_kind(found, TopicKind.INTER_ROBOT, 'robot2') == []  # nobody observes itself
     truth = of_kind(found, TopicKind.GROUND_TRUTH)
     assert truth[0].record.pose == pytest.approx(starts['robot1'], abs=1e-6)
+
+
+STARTS = [f'robot{number}={number},0.5,{10 * number}deg' for number in range(1, 6)]
+
+
+def test_mrclam_without_truth_takes_start_poses_and_keeps_its_times(small_mrclam, tmp_path):
+    for number in (1, 2, 3, 4, 5):
+        (small_mrclam / f'Robot{number}_Groundtruth.dat').unlink()
+    with pytest.raises(RecordingError, match=r'Robot4_Groundtruth\.dat, Robot5.* --start robot4='):
+        mrclam.import_mrclam(small_mrclam, tmp_path / 'bag', STARTS[:3])
+    with pytest.raises(RecordingError, match='robot9'):
+        mrclam.import_mrclam(small_mrclam, tmp_path / 'bag', [*STARTS, 'robot9=0,0,0'])
+    counts = mrclam.import_mrclam(small_mrclam, tmp_path / 'bag', STARTS)
+    assert not any('ground_truth' in topic for topic in counts)
+    with BagReader(tmp_path / 'bag') as bag:
+        replay = Replay(bag)
+        starts = replay.start_poses()
+        first = next(replay.events())
+    assert starts['robot3'] == pytest.approx((3.0, 0.5, np.pi / 6))
+    assert first.stamp == pytest.approx(100.5)
+
+
+@pytest.mark.parametrize('shift', [-100.5, 1.2e9])
+def test_mrclam_keeps_times_from_zero_and_from_1970(small_mrclam, tmp_path, shift):
+    for path in small_mrclam.glob('Robot*.dat'):
+        table = np.loadtxt(path, ndmin=2)
+        table[:, 0] += shift
+        np.savetxt(path, table, fmt='%.6f')
+    mrclam.import_mrclam(small_mrclam, tmp_path / 'bag')
+    stamps = [event.stamp for event in of_kind(events(tmp_path / 'bag'), TopicKind.ODOMETRY)]
+    assert stamps[0] == pytest.approx(100.5 + shift, abs=1e-5)
+    assert stamps[-1] == pytest.approx(109.98 + shift, abs=1e-5)
 
 
 def test_the_noise_of_a_measurement_lies_along_and_across_the_line_of_sight():
@@ -292,6 +325,20 @@ def test_tum_becomes_frames_and_truth(small_tum, tmp_path):
     truth = of_kind(found, TopicKind.GROUND_TRUTH)
     assert len(truth) == 3
     assert truth[0].record.pose == pytest.approx((1.0, 2.0, np.pi / 2), abs=1e-6)
+
+
+def test_tum_as_downloaded_is_associated_by_its_stamps(small_tum, tmp_path, capsys):
+    (small_tum / ASSOCIATIONS).unlink()
+    for name in ('rgb', 'depth'):
+        lines = [f'{stamp} {name}/{stamp}.png\n' for stamp in ('1.000000', '1.100000')]
+        (small_tum / f'{name}.txt').write_text('# ' + name + '\n' + ''.join(lines))
+    arguments = ['import', 'tum', str(small_tum), str(tmp_path / 'bag'), '--camera', 'freiburg3']
+    assert main([*arguments, '--truth-offset', '0.03']) == 0
+    assert '2  /robot1/camera/rgb/image_raw' in capsys.readouterr().out
+    found = events(tmp_path / 'bag')
+    assert of_kind(found, TopicKind.COLOR)[0].record.intrinsics.fx == 535.4
+    truth = of_kind(found, TopicKind.GROUND_TRUTH)
+    assert truth[0].stamp == pytest.approx(0.92)
 
 
 def test_tum_truth_is_kept_in_space(small_tum, tmp_path):
