@@ -67,6 +67,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run until complete or until Ctrl-C; write the run folder in both cases."""
+    from explore_slam.live.processes import use_one_machine
+
+    use_one_machine(arguments.out)  # before ROS is imported; the logs go to the run's own folder
     from explore_slam.live.live_run import LiveRun, LiveRunOptions
 
     settings = named_settings(arguments, ('engine', 'maps', 'particles'))
