@@ -1,5 +1,6 @@
 """The one decorator of compiled functions: numba, cached on disk, types kept."""
 
+import functools
 import logging
 import os
 import pickle
@@ -81,6 +82,7 @@ def kernel(
             fastmath=_REASSOCIATION if reassociate else False,
         )(function)
         _ignore_unreadable_cache(compiled)
+        _ignore_unwritable_cache(compiled)
         return compiled
 
     return compile_it if function is None else compile_it(function)
@@ -106,3 +108,24 @@ def _ignore_unreadable_cache(compiled: Any) -> None:
             return {}
 
     cache_file._load_index = load_index
+
+
+def _ignore_unwritable_cache(compiled: Any) -> None:
+    """Let a function that cannot be cached, on a full disk, be compiled again in the next run."""
+    cache = getattr(compiled, '_cache', None)
+    save = getattr(cache, 'save_overload', None)
+    if cache is None or save is None:
+        return
+
+    def save_overload(*arguments: Any) -> None:
+        try:
+            save(*arguments)
+        except OSError as error:
+            _note_unwritable(error.strerror or str(error))
+
+    cache.save_overload = save_overload
+
+
+@functools.cache
+def _note_unwritable(reason: str) -> None:
+    logger.warning('compiled functions cannot be kept for the next run: %s', reason)

@@ -154,6 +154,13 @@ def ros_log_folder(given: Mapping[str, str]) -> Path | None:
     return folder
 
 
+def prepare_home(environment: MutableMapping[str, str]) -> None:
+    """Give libraries that keep files in the user's home a folder where that is not writable."""
+    home = environment.get('XDG_CONFIG_HOME') or environment.get('HOME') or '/nonexistent'
+    if 'MPLCONFIGDIR' not in environment and not os.access(home, os.W_OK):
+        environment['MPLCONFIGDIR'] = str(scratch_folder() / 'matplotlib')
+
+
 def is_writable(folder: Path) -> bool:
     """Return whether files can be made in a folder, which is made if it does not exist."""
     try:

@@ -263,6 +263,11 @@ class LiveRun:
             with interrupts_held():
                 executor.spin_once(timeout_sec=0.1)
 
+    @property
+    def has_results(self) -> bool:
+        """Whether the agent has published a pose, so that there is something to write."""
+        return self.monitor is not None and bool(self.monitor.state.poses)
+
     # -- results ---------------------------------------------------------------------------------
 
     def finish(self) -> RunData:

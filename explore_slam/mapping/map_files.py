@@ -74,7 +74,7 @@ def save_map(grid: OccupancyGrid, base_path: Path | str) -> Path:
         write_bytes(image_path, header + image.tobytes())
         write_bytes(yaml_path, text)
     except OSError as error:
-        raise MappingError(f'map {base} cannot be written: {error}') from error
+        raise MappingError(f'map {base} cannot be written: {error.strerror or error}') from error
     return yaml_path
 
 
