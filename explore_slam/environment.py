@@ -72,7 +72,7 @@ MIDDLEWARE = (
 )
 MIDDLEWARE_USED = 'rmw_fastrtps_cpp'  # of the wheels, and the default of a ROS installation
 HIGHEST_DOMAIN = 232  # the ports of higher ones would lie above 65535
-_LOG_FOLDERS = ('ROS_LOG_DIR', 'ROS_HOME')
+_SET_APART = ('ROS_LOG_DIR', 'ROS_HOME', 'MPLBACKEND')  # not by `one_machine` alone
 _DRAWING = ('egl', 'osmesa')  # how MuJoCo draws without a window
 _ISOLATED = '_EXPLORE_SLAM_ISOLATED'  # set in a process that was started again
 _PACKAGE = Path(__file__).resolve().parent
@@ -95,7 +95,7 @@ def one_machine(
     not mix. What of the given environment is not used is logged in one line.
     """
     domain = domain_of(given)
-    unused_names = [name for name in MIDDLEWARE if name not in _LOG_FOLDERS]
+    unused_names = [name for name in MIDDLEWARE if name not in _SET_APART]
     used = {
         **{name: value for name, value in given.items() if name not in unused_names},
         'ROS_DOMAIN_ID': str(1 + os.getpid() % 100 if domain is None else domain),
@@ -154,8 +154,9 @@ def ros_log_folder(given: Mapping[str, str]) -> Path | None:
     return folder
 
 
-def prepare_home(environment: MutableMapping[str, str]) -> None:
-    """Give libraries that keep files in the user's home a folder where that is not writable."""
+def prepare_libraries(environment: MutableMapping[str, str]) -> None:
+    """Let reports be drawn off screen, also where the home, with its settings, is not writable."""
+    environment['MPLBACKEND'] = 'agg'
     home = environment.get('XDG_CONFIG_HOME') or environment.get('HOME') or '/nonexistent'
     if 'MPLCONFIGDIR' not in environment and not os.access(home, os.W_OK):
         environment['MPLCONFIGDIR'] = str(scratch_folder() / 'matplotlib')

@@ -17,7 +17,7 @@ from explore_slam.environment import (
     is_writable,
     isolated,
     one_machine,
-    prepare_home,
+    prepare_libraries,
     prepare_ros,
     ros_log_folder,
     scratch_folder,
@@ -127,16 +127,16 @@ def test_folders_of_a_home_that_cannot_be_written(caplog, tmp_path):
     shell = {'HOME': NOT_A_FOLDER}
     with caplog.at_level(logging.WARNING):
         prepare_ros(shell)
-        prepare_home(shell)
+        prepare_libraries(shell)
     assert is_writable(Path(shell['ROS_LOG_DIR']))
     assert is_writable(Path(shell['MPLCONFIGDIR']))
     assert f'{NOT_A_FOLDER}/.ros/log cannot be written' in caplog.text
     assert ros_log_folder({'HOME': NOT_A_FOLDER, 'ROS_LOG_DIR': str(tmp_path)}) is None
     assert ros_log_folder({'ROS_HOME': str(tmp_path)}) is None
     assert (tmp_path / 'log').is_dir()
-    usable = {'HOME': str(tmp_path)}
-    prepare_home(usable)
-    assert usable == {'HOME': str(tmp_path)}
+    usable = {'HOME': str(tmp_path), 'MPLBACKEND': 'a window'}
+    prepare_libraries(usable)
+    assert usable == {'HOME': str(tmp_path), 'MPLBACKEND': 'agg'}
 
 
 def test_the_scratch_folder_of_another_user_is_not_used(tmp_path, monkeypatch):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from explore_slam.cli.arguments import add_set_option, named_settings
 from explore_slam.errors import ExploreSlamError
-from explore_slam.failures import INTERRUPTED, cause
+from explore_slam.failures import INTERRUPTED
 
 if TYPE_CHECKING:
     from explore_slam.live.live_run import LiveRun
@@ -104,7 +104,7 @@ def run(arguments: argparse.Namespace) -> int:
         if not live.has_results:
             raise
         failure = error
-        print(f'\nended early: {cause(error)}', file=sys.stderr, flush=True)
+        print('\nended early: the results so far are written', flush=True)
     data = live.finish()
     _summarize(live, data, time.monotonic() - began)
     if failure is not None:

@@ -8,7 +8,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from explore_slam.environment import prepare_home, prepare_ros, start_isolated
+from explore_slam.environment import prepare_libraries, prepare_ros, start_isolated
 from explore_slam.failures import run_guarded
 
 # Command -> module with HELP, configure(parser) and run(arguments) -> exit code.
@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(words: list[str], wanted: str | None) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors='replace')  # m² on a terminal that cannot show it
-    prepare_home(os.environ)
+    prepare_libraries(os.environ)
     if wanted in ROS_COMMANDS:
         prepare_ros(os.environ)
     parsed = build_parser(wanted).parse_args(words)
