@@ -58,6 +58,8 @@ def _run(words: list[str], wanted: str | None) -> int:
     prepare_libraries(os.environ)
     if wanted in ROS_COMMANDS:
         prepare_ros(os.environ)
+    elif wanted != 'demo':  # which names what it does not use
+        os.environ.pop('RMW_IMPLEMENTATION', None)  # nothing is sent, but rclpy may be imported
     parsed = build_parser(wanted).parse_args(words)
     level = logging.INFO if parsed.verbose else logging.WARNING
     logging.basicConfig(level=level, format='%(levelname)s %(name)s: %(message)s')
