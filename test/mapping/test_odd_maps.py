@@ -80,7 +80,9 @@ def with_alpha(alpha):
 
 def padded_bmp():
     """Return a BMP of 32 bit whose fourth bytes are zero, as many programs write it."""
-    content = bytearray(encoded('.bmp', np.dstack([building()] * 3 + [np.zeros((40, 60))])))
+    content = bytearray(
+        encoded('.bmp', np.dstack([*[building()] * 3, np.zeros((40, 60), np.uint8)]))
+    )
     assert int.from_bytes(content[28:30], 'little') == 32
     return bytes(content)
 
@@ -103,7 +105,7 @@ IMAGES = {
     'PNG, unknown nearly transparent': lambda _: encoded('.png', with_alpha(40)),
     'PNG of 16 bit': lambda path: by_pillow(path, 'I;16'),
     'PNG with a palette': lambda path: by_pillow(path, 'P'),
-    'PNG with a gamma': lambda path: by_pillow(path, 'L', dpi=(300, 300)),
+    'PNG with pixels per metre': lambda path: by_pillow(path, 'L', dpi=(300, 300)),
     'BMP': lambda _: encoded('.bmp', building()),
     'BMP of 24 bit': lambda _: encoded('.bmp', np.dstack([building()] * 3)),
     'BMP of 32 bit': lambda _: padded_bmp(),
