@@ -1,9 +1,31 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
 SHELL := /bin/bash
-VENV ?= .venv
-PY := $(VENV)/bin/python
-PIP := $(PY) -m pip --disable-pip-version-check
+# The distribution of ROS 2: one of those with requirements-ros-<name>.txt, each in a virtual
+# environment of its own.
+ROS = jazzy
+VENV = $(if $(filter jazzy,$(ROS)),.venv,.venv-$(ROS))
+PY = $(VENV)/bin/python
+PIP = $(PY) -m pip --disable-pip-version-check
+PROVIDED := $(patsubst requirements-ros-%.txt,%,$(wildcard requirements-ros-*.txt))
+ifeq ($(filter $(ROS),$(PROVIDED)),)
+$(error ROS is '$(ROS)', expected one of: $(PROVIDED); the others have no wheels on PyPI (README.md))
+endif
+
+# What of the user's shell must not reach pip, Python and ROS here is named in one table.
+FOREIGN := $(shell sed -n "s/^    '\([A-Z_]*\)',$$/\1/p" explore_slam/environment.py)
+unexport $(FOREIGN)
+export PIP_USER := 0
 export PIP_NO_WARN_SCRIPT_LOCATION := 1
+
+# After a move of the clone or an update of Python, the virtual environment is made anew.
+ifeq ($(filter clean,$(MAKECMDGOALS))$(findstring n,$(firstword -$(MAKEFLAGS))),)
+STALE := $(shell env $(FOREIGN:%=-u %) tools/why_stale '$(VENV)')
+ifneq ($(STALE),)
+$(info $(VENV) is made anew: $(STALE))
+$(shell rm -rf '$(VENV)')
+endif
+endif
+
 TESTS_WITH_NODES := test/test_live_demo.py test/test_readme.py test/live test/nodes test/test_install.py
 
 .PHONY: demo test lint types unit bench experiments test-lowest setup setup-dev clean
@@ -38,7 +60,7 @@ experiments: setup-dev
 
 # the versions that Ubuntu 24.04 has
 test-lowest:
-	$(MAKE) VENV=.venv-lowest CONSTRAINTS=requirements-lowest.txt unit
+	$(MAKE) VENV=$(VENV)-lowest CONSTRAINTS=requirements-lowest.txt unit
 
 setup: $(VENV)/.ready
 setup-dev: $(VENV)/.ready-dev
@@ -46,9 +68,9 @@ setup-dev: $(VENV)/.ready-dev
 $(VENV)/bin/python:
 	@python=$$(tools/find_python) && echo "Making $(VENV) with $$python" && "$$python" -m venv $(VENV)
 
-$(VENV)/.ready: requirements.txt requirements-ros.txt setup.py package.xml $(CONSTRAINTS) | $(VENV)/bin/python
-	@echo "Installing ROS 2 Jazzy and what else is needed from PyPI (a minute or two) ..."
-	@$(PIP) install -q -r requirements.txt -r requirements-ros.txt $(if $(CONSTRAINTS),-c $(CONSTRAINTS)) 'setuptools<80' 2> >(grep -v 'is ignored: it is neither' >&2)
+$(VENV)/.ready: requirements.txt requirements-ros-$(ROS).txt setup.py package.xml $(CONSTRAINTS) | $(VENV)/bin/python
+	@echo "Installing ROS 2 ($(ROS)) and what else is needed from PyPI (a minute or two) ..."
+	@$(PIP) install -q -r requirements.txt -r requirements-ros-$(ROS).txt $(if $(CONSTRAINTS),-c $(CONSTRAINTS)) 'setuptools<80' 2> >(grep -v 'is ignored: it is neither' >&2)
 	@$(PIP) install -q --no-deps --no-build-isolation -e .
 	@$(PY) tools/build_messages.py tf2_msgs map_msgs
 	@tools/check_libraries $(PY)
@@ -63,4 +85,4 @@ $(VENV)/.ready-dev: requirements-dev.txt $(wildcard interfaces/nav2_msgs/*/*) $(
 	@touch $@
 
 clean:
-	rm -rf .venv .venv-lowest build install log .mypy_cache .ruff_cache .pytest_cache
+	rm -rf .venv .venv-* build install log .mypy_cache .ruff_cache .pytest_cache

@@ -58,13 +58,13 @@ setup(
     entry_points={
         'console_scripts': [
             'explore_slam = explore_slam.cli.main:main',
-            'agent = explore_slam.nodes.agent_node:main',
-            'pioneer_driver = explore_slam.nodes.pioneer_driver:main',
-            'path_follower = explore_slam.nodes.path_follower:main',
-            'feature_extractor = explore_slam.nodes.feature_extractor:main',
-            'simulator = explore_slam.nodes.simulator:main',
-            'recorder = explore_slam.nodes.recorder:main',
-            'player = explore_slam.nodes.player:main',
+            'agent = explore_slam.nodes.executables:agent',
+            'pioneer_driver = explore_slam.nodes.executables:pioneer_driver',
+            'path_follower = explore_slam.nodes.executables:path_follower',
+            'feature_extractor = explore_slam.nodes.executables:feature_extractor',
+            'simulator = explore_slam.nodes.executables:simulator',
+            'recorder = explore_slam.nodes.executables:recorder',
+            'player = explore_slam.nodes.executables:player',
         ],
     },
 )

@@ -1,14 +1,48 @@
 """The one decorator of compiled functions: numba, cached on disk, types kept."""
 
+import functools
+import logging
+import os
 import pickle
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Literal, overload
 
 import numba
 
+from explore_slam.environment import is_writable, scratch_folder
+
+logger = logging.getLogger(__name__)
+
 # LLVM flags that let a loop be split over vector lanes; results may differ in the last bits
 # from one processor to another, infinities and NaN keep their meaning.
 _REASSOCIATION = {'reassoc', 'nsz', 'contract'}
+
+
+def _cache_folder() -> Path | None:
+    """Return a folder for compiled functions where none of those that Numba uses can be written.
+
+    Those are NUMBA_CACHE_DIR, else __pycache__ beside the source, else ~/.cache/numba. A container
+    may run as a user without a home, and without rights on an installed package.
+    """
+    given = os.environ.get('NUMBA_CACHE_DIR')
+    home = Path(os.environ.get('XDG_CACHE_HOME') or Path(os.environ.get('HOME') or '/') / '.cache')
+    usual = [Path(given)] if given else [Path(__file__).parent / '__pycache__', home / 'numba']
+    if any(is_writable(folder) for folder in usual):
+        return None
+    folder = scratch_folder() / 'numba'
+    logger.warning(
+        'compiled functions are kept in %s: %s cannot be written',
+        folder,
+        ' and '.join(map(str, usual)),
+    )
+    return folder
+
+
+_CACHE_FOLDER = _cache_folder()
+if _CACHE_FOLDER is not None:
+    os.environ['NUMBA_CACHE_DIR'] = str(_CACHE_FOLDER)  # of processes that this one starts
+    numba.config.CACHE_DIR = str(_CACHE_FOLDER)
 
 
 @overload
@@ -48,6 +82,7 @@ def kernel(
             fastmath=_REASSOCIATION if reassociate else False,
         )(function)
         _ignore_unreadable_cache(compiled)
+        _ignore_unwritable_cache(compiled)
         return compiled
 
     return compile_it if function is None else compile_it(function)
@@ -73,3 +108,24 @@ def _ignore_unreadable_cache(compiled: Any) -> None:
             return {}
 
     cache_file._load_index = load_index
+
+
+def _ignore_unwritable_cache(compiled: Any) -> None:
+    """Let a function that cannot be cached, on a full disk, be compiled again in the next run."""
+    cache = getattr(compiled, '_cache', None)
+    save = getattr(cache, 'save_overload', None)
+    if cache is None or save is None:
+        return
+
+    def save_overload(*arguments: Any) -> None:
+        try:
+            save(*arguments)
+        except OSError as error:
+            _note_unwritable(error.strerror or str(error))
+
+    cache.save_overload = save_overload
+
+
+@functools.cache
+def _note_unwritable(reason: str) -> None:
+    logger.warning('compiled functions cannot be kept for the next run: %s', reason)

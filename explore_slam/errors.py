@@ -9,6 +9,10 @@ class ConfigError(ExploreSlamError):
     """A setting is unknown, of the wrong type or out of range."""
 
 
+class MachineError(ExploreSlamError):
+    """A variable of the shell, a folder or a library of this machine cannot be used."""
+
+
 class DataError(ExploreSlamError):
     """A record (scan, frame, odometry, observations) is malformed."""
 

@@ -38,8 +38,17 @@ def atomic(path: Path) -> Iterator[Path]:
         else:
             _flush_to_disk(partial)
             partial.replace(path)
+    except OSError as error:
+        if error.errno is None or _names_another(error, scratch):
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _names_another(error: OSError, scratch: Path) -> bool:
+    """Return whether an error names a file, and not one in the scratch folder."""
+    return error.filename is not None and not Path(str(error.filename)).is_relative_to(scratch)
 
 
 def write_bytes(path: Path, content: bytes | memoryview) -> None:

@@ -14,9 +14,22 @@ from ros_domain import own_domain
 
 COMMAND = [sys.executable, '-m', 'explore_slam.cli.main', 'demo', '--world', 'small']
 
+# a shell that is set up for something else, in a container without a home
+FOREIGN = {
+    'RMW_IMPLEMENTATION': 'rmw_cyclonedds_cpp',
+    'ROS_DISCOVERY_SERVER': '127.0.0.1:11811',
+    'ROS_AUTOMATIC_DISCOVERY_RANGE': 'OFF',
+    'ROS_LOCALHOST_ONLY': '1',
+    'CYCLONEDDS_URI': 'file:///none.xml',
+    'FASTRTPS_DEFAULT_PROFILES_FILE': '/none.xml',
+    'MPLBACKEND': 'none',
+    'MUJOCO_GL': 'glfw',
+    'HOME': '/proc/none',
+}
+
 
 def environment(domain):
-    return {**os.environ, 'ROS_DOMAIN_ID': str(domain), 'MUJOCO_GL': 'egl'}
+    return {**os.environ, **FOREIGN, 'ROS_DOMAIN_ID': str(domain)}
 
 
 @pytest.fixture(scope='module')

@@ -9,6 +9,7 @@ Without a C++ compiler or CMake nothing is compiled: one line says what will be 
 exit code is 0.
 """
 
+import importlib.metadata
 import importlib.util
 import os
 import re
@@ -70,11 +71,18 @@ def main(names: list[str]) -> int:
         return 0
     print(f'Compiling {", ".join(missing)} (once) ...', flush=True)
     pip = [sys.executable, '-m', 'pip', '--disable-pip-version-check', 'install', '-q', '-r']
-    if not _run([*pip, str(REPOSITORY / 'requirements-messages.txt')]):
+    if not _run([*pip, str(REPOSITORY / f'requirements-messages-{_distribution()}.txt')]):
         return 1
     _correct_include_folders()
     with tempfile.TemporaryDirectory() as folder:
         return 0 if all(_build(name, Path(folder) / name) for name in missing) else 1
+
+
+def _distribution() -> str:
+    """Return the distribution of ROS that is installed from PyPI."""
+    installed = (item.metadata['Name'] for item in importlib.metadata.distributions())
+    found = (re.fullmatch(r'ros[-_]([a-z]+)[-_]rclpy', name or '') for name in installed)
+    return next((match[1] for match in found if match), 'jazzy')
 
 
 def _is_complete(name: str) -> bool:

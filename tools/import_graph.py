@@ -31,7 +31,9 @@ LAYERS = (
     ('slam', 'mapping', 'exploration', 'vehicle'),
     ('registration', 'vision'),
     ('settings', 'data', 'mounts', 'body', 'sweeps'),
-    ('geometry', 'polyline', 'heap', 'errors', 'compiled', 'files'),
+    ('geometry', 'polyline', 'heap', 'compiled', 'failures', 'files'),
+    ('environment',),
+    ('errors',),
 )
 
 

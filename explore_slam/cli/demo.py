@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from explore_slam.cli.arguments import add_set_option, named_settings
+from explore_slam.errors import ExploreSlamError
+from explore_slam.failures import INTERRUPTED
 
 if TYPE_CHECKING:
     from explore_slam.live.live_run import LiveRun
@@ -67,6 +69,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run until complete or until Ctrl-C; write the run folder in both cases."""
+    from explore_slam.live.processes import use_one_machine
+
+    use_one_machine(arguments.out)  # before ROS is imported; the logs go to the run's own folder
     from explore_slam.live.live_run import LiveRun, LiveRunOptions
 
     settings = named_settings(arguments, ('engine', 'maps', 'particles'))
@@ -88,16 +93,24 @@ def run(arguments: argparse.Namespace) -> int:
         f'({live.area.area:.0f} m² reachable); stop with Ctrl-C. Results: {live.folder.path}'
     )
     interrupted = False
+    failure: ExploreSlamError | OSError | None = None
     began = time.monotonic()
     try:
         _show(live)
     except KeyboardInterrupt:
         interrupted = True
         print('\ninterrupted: stopping all nodes', flush=True)
+    except (ExploreSlamError, OSError) as error:  # a node has ended, or the disk is full
+        if not live.has_results:
+            raise
+        failure = error
+        print('\nended early: the results so far are written', flush=True)
     data = live.finish()
     _summarize(live, data, time.monotonic() - began)
+    if failure is not None:
+        raise failure
     if interrupted:
-        return 130
+        return INTERRUPTED
     return 0 if live.complete else 1
 
 

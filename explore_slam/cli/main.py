@@ -2,11 +2,14 @@
 
 import argparse
 import importlib
+import io
 import logging
+import os
 import sys
 from collections.abc import Sequence
 
-from explore_slam.errors import ExploreSlamError
+from explore_slam.environment import prepare_libraries, prepare_ros, start_isolated
+from explore_slam.failures import run_guarded
 
 # Command -> module with HELP, configure(parser) and run(arguments) -> exit code.
 COMMANDS = {
@@ -20,6 +23,7 @@ COMMANDS = {
     'experiment': 'experiment',
     'benchmark': 'benchmark',
 }
+ROS_COMMANDS = ('play', 'record')  # those that talk to robots, as the shell is set up
 
 
 def build_parser(wanted: str | None) -> argparse.ArgumentParser:
@@ -40,22 +44,26 @@ def build_parser(wanted: str | None) -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; an ExploreSlamError is one line on stderr and exit code 1."""
+    """Run a command; what it raises is one line on stderr and exit code 1 (`run_guarded`)."""
+    if arguments is None:
+        start_isolated()
     words = list(sys.argv[1:] if arguments is None else arguments)
     wanted = next((word for word in words if word in COMMANDS), None)
+    return run_guarded(f'explore_slam {wanted or ""}'.strip(), lambda: _run(words, wanted))
+
+
+def _run(words: list[str], wanted: str | None) -> int:
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors='replace')  # m² on a terminal that cannot show it
+    prepare_libraries(os.environ)
+    if wanted in ROS_COMMANDS:
+        prepare_ros(os.environ)
+    elif wanted != 'demo':  # which names what it does not use
+        os.environ.pop('RMW_IMPLEMENTATION', None)  # nothing is sent, but rclpy may be imported
     parsed = build_parser(wanted).parse_args(words)
     level = logging.INFO if parsed.verbose else logging.WARNING
     logging.basicConfig(level=level, format='%(levelname)s %(name)s: %(message)s')
-    try:
-        return int(parsed.run(parsed))
-    except ExploreSlamError as error:
-        print(f'explore_slam {parsed.command}: {error}', file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print('interrupted', file=sys.stderr)
-        return 130
-    except BrokenPipeError:
-        return 1
+    return int(parsed.run(parsed))
 
 
 if __name__ == '__main__':

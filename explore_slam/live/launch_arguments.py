@@ -7,6 +7,7 @@ from typing import Any
 
 from explore_slam.errors import ConfigError
 from explore_slam.files import read_mapping
+from explore_slam.mapping.map_files import is_map
 from explore_slam.messages.topics import TopicKind
 from explore_slam.settings import read_parameters, unknown_name
 
@@ -157,8 +158,14 @@ def remappings(given: Mapping[str, str], vehicles: Iterable[str] = ('',)) -> lis
 
 
 def start_poses_of(world: Path, count_text: str) -> dict[str, list[float]]:
-    """Return vehicle -> start pose of the first vehicles of a world file."""
-    starts = read_mapping(world, ConfigError, 'a world').get('starts')
+    """Return vehicle -> start pose of the first vehicles of a world file or of a map."""
+    starts: Any
+    if is_map(world):
+        from explore_slam.simulation import load_world
+
+        starts = load_world(world).starts
+    else:
+        starts = read_mapping(world, ConfigError, 'a world').get('starts')
     if not isinstance(starts, dict) or not starts:
         raise ConfigError(f'{world}: starts is {starts!r}, expected a pose for each vehicle')
     count = whole_number('vehicles', count_text, 1, len(starts))

@@ -3,7 +3,6 @@
 The run folder is written from the topics alone, as it would be with real vehicles.
 """
 
-import os
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -26,7 +25,7 @@ from explore_slam.live.processes import (
     NodeProcesses,
     config_folder,
     interrupts_held,
-    one_machine_environment,
+    use_one_machine,
 )
 from explore_slam.live.run_monitor import RunMonitor, RunState
 from explore_slam.mapping import OccupancyGrid
@@ -178,8 +177,7 @@ class LiveRun:
 
     def run(self) -> Iterator[RunState]:
         """Run to the end; yield the state ten times a second. Always end all processes."""
-        environment = one_machine_environment()
-        os.environ.update(environment)
+        environment = use_one_machine(self.folder.path / 'logs' / 'ros')
         nodes = self.nodes()
         # a recording must begin before the vehicles move: they do once their followers run
         last = [node for node in nodes if self.options.record and node.module == FOLLOWER]
@@ -264,6 +262,11 @@ class LiveRun:
         ):
             with interrupts_held():
                 executor.spin_once(timeout_sec=0.1)
+
+    @property
+    def has_results(self) -> bool:
+        """Whether the agent has published a pose, so that there is something to write."""
+        return self.monitor is not None and bool(self.monitor.state.poses)
 
     # -- results ---------------------------------------------------------------------------------
 

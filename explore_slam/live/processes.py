@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 
+from explore_slam.environment import one_machine
 from explore_slam.errors import ExploreSlamError
 
 # signals to end a process, in this order, and the time (s) after which the next one follows
@@ -55,18 +56,21 @@ def interrupts_held() -> Iterator[None]:
         signal.raise_signal(signal.SIGINT)
 
 
-def one_machine_environment() -> dict[str, str]:
-    """Return the environment for nodes that communicate on this machine only.
+def one_machine_environment(log_folder: Path | None = None) -> dict[str, str]:
+    """Return the environment for nodes that communicate on this machine only (`one_machine`).
 
-    A ROS_DOMAIN_ID that is set is kept; otherwise the process id determines one, so that two demos
-    do not mix.
+    log_folder: of ROS; by default the usual one, or a temporary one if that cannot be written.
     """
-    environment = dict(os.environ)
-    environment.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
-    environment.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     profile = config_folder() / 'fastdds_one_machine.xml'
-    environment.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(profile))
-    environment.setdefault('MUJOCO_GL', 'egl')
+    return one_machine(os.environ, profile, log_folder)
+
+
+def use_one_machine(log_folder: Path) -> dict[str, str]:
+    """Give this process, too, the environment of its nodes; return it."""
+    environment = one_machine_environment(log_folder)
+    for name in set(os.environ) - set(environment):
+        del os.environ[name]
+    os.environ.update(environment)
     return environment
 
 
@@ -86,7 +90,8 @@ class NodeProcess:
 
     def command(self) -> list[str]:
         """Return the command line."""
-        return [sys.executable, '-m', f'explore_slam.nodes.{self.module}', *self.arguments]
+        start = ('-m', 'explore_slam.nodes.executables', self.module)
+        return [sys.executable, *start, *self.arguments]
 
 
 class NodeProcesses:

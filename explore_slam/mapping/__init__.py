@@ -12,7 +12,8 @@ from explore_slam.mapping.laser_map import (
     RedrawSummary,
     VehicleDisc,
 )
-from explore_slam.mapping.map_files import load_map, read_pgm, save_map
+from explore_slam.mapping.map_files import load_map, save_map
+from explore_slam.mapping.map_images import read_image
 from explore_slam.mapping.occupancy_grid import OccupancyGrid
 
 __all__ = [
@@ -24,7 +25,7 @@ __all__ = [
     'RedrawSummary',
     'VehicleDisc',
     'load_map',
-    'read_pgm',
+    'read_image',
     'save_map',
     'warm_up',
 ]

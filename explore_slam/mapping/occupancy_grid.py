@@ -7,7 +7,7 @@ scans give the same bits.
 
 import math
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -129,6 +129,35 @@ class OccupancyGrid:
         evidence = np.rint(UNITS_PER_NAT * np.log(clipped / (1.0 - clipped))).astype(np.int16)
         grid._evidence = np.where(seen, evidence, UNKNOWN)
         grid._touched = np.zeros(p.shape, np.int32)
+        return grid
+
+    @classmethod
+    def from_levels(
+        cls,
+        levels: NDArray[Any],
+        probability: ArrayLike,
+        origin: tuple[float, float] = (0.0, 0.0),
+        config: GridConfig | None = None,
+    ) -> 'OccupancyGrid':
+        """Create a grid from levels (H, W), whole numbers, and the probability (K,) of each level.
+
+        A level whose probability is NaN is unknown. As `from_probability`, in a fraction of the
+        memory; MappingError for levels without a probability.
+        """
+        table = np.asarray(probability, np.float64)
+        if levels.ndim != 2 or int(levels.max(initial=0)) >= len(table):
+            raise MappingError(
+                f'levels have shape {levels.shape} up to {levels.max(initial=0)}, expected (H, W) '
+                f'below {len(table)}'
+            )
+        known = ~np.isnan(table)
+        grid = cls.from_probability(table[None], known[None], origin, config)
+        evidence = grid._evidence[0]
+        grid._evidence = np.empty(levels.shape, np.int16)
+        for first in range(0, levels.shape[0], BLOCK):
+            rows = slice(first, first + BLOCK)
+            grid._evidence[rows] = evidence[levels[rows]]
+        grid._touched = np.zeros(levels.shape, np.int32)
         return grid
 
     def _whole_cells(self, name: str, value: float) -> int:

@@ -11,6 +11,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import Any, Protocol
 
 import rclpy
@@ -28,7 +29,9 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
+from explore_slam.environment import prepare_ros
 from explore_slam.errors import ConfigError, ExploreSlamError
+from explore_slam.failures import cause, save_trace
 from explore_slam.messages.vehicle_settings import VehicleConfig, vehicle_settings
 from explore_slam.settings import (
     Section,
@@ -367,11 +370,15 @@ def run_node(make: Callable[[], StoppableNode], arguments: list[str] | None = No
     """
     _end_signals.install()
     try:
+        prepare_ros(os.environ)
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except _REFUSED_ARGUMENTS as error:
         # what is wrong comes first, then the places in the source of rcl
         what = str(error).partition('. Error: ')[0].partition(', at ')[0]
-        logging.getLogger(__name__).error('arguments of ROS that cannot be read: %s', what)
+        logging.getLogger(__name__).error('ROS cannot start: %s', what)
+        return 1
+    except ExploreSlamError as error:
+        logging.getLogger(__name__).error('%s', error)
         return 1
     with contextlib.ExitStack() as ending:  # each step is taken, whatever another one raises
         ending.callback(_end_in_time)
@@ -383,8 +390,8 @@ def run_node(make: Callable[[], StoppableNode], arguments: list[str] | None = No
             node = make()
         except KeyboardInterrupt:  # of `interruptible`
             return 0
-        except ExploreSlamError as error:
-            logging.getLogger(__name__).error('%s', error)
+        except Exception as error:
+            logging.getLogger(__name__).error('%s', _described(error))
             return 1
         ending.callback(node.destroy_node)
         ending.callback(node.stop)
@@ -404,11 +411,19 @@ def _spin(node: StoppableNode) -> int:
         logging.getLogger(__name__).error('%s', error)
         return 1
     except Exception as error:  # the vehicle must be stopped first, whatever the error
-        node.get_logger().fatal(f'stopping the vehicle: {type(error).__name__}: {error}')
+        node.get_logger().fatal(f'stopping the vehicle: {_described(error)}')
         return 1
     finally:
         node.executor = None  # nothing spins any more: callbacks that remain run at once
     return 0
+
+
+def _described(error: Exception) -> str:
+    """Return one line: what is wrong, and of an unforeseen error where its trace lies."""
+    if isinstance(error, ExploreSlamError):
+        return str(error)
+    trace = save_trace(Path(sys.argv[0]).stem, error)
+    return f'{cause(error)} (full trace: {trace})'
 
 
 def _end_in_time() -> None:

@@ -1,5 +1,6 @@
 """Node `player`: publishes the recorded CDR of a bag in the order of stamps, and /clock."""
 
+import argparse
 import sys
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator
@@ -254,8 +255,11 @@ def play(
 
 def main(arguments: list[str] | None = None) -> int:
     """Play a bag: `player BAG [RATE]`."""
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    play(Path(words[0]), rate=float(words[1]) if len(words) > 1 else 1.0)
+    parser = argparse.ArgumentParser(prog='player', description='Play a bag on live topics.')
+    parser.add_argument('bag', type=Path, help='rosbag2 folder, or its .mcap or .db3 file')
+    parser.add_argument('rate', type=float, nargs='?', default=1.0, help='speed (default 1)')
+    parsed = parser.parse_args(arguments)
+    play(parsed.bag, rate=parsed.rate)
     return 0
 
 

@@ -8,15 +8,17 @@ folder.
 import json
 import logging
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from explore_slam.errors import EvaluationError
+from explore_slam.errors import EvaluationError, ExploreSlamError
+from explore_slam.failures import cause
 from explore_slam.files import replace_link, write_bytes, write_text
 from explore_slam.mapping import OccupancyGrid, save_map
 from explore_slam.results.report import render_report
@@ -98,18 +100,43 @@ class RunFolder:
         return path
 
     def write_run(self, data: RunData) -> Path:
-        """Write all files of a run; return the path of the report."""
+        """Write all files of a run; return the path of the report.
+
+        A file that cannot be written, on a full disk, does not keep the others from being written;
+        the report is the last one. EvaluationError then names those that are missing.
+        """
+        writers: list[Callable[[], object]] = []
         if data.grid is not None:
-            self.write_map(data.grid)
+            writers.append(partial(self.write_map, data.grid))
         for vehicle in data.vehicles:
             for kind, trajectory in vehicle.trajectories().items():
-                self.write_trajectory(vehicle.name, kind, trajectory.stamps, trajectory.poses)
+                writers.append(
+                    partial(
+                        self.write_trajectory,
+                        vehicle.name,
+                        kind,
+                        trajectory.stamps,
+                        trajectory.poses,
+                    )
+                )
         if data.landmarks is not None:
-            self.write_landmarks(data.landmarks)
+            writers.append(partial(self.write_landmarks, data.landmarks))
         if data.settings is not None:
-            self.write_config(data.settings)
-        self.write_metrics(data.metrics)
-        return self.write_report(data)
+            writers.append(partial(self.write_config, data.settings))
+        writers.append(partial(self.write_metrics, data.metrics))
+        writers.append(partial(self.write_report, data))
+        problems: list[str] = []
+        for write in writers:
+            try:
+                write()
+            except (OSError, ExploreSlamError) as error:
+                problems.append(cause(error))
+        if problems:
+            raise EvaluationError(
+                f'{len(problems)} of {len(writers)} results cannot be written, the others are in '
+                f'{self.path}: {"; ".join(problems)}'
+            )
+        return self.path / 'report.html'
 
 
 def file_name(vehicle: str) -> str:

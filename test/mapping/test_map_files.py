@@ -6,7 +6,7 @@ import yaml
 from grids import same_grid
 
 from explore_slam.errors import MappingError
-from explore_slam.mapping import GridConfig, OccupancyGrid, load_map, read_pgm, save_map
+from explore_slam.mapping import GridConfig, OccupancyGrid, load_map, read_image, save_map
 
 
 @pytest.fixture
@@ -39,7 +39,7 @@ def test_the_image_has_its_first_row_on_top_as_map_server_wants(grid, tmp_path):
     entries = yaml.safe_load(path.read_text())
     assert entries['image'] == 'map.pgm'
     assert entries['origin'] == [-1.5, 2.25, 0.0]
-    image = read_pgm(tmp_path / 'map.pgm')
+    image = read_image(tmp_path / 'map.pgm').levels
     expected = np.choose(classes(grid)[::-1] + 1, [205, 254, 0])
     assert np.array_equal(image, expected)
 
@@ -69,7 +69,8 @@ def test_modes_negation_comments_and_text_images(tmp_path):
     negated = load_map(write_map(tmp_path, binary, negate=1))
     assert negated.probability()[1, 0] < 0.5 < negated.probability()[1, 2]
     scaled = load_map(write_map(tmp_path, binary, mode='scale'))
-    assert scaled.probability()[0, 1] == pytest.approx(127 / 255, abs=1e-3)
+    between = (127 / 255 - 0.196) / (0.65 - 0.196)  # in proportion between the thresholds
+    assert scaled.probability()[0, 1] == pytest.approx(between, abs=1e-3)
     raw = load_map(write_map(tmp_path, binary, mode='raw'))
     assert np.array_equal(raw.known(), [[False, False, True], [True, False, False]])
     text = b'P2 3 2 255\n0 205 254\n255 128 100\n'
@@ -83,17 +84,18 @@ GOOD = b'P5 2 2 255\n' + bytes([0, 254, 205, 0])
     ('image', 'changes', 'message'),
     [
         (GOOD[:-1], {}, 'truncated'),
-        (b'P6 2 2 255\n' + bytes(12), {}, 'P5 or P2'),
+        (b'P6 2 2 255\n' + bytes(12), {}, 'P2, P5'),
         (b'P5 2', {}, 'header'),
         (b'P5 0 2 255\n', {}, '0 x 2'),
-        (b'P5 2 2 65535\n' + bytes(8), {}, '65535'),
-        (b'P2 2 2 255\n0 1 x 3', {}, 'not a number'),
-        (b'', {}, 'P5 or P2'),
+        (b'P5 2 2 65536\n' + bytes(8), {}, '65536'),
+        (b'P2 2 2 255\n0 1 x 3', {}, 'not a grey value'),
+        (b'', {}, 'P2, P5'),
+        (b'P2 9000 9000 255\n', {}, 'save it as binary'),
         (GOOD, {'resolution': 'fine'}, 'resolution'),
         (GOOD, {'resolution': 0.0}, 'resolution'),
         (GOOD, {'resolution': ...}, 'resolution'),
         (GOOD, {'origin': [0.0, 0.0]}, 'origin'),
-        (GOOD, {'origin': [0.0, 0.0, 0.5]}, 'yaw'),
+        (GOOD, {'origin': [0.0, 0.0, 7.0]}, 'yaw'),
         (GOOD, {'image': ...}, 'image'),
         (GOOD, {'image': 'other.pgm'}, 'cannot be read'),
         (GOOD, {'mode': 'color'}, 'mode'),
@@ -128,6 +130,6 @@ def test_thresholds_decide_what_is_free_in_the_file(tmp_path):
     lax = OccupancyGrid.from_probability(
         np.full((2, 2), 0.6), known, config=GridConfig(map_occupied_threshold=0.55)
     )
-    pixels = [read_pgm(save_map(g, tmp_path / 'm').with_suffix('.pgm'))[0, 0] for g in
+    pixels = [read_image(save_map(g, tmp_path / 'm').with_suffix('.pgm')).levels[0, 0] for g in
               (plain, strict, lax)]  # fmt: skip
     assert pixels == [254, 205, 0]

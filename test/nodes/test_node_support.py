@@ -167,6 +167,6 @@ def test_a_parameter_that_cannot_be_is_one_clear_message(module, setting, text):
 def test_arguments_of_ros_that_cannot_be_read_are_one_message(arguments, text):
     result = run('-m', 'explore_slam.nodes.path_follower', '--ros-args', *arguments)
     assert result.returncode == 1
-    (line,) = [line for line in result.stderr.splitlines() if 'cannot be read' in line]
+    (line,) = [line for line in result.stderr.splitlines() if 'ROS cannot start' in line]
     assert text in line
     assert 'Traceback' not in result.stderr

@@ -1,7 +1,7 @@
 """A world of square cells: walls, glass, clearance, reachable cells, start poses.
 
-Row = y index, col = x index, row 0 at the lowest y. Made from a map_server map (PGM with or
-without YAML), from the solids of a world, from a drawing, or from arrays.
+Row = y index, col = x index, row 0 at the lowest y. Made from a map_server map (an image
+with or without YAML), from the solids of a world, from a drawing, or from arrays.
 """
 
 import math
@@ -15,8 +15,8 @@ from scipy import ndimage
 
 from explore_slam.errors import SimulationError
 from explore_slam.geometry import Array, Pose2
-from explore_slam.mapping import load_map, read_pgm
-from explore_slam.mapping.map_files import FREE_THRESHOLD, OCCUPIED_THRESHOLD
+from explore_slam.mapping import OccupancyGrid, load_map
+from explore_slam.mapping.ray_model import UNKNOWN
 from explore_slam.simulation.worlds.world import World
 
 Mask = NDArray[np.bool_]
@@ -24,6 +24,9 @@ Mask = NDArray[np.bool_]
 # values of a cell; glass stops a vehicle but returns no laser beam
 FREE, SOLID, GLASS = 0, 1, 2
 _LARGEST_SPECK = 10  # cells; larger unknown areas may be rooms that nobody entered
+# Cells of the largest map: 150 m square at 0.05 m. The distances of all cells then take 0.5 GB.
+MAXIMUM_CELLS = 9_000_000
+_SMALLEST_INSIDE = 4.0  # m² of room for vehicles; smaller enclosed areas are no place to start
 _START_WINDOW = 5.0  # m (per axis) around the first start pose, for those of the others
 
 
@@ -52,23 +55,26 @@ class GridWorld:
         return cls(np.where(solid, SOLID, FREE).astype(np.int8), resolution, origin)
 
     @classmethod
-    def from_map(cls, path: Path, resolution: float = 0.05) -> 'GridWorld':
-        """Read a map_server map: a YAML with its image, or a PGM alone with this resolution (m).
+    def from_map(cls, path: Path, resolution: float | None = None) -> 'GridWorld':
+        """Read a map_server map (`load_map`); resolution (m): of an image without a YAML file.
 
-        Cells that map_server calls free are free (its default thresholds for a PGM alone), all
-        others are solid. Exception: isolated specks of unknown cells without an occupied one are
-        gaps in the recording, not objects, and count as free.
+        Free cells are free, all others are solid. Exception: isolated specks of unknown cells
+        without an occupied one are gaps in the recording, not objects, and count as free.
+        Unknown margins are cut off but for one cell. SimulationError for a map that is too large.
         """
-        if path.suffix in ('.yaml', '.yml'):
-            grid = load_map(path)
-            probability, resolution, origin = grid.probability(), grid.resolution, grid.origin
-            free, occupied = grid.known() & (probability < 0.5), probability > 0.5
-        else:
-            shade = 1.0 - read_pgm(path)[::-1] / 255.0
-            free, occupied = shade < FREE_THRESHOLD, shade > OCCUPIED_THRESHOLD
-            origin = (0.0, 0.0)
+        grid = load_map(path, resolution=resolution)
+        evidence, origin = _without_margins(grid)
+        if evidence.size > MAXIMUM_CELLS:
+            rows, columns = evidence.shape
+            raise SimulationError(
+                f'{path}: the known part of the map has {columns} x {rows} cells, expected at '
+                f'most {MAXIMUM_CELLS // 10**6} million: cut out a part of it, or use larger cells'
+            )
+        occupied = evidence > 0
+        free = (evidence < 0) & (evidence != UNKNOWN)
         solid = ~(free | _specks(~free, occupied, _LARGEST_SPECK))
-        return cls(np.where(solid, SOLID, FREE).astype(np.int8), resolution, origin)
+        cells = np.where(solid, np.int8(SOLID), np.int8(FREE))
+        return cls(cells, grid.resolution, origin)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -126,9 +132,10 @@ class GridWorld:
         """Draw start poses of a team that are close together.
 
         The first is drawn from the cells of the largest connected free area that leave room for
-        a radius (m) and two cells. The others are as close to the first as possible, at least
-        `spacing` (m) from each other. For one seed, the poses of a small team are the first poses
-        of a larger one.
+        a radius (m) and two cells; not from what lies around a building, the free area along most
+        of the border, where there is another. The others are as close to the first as possible,
+        at least `spacing` (m) from each other. For one seed, the poses of a small team are the
+        first poses of a larger one.
         """
         rng = np.random.default_rng(seed)
         roomy, parts = ndimage.label(self.clearance >= radius + 2.0 * self.resolution)
@@ -136,6 +143,12 @@ class GridWorld:
             raise SimulationError(f'grid world: no place has room for a radius of {radius} m')
         sizes = np.bincount(roomy.ravel())
         sizes[0] = 0
+        outside = self._outside()
+        if outside is not None:
+            inside = np.bincount(roomy[~outside], minlength=len(sizes))
+            inside[0] = 0
+            if inside.max() * self.resolution**2 >= _SMALLEST_INSIDE:
+                sizes = inside
         largest = np.argwhere(roomy == sizes.argmax())
         first = largest[rng.integers(len(largest))]
         window = np.abs(largest - first).max(axis=1) <= _START_WINDOW / self.resolution
@@ -156,6 +169,18 @@ class GridWorld:
             Pose2(float(x), float(y), float(rng.uniform(-math.pi, math.pi))) for x, y in chosen
         ]
 
+    def _outside(self) -> Mask | None:
+        """Return the connected free area (H, W) with most cells of the border, if there is one."""
+        free = self.cells == FREE
+        rim = np.zeros(self.shape, np.bool_)
+        rim[0], rim[-1], rim[:, 0], rim[:, -1] = True, True, True, True
+        border = np.count_nonzero(rim)
+        if 2 * np.count_nonzero(free & rim) <= border:
+            return None
+        labels, _ = ndimage.label(free)
+        counts = np.bincount(labels[rim & free])
+        return labels == counts.argmax() if 2 * counts.max() > border else None
+
     def _connected(self, cells: NDArray[np.intp], first: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return those of the cells (N, 2) that are 4-connected with the first one."""
         low = cells.min(axis=0)
@@ -165,6 +190,18 @@ class GridWorld:
         kept = labels[tuple((cells - low).T)] == labels[tuple(first - low)]
         connected: NDArray[np.intp] = cells[kept]
         return connected
+
+
+def _without_margins(grid: OccupancyGrid) -> tuple[NDArray[np.int16], tuple[float, float]]:
+    """Return the evidence of the known part with a cell around it, and its corner (m)."""
+    evidence, (x, y) = grid.evidence(), grid.origin
+    known = evidence != UNKNOWN
+    rows, columns = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
+    if not rows.size:
+        return evidence[:1, :1], (x, y)
+    first, left = max(0, int(rows[0]) - 1), max(0, int(columns[0]) - 1)
+    part = evidence[first : int(rows[-1]) + 2, left : int(columns[-1]) + 2]
+    return part, (x + left * grid.resolution, y + first * grid.resolution)
 
 
 def _specks(solid: Mask, occupied: Mask, largest: int) -> Mask:

@@ -3,14 +3,11 @@
 from pathlib import Path
 
 from explore_slam.errors import SimulationError
+from explore_slam.mapping.map_files import is_map
 from explore_slam.simulation.worlds.grid_world import GridWorld
 from explore_slam.simulation.worlds.map_world import world_of_map
 from explore_slam.simulation.worlds.world import World
 from explore_slam.simulation.worlds.world_file import read_entries, world_of_file
-
-_MAP_KEY = 'image'  # a YAML file with this key is a map of map_server, any other is a world file
-_YAML_SUFFIXES = ('.yaml', '.yml')
-_IMAGE_SUFFIXES = ('.pgm', '.png', '.bmp')
 
 
 def world_path(name: str) -> Path:
@@ -35,26 +32,19 @@ def world_path(name: str) -> Path:
 
 
 def load_world(path: Path | str) -> World:
-    """Read a world file or a map_server map (both YAML).
+    """Read a world file or a map_server map (both YAML, or an image with its YAML beside it).
 
     Raises SimulationError that names the file and what is wrong with it.
     """
     path = Path(path)
-    if path.suffix.lower() in _IMAGE_SUFFIXES:
-        raise SimulationError(
-            f'{path} is the image of a map; give its YAML file, which holds the resolution'
-        )
-    content = read_entries(path)
-    return world_of_map(path) if _MAP_KEY in content else world_of_file(path, content)
+    return world_of_map(path) if is_map(path) else world_of_file(path, read_entries(path))
 
 
 def load_grid_world(path: Path, resolution: float = 0.05) -> GridWorld:
-    """Read a map_server map (YAML, or PGM alone) or a world file (YAML) as cells.
+    """Read a map_server map (YAML, or image alone) or a world file (YAML) as cells.
 
     resolution: side (m) of a cell for world files and for images without a YAML file.
     """
-    if path.suffix.lower() in _YAML_SUFFIXES:
-        content = read_entries(path)
-        if _MAP_KEY not in content:
-            return GridWorld.from_world(world_of_file(path, content), resolution)
-    return GridWorld.from_map(path, resolution)
+    if is_map(path):
+        return GridWorld.from_map(path, resolution)
+    return GridWorld.from_world(world_of_file(path, read_entries(path)), resolution)

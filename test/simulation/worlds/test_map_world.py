@@ -107,7 +107,7 @@ def test_unknown_areas_are_solid_and_starts_are_suggested(tmp_path):
         ({'resolution': None}, 'resolution'),
         ({'resolution': 'x'}, 'resolution'),
         ({'image': 'other.pgm'}, 'other.pgm'),
-        ({'origin': '[0, 0, 1.0]'}, 'yaw'),
+        ({'origin': '[0, 0, 90]'}, 'yaw'),
     ],
 )
 def test_a_broken_map_is_named(tmp_path, entries, words):

@@ -1,0 +1,63 @@
+"""The executables of the nodes; each imports its module only when it starts.
+
+An import that fails, of ROS or of a library, is one line then, as any other failure is
+(`run_guarded`).
+"""
+
+import importlib
+import os
+import sys
+
+from explore_slam.environment import prepare_ros, start_isolated
+from explore_slam.failures import run_guarded
+
+
+def start(module: str) -> int:
+    """Run the node of a module of this package; return the exit code."""
+    start_isolated()
+
+    def run() -> int:
+        prepare_ros(os.environ)
+        return int(importlib.import_module(f'explore_slam.nodes.{module}').main())
+
+    return run_guarded(module, run)
+
+
+def agent() -> int:
+    """Run the agent."""
+    return start('agent_node')
+
+
+def pioneer_driver() -> int:
+    """Run the driver of a vehicle."""
+    return start('pioneer_driver')
+
+
+def path_follower() -> int:
+    """Run the path follower of a vehicle."""
+    return start('path_follower')
+
+
+def feature_extractor() -> int:
+    """Run the feature extractor of a vehicle."""
+    return start('feature_extractor')
+
+
+def simulator() -> int:
+    """Run the simulator."""
+    return start('simulator')
+
+
+def recorder() -> int:
+    """Run the recorder."""
+    return start('recorder')
+
+
+def player() -> int:
+    """Run the player."""
+    return start('player')
+
+
+if __name__ == '__main__':  # python -m explore_slam.nodes.executables MODULE ...
+    del sys.argv[0]
+    sys.exit(start(sys.argv[0]))
