@@ -112,6 +112,7 @@ class LaserScan:
     timing: what is known apart from that.
     bearings (B,) rad in the laser frame: where the beams point if not to equal steps, because the
     motion within the sweep has been undone; None: equal steps.
+    sensor: which laser of the vehicle it is from; '' where there is one only.
     """
 
     stamp: float
@@ -125,6 +126,7 @@ class LaserScan:
     scan_time: float = 0.0
     timing: SweepTiming = _UNKNOWN_TIMING
     bearings: NDArray[np.float32] | None = None
+    sensor: str = ''
 
     def __post_init__(self) -> None:
         _check_stamp(self, self.stamp)
@@ -224,6 +226,7 @@ class RgbdFrame:
 
     mount: pose of the optical frame (x right, y down, z forward) in the vehicle frame; None: that
     of the settings.
+    sensor: which camera of the vehicle it is from; '' where there is one only.
     """
 
     stamp: float
@@ -231,6 +234,7 @@ class RgbdFrame:
     depth: NDArray[np.uint16] | NDArray[np.float32]
     intrinsics: Intrinsics
     mount: Pose3 | None = None
+    sensor: str = ''
 
     def __post_init__(self) -> None:
         _check_stamp(self, self.stamp)

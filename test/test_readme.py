@@ -160,15 +160,20 @@ def test_every_python_block_is_run_above():
 
 def test_every_parameter_file_is_one(tmp_path):
     texts = [text for path in DOCUMENTS for text in blocks(path, 'yaml')]
-    assert len(texts) == 1
+    assert len(texts) == 2
+    made = []
     for text in texts:
         (tmp_path / 'agent.yaml').write_text(text)
         own, team = split_vehicle_values(read_parameters(tmp_path / 'agent.yaml'))
         config = with_values(AgentNodeConfig(), team)
-        vehicles = settings_of_vehicles(own, config.vehicles)
-        assert [vehicle.vision for vehicle in vehicles.values()] == ['none', 'agent']
-        assert vehicles['robot2'].laser_mount == pytest.approx((-0.1, 0.0, 3.1416))
-        assert list(config.poses()) == ['robot1', 'robot2']
+        made.append(settings_of_vehicles(own, config.vehicles))
+        assert list(config.poses()) == list(made[-1])
+    differing, sensors = made
+    assert [vehicle.vision for vehicle in differing.values()] == ['none', 'agent']
+    assert differing['robot2'].laser_mount == pytest.approx((-0.1, 0.0, 3.1416))
+    names = [topic.name for topic in sensors['robot1'].laser_topics]
+    assert names == ['front/scan', 'rear/scan', 'velodyne_points']
+    assert sensors['robot1'].laser_pose('rear/scan').x == -0.25
 
 
 @pytest.fixture

@@ -38,6 +38,7 @@ from explore_slam.geometry import IDENTITY, Array, Pose2, rotated
 from explore_slam.mapping import LaserMap, OccupancyGrid, save_map
 from explore_slam.slam import Landmarks, OdometryCalibration, TeamBelief, compound
 from explore_slam.slam.checks import check_motion_covariance, check_pose
+from explore_slam.sweeps import Sweep
 
 
 class Agent:
@@ -154,9 +155,7 @@ class Agent:
         if not track.odometry.add(reading):
             track.count('late_odometry')
             return
-        if track.odometry.resets != resets:
-            track.sweeps.detector.clear()
-        track.sweeps.detector.add_odometry(reading)
+        track.sweeps.add_odometry(reading, jumped=track.odometry.resets != resets)
         if track.odometry.restarts != restarts:
             track.placement.displace()
             self.belief.displace(track.name, DISPLACED)
@@ -284,6 +283,13 @@ class Agent:
             name: {**track.counts, 'odometry_resets': track.odometry.resets}
             for name, track in self.tracks.items()
         }
+
+    def found_sweeps(self) -> dict[str, dict[str, Sweep]]:
+        """Return vehicle -> laser -> when its beams are measured, where its scans have shown it.
+
+        The only laser of a vehicle is ''.
+        """
+        return {name: track.sweeps.found() for name, track in self.tracks.items()}
 
     def odometry_calibrations(self) -> dict[str, OdometryCalibration]:
         """Return the estimated calibration of the wheel odometry of every vehicle."""

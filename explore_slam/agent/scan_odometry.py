@@ -5,10 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from explore_slam.agent.scan_sets import PlacedCloud
 from explore_slam.agent.vehicle_track import VehicleTrack, compound_steps
 from explore_slam.data import LaserScan
 from explore_slam.geometry import IDENTITY, Pose2, rotated
-from explore_slam.registration import Refusal, ScanMatch, scan_cloud
+from explore_slam.registration import Refusal, ScanMatch, merged, scan_cloud
 from explore_slam.slam import FastSlamConfig, calibrated
 
 # Trace (m² + rad²) of the covariance of a motion below which the vehicle stands still: with the
@@ -33,6 +34,8 @@ def refine_by_scan(
 ) -> None:
     """Match a scan with earlier ones and correct the odometry since the last match.
 
+    The scan of one of several lasers waits for those of the others.
+
     laser: its pose in the vehicle frame.
     slam: noise and calibration of the wheel odometry. Between scans far apart its systematic
     errors are larger than the noise: they are part of the prior as if they were unknown.
@@ -40,18 +43,32 @@ def refine_by_scan(
     A scan that is refused leaves the odometry unchanged. While the vehicle stands still nothing is
     corrected, so that the noise of matching does not move it.
     """
-    since = max(track.matched_until, track.odometry.first)
-    if scan.stamp <= since:
+    if scan.stamp <= max(track.matched_until, track.odometry.first):
         return
-    motion, covariance = compound_steps(
-        IDENTITY, np.zeros((3, 3)), track.odometry.steps(since, scan.stamp), slam.odometry_noise
-    )
     cloud = scan_cloud(scan, laser, track.matcher.config.matching_range).masked(bodies)
-    if track.matcher.started and covariance.trace() < _STATIONARY_TRACE:
-        track.matched_until = scan.stamp
-        track.clouds.append((scan.stamp, cloud))
+    for clouds in track.sets.add(scan.sensor, scan.stamp, cloud):
+        _refine_by_clouds(track, clouds, slam)
+
+
+def _refine_by_clouds(
+    track: VehicleTrack, clouds: Sequence[PlacedCloud], slam: FastSlamConfig
+) -> None:
+    """Match clouds of several lasers at once and correct the odometry since the last match."""
+    since = max(track.matched_until, track.odometry.first)
+    stamp, cloud = clouds[-1]
+    if stamp <= since:
         return
-    prior = track.odometry.at(scan.stamp)
+    if len(clouds) > 1:
+        now = track.odometry.at(stamp)
+        cloud = merged([c.moved(now.between(track.odometry.at(s))) for s, c in clouds])
+    motion, covariance = compound_steps(
+        IDENTITY, np.zeros((3, 3)), track.odometry.steps(since, stamp), slam.odometry_noise
+    )
+    if track.matcher.started and covariance.trace() < _STATIONARY_TRACE:
+        track.matched_until = stamp
+        track.clouds.append((stamp, cloud))
+        return
+    prior = track.odometry.at(stamp)
     systematic = calibrated(motion, np.zeros(3)).sensitivity * slam.calibration.deviations()
     covariance = covariance + systematic @ systematic.T
     sideways = _COURSE_DEVIATION * np.array([-motion.y, motion.x])
@@ -62,18 +79,18 @@ def refine_by_scan(
     restarted = track.matcher.restarts != restarts
     if isinstance(match, ScanMatch):
         track.count('matched_scans')
-        track.clouds.append((scan.stamp, cloud))
+        track.clouds.append((stamp, cloud))
         # where the map began anew, only wheel odometry connects it with the last match
         drift = match.drift + wheels if restarted else match.drift
-        track.odometry.correct(since, scan.stamp, match.pose, drift, match.white, wheels)
+        track.odometry.correct(since, stamp, match.pose, drift, match.white, wheels)
         if track.keyframe is not None:
             # the correction before the newest keyframe is already part of the filter's estimate
             corrected = track.odometry.at(track.keyframe.stamp)
             track.keyframe = replace(track.keyframe, odometry=corrected)
-        track.matched_until = scan.stamp
+        track.matched_until = stamp
     elif match.reason is Refusal.FIRST:
-        track.clouds.append((scan.stamp, cloud))
+        track.clouds.append((stamp, cloud))
     else:
         track.count('unmatched_scans')
         if restarted:
-            track.matched_until = scan.stamp
+            track.matched_until = stamp

@@ -8,7 +8,7 @@ import numpy as np
 from explore_slam.agent.measurement_queue import MeasurementQueue
 from explore_slam.agent.odometry import OdometryBuffer
 from explore_slam.agent.sweep_detection import SweepDetector
-from explore_slam.data import LaserScan
+from explore_slam.data import LaserScan, OdometryReading
 from explore_slam.geometry import Pose2
 from explore_slam.sweeps import Sweep, SweepJudge, deskewed
 
@@ -37,6 +37,66 @@ class _Waiting:
             self.end = max(self.end, scan.stamp + test)
 
 
+class SweepQueues:
+    """The sweeps of all lasers of a vehicle, one queue per laser."""
+
+    def __init__(self, vehicle: str) -> None:
+        self._vehicle = vehicle
+        # it knows the odometry from before the first scan, and becomes that of the first laser
+        self._first = SweepQueue(vehicle)
+        self._by_laser: dict[str, SweepQueue] = {}
+
+    def of(self, laser: str) -> 'SweepQueue':
+        """Return the queue of a laser; '' is that of a vehicle with one laser."""
+        queue = self._by_laser.get(laser)
+        if queue is None:
+            queue = SweepQueue(self._vehicle) if self._by_laser else self._first
+            if laser:
+                queue.name(f'{self._vehicle}, {laser}')
+            self._by_laser[laser] = queue
+        return queue
+
+    @property
+    def all(self) -> list['SweepQueue']:
+        """The queues of all lasers."""
+        return list(self._by_laser.values()) or [self._first]
+
+    @property
+    def several(self) -> bool:
+        """Whether the vehicle has several lasers."""
+        return len(self._by_laser) > 1
+
+    @property
+    def first(self) -> float:
+        """Stamp (s) at which the oldest waiting scan will count as measured; inf when empty."""
+        return min(queue.first for queue in self.all)
+
+    def found(self) -> dict[str, Sweep]:
+        """Return laser -> what its scans have shown, where they have shown it."""
+        return {
+            laser: queue.judge.found
+            for laser, queue in self._by_laser.items()
+            if queue.judge.found is not None
+        }
+
+    def add_odometry(self, reading: OdometryReading, jumped: bool) -> None:
+        """Add a reading as the base reports it; jumped: it does not continue those before."""
+        for queue in self.all:
+            if jumped:
+                queue.detector.clear()
+            queue.detector.add_odometry(reading)
+
+    def keep_knowledge(self, other: 'SweepQueues') -> None:
+        """Take over what the scans have shown to other queues of the same vehicle."""
+        for laser, queue in other._by_laser.items():
+            self.of(laser).keep_knowledge(queue)
+
+    def clear(self) -> None:
+        """Drop what waits: the clock has jumped."""
+        for queue in self.all:
+            queue.clear()
+
+
 class SweepQueue:
     """Undoes the motion within the sweeps of one vehicle's laser.
 
@@ -51,6 +111,10 @@ class SweepQueue:
         self._waiting: MeasurementQueue[_Waiting] = MeasurementQueue()
         self._held: deque[LaserScan] = deque()
         self._may_hold = True
+
+    def name(self, laser: str) -> None:
+        """Name the laser in all messages."""
+        self.judge.vehicle = self.detector.vehicle = laser
 
     @property
     def first(self) -> float:

@@ -87,8 +87,7 @@ class Team:
         self.extractor = FeatureExtractor(config.vision)
         self.config = config
         for track in self.tracks.values():
-            track.selector.config = config.vision.keyframes
-            track.matcher.config = config.scan_matching
+            track.configure(config.vision.keyframes, config.scan_matching)
 
     def track(self, vehicle: str) -> VehicleTrack:
         """Return the track of a vehicle; AgentError if there is none of this name."""

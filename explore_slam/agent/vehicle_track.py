@@ -9,12 +9,14 @@ import numpy as np
 from explore_slam.agent.measurement_queue import MeasurementQueue, Stamped
 from explore_slam.agent.odometry import OdometryBuffer, Step
 from explore_slam.agent.placement import Placement
-from explore_slam.agent.sweep_queue import SweepQueue
+from explore_slam.agent.scan_sets import ScanSets
+from explore_slam.agent.sweep_queue import SweepQueues
 from explore_slam.data import FollowerReport, LaserScan, Plan, VehicleBody, VehicleState
 from explore_slam.geometry import IDENTITY, Array, Pose2
-from explore_slam.registration import PointCloud, ScanMatcher
+from explore_slam.registration import PointCloud, ScanMatcher, ScanMatchingConfig
 from explore_slam.slam import OdometryNoise, compound
 from explore_slam.vision import KeyframeSelector
+from explore_slam.vision.sections import KeyframeConfig
 
 _CLOUDS = 50  # as many scans as may wait by default
 
@@ -35,9 +37,10 @@ class VehicleTrack:
     start: its pose in the map, None: unknown.
     placement: whether its pose can be relied on.
     body: its size and speed.
-    last_scan: stamp (s) and odometry pose of the newest scan that entered the map.
+    last_scans: stamp (s) and odometry pose of the newest scan of each laser in the map.
     matched_until: stamp (s) up to which scan matching has refined the odometry.
     sweeps: scans whose beams were measured one after the other, until odometry covers them.
+    sets: clouds of several lasers, until they can be matched together.
     clouds: stamps (s) and point clouds of the newest scans that were placed by matching.
     last_match_attempt: stamp (s) of the newest scan that was passed to scan matching.
     last_heard: time (s) of the agent when odometry arrived last.
@@ -54,7 +57,7 @@ class VehicleTrack:
     placement: Placement
     body: VehicleBody = field(default_factory=VehicleBody)
     keyframe: Keyframe | None = None
-    last_scan: tuple[float, Pose2] | None = None
+    last_scans: dict[str, tuple[float, Pose2]] = field(default_factory=dict)
     matched_until: float = -np.inf
     last_match_attempt: float = -np.inf
     last_heard: float = -np.inf
@@ -66,15 +69,31 @@ class VehicleTrack:
     waiting: MeasurementQueue[Stamped] = field(default_factory=MeasurementQueue)
     unmatched: MeasurementQueue[LaserScan] = field(default_factory=MeasurementQueue)
     clouds: deque[tuple[float, PointCloud]] = field(default_factory=lambda: deque(maxlen=_CLOUDS))
-    sweeps: SweepQueue = field(init=False)
+    sets: ScanSets = field(default_factory=ScanSets)
+    sweeps: SweepQueues = field(init=False)
 
     def __post_init__(self) -> None:
-        self.sweeps = SweepQueue(self.name)
+        self.sweeps = SweepQueues(self.name)
+        self._selectors: dict[str, KeyframeSelector] = {}
 
     def count(self, name: str, times: int = 1) -> None:
         """Count an event that has happened once, some times, or not at all."""
         if times:
             self.counts[name] = self.counts.get(name, 0) + times
+
+    def selector_of(self, camera: str) -> KeyframeSelector:
+        """Return the selector of a camera's keyframes: each camera has its own."""
+        if camera not in self._selectors:
+            first = not self._selectors
+            config = self.selector.config
+            self._selectors[camera] = self.selector if first else KeyframeSelector(config)
+        return self._selectors[camera]
+
+    def configure(self, keyframes: KeyframeConfig, matching: ScanMatchingConfig) -> None:
+        """Replace the settings."""
+        for selector in (self.selector, *self._selectors.values()):
+            selector.config = keyframes
+        self.matcher.config = matching
 
     def wait(self, measurement: Stamped, capacity: int) -> None:
         """Queue a measurement until odometry reaches its stamp."""
@@ -90,8 +109,13 @@ class VehicleTrack:
         return None
 
     def next_to_match(self) -> LaserScan | None:
-        """Return the oldest scan to be matched that odometry has reached, or None."""
+        """Return the oldest scan to be matched that odometry has reached, or None.
+
+        It waits for earlier scans of other lasers whose sweeps are not complete.
+        """
         if self.unmatched.first > self.odometry.last:
+            return None
+        if self.sweeps.several and self.unmatched.first > self.sweeps.first:
             return None
         scan = self.unmatched.pop()
         self.last_match_attempt = max(self.last_match_attempt, scan.stamp)
@@ -108,7 +132,7 @@ class VehicleTrack:
         if stamp > self.odometry.last or stamp >= self.sweeps.first:
             return None
         matching = stamp - timeout < self.last_match_attempt < stamp
-        if matching and self.odometry.last < stamp + timeout:
+        if (matching or self.sets.first <= stamp) and self.odometry.last < stamp + timeout:
             return None
         return self.waiting.pop()
 
@@ -119,10 +143,13 @@ class VehicleTrack:
         self.waiting.clear()
         self.unmatched.clear()
         self.sweeps.clear()
-        self.selector.reset()
+        for selector in (self.selector, *self._selectors.values()):
+            selector.reset()
+        self.sets.clear()
         self.matcher.reset()
         self.clouds.clear()
-        self.last_scan, self.last_seen = None, -np.inf
+        self.last_scans.clear()
+        self.last_seen = -np.inf
         self.matched_until = self.last_match_attempt = -np.inf
         if self.keyframe is not None:
             self.keyframe = replace(self.keyframe, stamp=self.odometry.last)

@@ -29,6 +29,7 @@ from explore_slam.live.processes import (
 )
 from explore_slam.live.run_monitor import RunMonitor, RunState
 from explore_slam.mapping import OccupancyGrid
+from explore_slam.messages.sweep_status import SWEEP_KEY
 from explore_slam.nodes.agent_parameters import AgentNodeConfig
 from explore_slam.results.reachable_area import ReachableArea
 from explore_slam.results.run_data import RunData, RunRecorder
@@ -323,6 +324,14 @@ class LiveRun:
                     key: float(found[f'odometry_{key}'])
                     for key in OdometryCalibration._fields
                     if f'odometry_{key}' in found
+                }
+                for name, found in health.items()
+            },
+            'sweeps': {
+                name: {
+                    key.removeprefix(SWEEP_KEY): value
+                    for key, value in found.items()
+                    if key.startswith(SWEEP_KEY)
                 }
                 for name, found in health.items()
             },

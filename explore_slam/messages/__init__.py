@@ -39,6 +39,7 @@ from explore_slam.messages.motion import (
     path_message,
     plan_record,
     pose_array_message,
+    stamped_twist_message,
     twist_message,
 )
 from explore_slam.messages.odometry import odometry_message, odometry_record
@@ -75,6 +76,7 @@ __all__ = [
     'scan_message',
     'scan_record',
     'seconds',
+    'stamped_twist_message',
     'time_message',
     'transform_message',
     'twist_message',

@@ -48,6 +48,7 @@ class FramePairing:
     used once: the second one with its stamp is ignored.
 
     mounts: of the vehicle's sensors, for the pose of the camera.
+    sensor: which of the vehicle's cameras it is; '' is the only one.
     tolerance: largest difference of the stamps of a pair (s); default: the vehicle's setting.
     unpaired: images whose partner never arrived.
     without_camera_info: pairs that arrived before any camera_info.
@@ -56,10 +57,12 @@ class FramePairing:
     def __init__(
         self,
         mounts: SensorMounts | None = None,
+        sensor: str = '',
         tolerance: float | None = None,
         depth: int = PAIRING_DEPTH,
     ) -> None:
         self._mounts = mounts
+        self._sensor = sensor
         config = VehicleConfig() if mounts is None else mounts.config
         self._tolerance = config.pairing_tolerance if tolerance is None else tolerance
         self._colors: _Images = deque()
@@ -146,7 +149,7 @@ class FramePairing:
         if self._mounts is not None:
             frame = color.message.header.frame_id
             self._mounts.check_registered(frame, depth.message.header.frame_id)
-            mount = self._mounts.optical_pose(frame)
+            mount = self._mounts.optical_pose(frame, self._sensor)
         return RgbdFrame(color.stamp, rgb, metres, self._intrinsics, mount)
 
 
@@ -186,9 +189,12 @@ FRAME = MeasurementKind(
     name='frame',
     topics=(*COLOR_TOPICS, *DEPTH_TOPICS, TopicKind.CAMERA_INFO),
     reader=FramePairing,
-    write=lambda factory, frames, frame: frame_messages(factory, frames.camera, frame),
+    write=lambda factory, frames, frame: frame_messages(
+        factory, frames.camera_frame(frame.sensor), frame
+    ),
     queue_limit=4,
     expected=(TopicKind.COLOR, TopicKind.DEPTH, TopicKind.CAMERA_INFO),
     vision='agent',
     high_bandwidth=True,
+    camera=True,
 )

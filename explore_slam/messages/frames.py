@@ -32,6 +32,15 @@ class FrameNames:
         """Frame of the laser, e.g. 'robot1/laser'."""
         return f'{self.vehicle}/{self.laser_suffix}'
 
+    def laser_frame(self, sensor: str) -> str:
+        """Return the frame of one of several lasers, e.g. 'robot1/front_scan'; '': of the one."""
+        return f'{self.vehicle}/{sensor.replace("/", "_")}' if sensor else self.laser
+
+    def camera_frame(self, sensor: str) -> str:
+        """Return the optical frame of one of several cameras; '': of the only one."""
+        name = sensor.replace('/', '_')
+        return f'{self.vehicle}/{name}_optical_frame' if sensor else self.camera
+
     @property
     def camera(self) -> str:
         """Optical frame of the camera, e.g. 'robot1/camera_optical_frame'."""

@@ -40,7 +40,7 @@ def inter_robot_message(factory: MessageFactory, observation: InterRobotObservat
 INTER_ROBOT = MeasurementKind(
     name='inter_robot',
     topics=(TopicKind.INTER_ROBOT,),
-    reader=lambda _: MessageReader(inter_robot_record),
+    reader=lambda _mounts, _sensor: MessageReader(inter_robot_record),
     write=lambda factory, _frames, observation: [
         (TopicKind.INTER_ROBOT, inter_robot_message(factory, observation))
     ],

@@ -83,7 +83,7 @@ def _descriptors(columns: dict[str, NDArray[Any]]) -> NDArray[Any]:
 LANDMARKS = MeasurementKind(
     name='landmarks',
     topics=(TopicKind.LANDMARKS,),
-    reader=lambda _: MessageReader(landmarks_record),
+    reader=lambda _mounts, _sensor: MessageReader(landmarks_record),
     write=lambda factory, frames, observations: [
         (TopicKind.LANDMARKS, landmarks_message(factory, observations, frames.base))
     ],

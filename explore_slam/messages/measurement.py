@@ -1,5 +1,6 @@
 """What the package must know of one kind of measurement: topics, conversion, receiver, queue."""
 
+import logging
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
@@ -15,8 +16,13 @@ from explore_slam.errors import DataError
 from explore_slam.messages.base import MessageFactory
 from explore_slam.messages.frames import FrameNames
 from explore_slam.messages.sensor_mounts import SensorMounts
-from explore_slam.messages.topics import TopicKind
+from explore_slam.messages.topics import COLOR_TOPICS, DEPTH_TOPICS, SensorTopic, TopicKind
 from explore_slam.messages.vehicle_settings import VehicleConfig
+
+logger = logging.getLogger(__name__)
+
+# topics whose records name their sensor
+_SENSOR_TOPICS = (TopicKind.SCAN, TopicKind.CLOUD, *COLOR_TOPICS, *DEPTH_TOPICS)
 
 Record = OdometryReading | LaserScan | RgbdFrame | LandmarkObservations | InterRobotObservation
 TopicMessages = list[tuple[TopicKind, Any]]
@@ -78,26 +84,37 @@ class MeasurementKind:
 
     name: in queues and diagnostics.
     topics: all that may carry it; events are labelled with the first one.
-    reader: makes the Reader of one vehicle from the mounts of its sensors, if they are known.
+    reader: makes the Reader of one sensor of a vehicle, whose mounts may be known; sensor as of
+    SensorTopic.
     write: record -> messages by topic.
     queue_limit: records per vehicle that may wait for the agent's worker; the oldest is dropped.
     expected: topics whose silence is explained to the operator.
     vision: the value of the setting `vision` with which it is expected; '' is any.
-    laser: it is expected of vehicles with a laser scanner only.
+    laser: it is expected of vehicles with a laser scanner only, and there may be several.
+    camera: it comes from a camera, of which there may be several.
     clock: the setting of the vehicle that is added to its stamps.
     high_bandwidth: subscribed to only with that setting, to save bandwidth.
     """
 
     name: str
     topics: tuple[TopicKind, ...]
-    reader: Callable[[SensorMounts | None], Reader]
+    reader: Callable[[SensorMounts | None, str], Reader]
     write: Callable[[MessageFactory, FrameNames, Any], TopicMessages]
     queue_limit: int
     expected: tuple[TopicKind, ...] = ()
     vision: str = ''
     high_bandwidth: bool = False
     laser: bool = False
+    camera: bool = False
     clock: str = 'camera_time_offset'
+
+    def topics_of(self, config: VehicleConfig) -> list[SensorTopic]:
+        """Return the topics that carry it with the settings of a vehicle."""
+        if self.laser:
+            return config.laser_topics
+        if self.camera:
+            return config.camera_topics(self.topics)
+        return [SensorTopic(topic, topic.value) for topic in self.topics]
 
     def is_expected(self, config: VehicleConfig) -> bool:
         """Return whether it is expected of a vehicle with these settings."""
@@ -120,17 +137,30 @@ class VehicleReader:
         self, kinds: Iterable[MeasurementKind], mounts: SensorMounts | None = None
     ) -> None:
         self._mounts = mounts
-        self._readers = [(kind, kind.reader(mounts)) for kind in kinds]
-        self._by_topic = {
-            topic: (kind, reader) for kind, reader in self._readers for topic in kind.topics
-        }
+        kinds = list(kinds)
+        self._by_topic = {topic: kind for kind in kinds for topic in kind.topics}
+        self._readers = {(kind.name, ''): kind.reader(mounts, '') for kind in kinds}
+        self._frames: dict[tuple[TopicKind, str], str] = {}  # first header.frame_id of a topic
+        self._mixed: set[tuple[TopicKind, str]] = set()  # topics with several of them
 
-    def read(self, topic: TopicKind, message: Any) -> tuple[MeasurementKind, Any] | None:
-        """Return kind and record, or None while messages of other topics are missing."""
-        kind, reader = self._by_topic[topic]
+    def read(
+        self, topic: TopicKind, message: Any, sensor: str = ''
+    ) -> tuple[MeasurementKind, Any] | None:
+        """Return kind and record, or None while messages of other topics are missing.
+
+        sensor: which of the vehicle's lasers or cameras it is from; see SensorTopic.
+        """
+        kind = self._by_topic[topic]
+        reader = self._readers.get((kind.name, sensor))
+        if reader is None:
+            reader = self._readers[kind.name, sensor] = kind.reader(self._mounts, sensor)
         record = reader.read(topic, message)
         if record is None:
             return None
+        if topic in _SENSOR_TOPICS:
+            sensor = self._told_apart(topic, sensor, message.header.frame_id)
+            if sensor:
+                record = replace(record, sensor=sensor)
         if self._mounts is not None:
             if topic is TopicKind.ODOMETRY:
                 self._mounts.add_odometry(message)
@@ -139,16 +169,33 @@ class VehicleReader:
                 record = replace(record, stamp=record.stamp + offset)
         return kind, record
 
+    def _told_apart(self, topic: TopicKind, sensor: str, frame: str) -> str:
+        """Return which sensor a message is from, where those of several share its topic."""
+        first = self._frames.setdefault((topic, sensor), frame)
+        if frame == first:
+            return sensor
+        name = sensor or topic.value
+        if (topic, sensor) not in self._mixed:
+            self._mixed.add((topic, sensor))
+            vehicle = self._mounts.vehicle if self._mounts is not None else 'a vehicle'
+            logger.warning(
+                '%s: messages on %s have the frames %r and %r: they are taken as those of '
+                'different sensors, each with its own mount; give every sensor a topic of its own',
+                vehicle, name, first, frame,
+            )  # fmt: skip
+        return f'{name}, {frame}'
+
     def losses(self) -> dict[str, int]:
         """Return what could not be used so far, by name."""
         found: dict[str, int] = {}
-        for _, reader in self._readers:
-            found.update(reader.losses())
+        for reader in self._readers.values():
+            for name, count in reader.losses().items():
+                found[name] = found.get(name, 0) + count
         return found
 
     def explanations(self) -> dict[str, str]:
         """Return name of a loss -> why, as the end of a sentence that begins with the number."""
         found: dict[str, str] = {}
-        for _, reader in self._readers:
+        for reader in self._readers.values():
             found.update(reader.explanations())
         return found

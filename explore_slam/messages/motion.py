@@ -26,6 +26,17 @@ def twist_message(factory: MessageFactory, linear: float, angular: float) -> Any
     )
 
 
+def stamped_twist_message(
+    factory: MessageFactory, stamp: float, frame: str, linear: float, angular: float
+) -> Any:
+    """Return a geometry_msgs/TwistStamped: m/s forward, rad/s to the left, in the base frame."""
+    return factory.make(
+        'geometry_msgs/TwistStamped',
+        header=header(factory, stamp, frame),
+        twist=twist_message(factory, linear, angular),
+    )
+
+
 def plan_record(message: Any, vehicle: str) -> Plan:
     """Return the plan of a vehicle from a nav_msgs/Path; an empty path means stop."""
     poses = [planar_pose(stamped.pose) for stamped in message.poses]

@@ -60,7 +60,7 @@ def odometry_message(
 ODOMETRY = MeasurementKind(
     name='odometry',
     topics=(TopicKind.ODOMETRY,),
-    reader=lambda _: MessageReader(odometry_record),
+    reader=lambda _mounts, _sensor: MessageReader(odometry_record),
     write=lambda factory, frames, reading: [
         (TopicKind.ODOMETRY, odometry_message(factory, reading, frames.odom, frames.base))
     ],

@@ -1,14 +1,16 @@
 """Laser scans."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from explore_slam.data import LaserScan
 from explore_slam.messages.base import MessageFactory, header, seconds
-from explore_slam.messages.measurement import MeasurementKind, MessageReader
+from explore_slam.messages.measurement import MeasurementKind
 from explore_slam.messages.sensor_mounts import SensorMounts
 from explore_slam.messages.topics import TopicKind
+from explore_slam.messages.transforms import TransformTree
 
 
 def scan_record(message: Any) -> LaserScan:
@@ -43,21 +45,40 @@ def scan_message(factory: MessageFactory, scan: LaserScan, frame: str) -> Any:
     )
 
 
-def scan_reader(mounts: SensorMounts | None) -> MessageReader:
-    """Return the reader of a vehicle's scans, which get the mount of their laser."""
-    if mounts is None:
-        return MessageReader(scan_record)
-    return MessageReader(
-        lambda message: mounts.place_scan(scan_record(message), message.header.frame_id)
-    )
+class ScanReader:
+    """Converts the scans of one laser, or the clouds of one 3-D lidar, which get its mount.
+
+    sensor: which of the vehicle's lasers it is; '' is the only one.
+    """
+
+    def __init__(self, mounts: SensorMounts | None, sensor: str = '') -> None:
+        self._mounts, self._sensor = mounts, sensor
+
+    def read(self, topic: TopicKind, message: Any) -> LaserScan:
+        """Return the scan; DataError if the message is malformed."""
+        if topic is TopicKind.CLOUD:
+            mounts = self._mounts or SensorMounts('', TransformTree())
+            return mounts.place_cloud(message, self._sensor)
+        scan = scan_record(message)
+        if self._mounts is None:
+            return scan
+        return self._mounts.place_scan(scan, message.header.frame_id, self._sensor)
+
+    def losses(self) -> Mapping[str, int]:
+        """Return nothing: no message waits for another."""
+        return {}
+
+    def explanations(self) -> Mapping[str, str]:
+        """Return nothing: there are no losses."""
+        return {}
 
 
 SCAN = MeasurementKind(
     name='scan',
-    topics=(TopicKind.SCAN,),
-    reader=scan_reader,
+    topics=(TopicKind.SCAN, TopicKind.CLOUD),
+    reader=ScanReader,
     write=lambda factory, frames, scan: [
-        (TopicKind.SCAN, scan_message(factory, scan, frames.laser))
+        (TopicKind.SCAN, scan_message(factory, scan, frames.laser_frame(scan.sensor)))
     ],
     queue_limit=400,
     expected=(TopicKind.SCAN,),

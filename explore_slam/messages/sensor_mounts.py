@@ -16,6 +16,7 @@ import numpy as np
 from explore_slam.data import LaserScan
 from explore_slam.geometry import Pose2, Pose3, roll_pitch_yaw, wrap_angle
 from explore_slam.messages.base import OPTICAL
+from explore_slam.messages.cloud_scans import cloud_scan
 from explore_slam.messages.transforms import TransformTree, frame_name
 from explore_slam.messages.vehicle_settings import VehicleConfig
 from explore_slam.mounts import ExplicitMounts
@@ -83,6 +84,10 @@ class SensorMounts:
         self._team = team or ExplicitMounts()
         self._odometry_base = self._odometry_frame = ''
         self._warned: set[str] = set()
+        # setting and frame -> sensor and its pose by the transforms, of several sensors
+        self._places: dict[tuple[str, str], tuple[str, Pose3]] = {}
+        self._sensors: dict[tuple[str, str], str] = {}  # setting and frame -> its first sensor
+        self._shared: set[tuple[str, str]] = set()  # setting and frame of several sensors
 
     @property
     def base(self) -> str:
@@ -112,19 +117,38 @@ class SensorMounts:
         """Return whether the transforms join a sensor's frame to the base frame."""
         return self._tree.lookup(self.base, frame) is not None
 
-    def place_scan(self, scan: LaserScan, frame: str) -> LaserScan:
-        """Return a scan with the mount of its laser, and with the vehicle's settings of sweeps."""
+    def place_scan(self, scan: LaserScan, frame: str, sensor: str = '') -> LaserScan:
+        """Return a scan with the mount of its laser, and with the vehicle's settings of sweeps.
+
+        sensor: which of the vehicle's lasers it is from, as in LaserScan.
+        """
         scan = replace(scan, timing=self.config.sweep.record)
-        mount = self._laser(frame)
+        mount = self._laser(frame, sensor)
         if not isinstance(mount.pose, Pose2):
             return scan
         if mount.inverted:
             scan = replace(scan, angle_min=-scan.angle_min, angle_increment=-scan.angle_increment)
         return replace(scan, mount=mount.pose)
 
-    def optical_pose(self, frame: str) -> Pose3 | None:
-        """Return the pose of a camera's optical frame; None: that of the team's settings."""
-        pose = self._camera(frame).pose
+    def place_cloud(self, message: Any, sensor: str = '') -> LaserScan:
+        """Return a PointCloud2 of a 3-D lidar as a scan with the mount of the lidar.
+
+        Times of its points go before the settings of sweeps, which do not know where it begins.
+        """
+        config, frame = self.config, message.header.frame_id
+        pose = self._cloud(frame, sensor).pose
+        lidar = pose if isinstance(pose, Pose3) else Pose3((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+        scan = cloud_scan(message, lidar, config.cloud_lowest, config.cloud_highest)
+        if scan.timing.duration is not None:
+            return scan
+        return replace(scan, timing=config.sweep.record)
+
+    def optical_pose(self, frame: str, sensor: str = '') -> Pose3 | None:
+        """Return the pose of a camera's optical frame; None: that of the team's settings.
+
+        sensor: which of the vehicle's cameras it is, as in RgbdFrame.
+        """
+        pose = self._camera(frame, sensor).pose
         return pose if isinstance(pose, Pose3) else None
 
     def check_registered(self, color_frame: str, depth_frame: str) -> None:
@@ -136,12 +160,26 @@ class SensorMounts:
                 'they are used as if they were registered (depth_image_proc) to the colour image',
             )
 
-    def _laser(self, frame: str) -> Mount:
-        own, team = self.config.laser_pose, self._team.laser
-        found = self._lookup(frame, own, team, 'laser_mount')
+    def _cloud(self, frame: str, sensor: str) -> Mount:
+        own = self.config.cloud_pose(sensor)
+        found = self._lookup(frame, own, None, 'cloud_mount', sensor)
+        if found is None:
+            return self._use(frame, self._from_settings(own, True, 'cloud_mount'), 'cloud_mount')
+        if own is not None and _differ_in_space(found, own):
+            self._warn_once(
+                f'cloud {frame}',
+                f'/tf_static has the lidar ({frame}) at {_text(found)}, the settings at '
+                f'{_text(own)}; /tf_static is used',
+            )
+        return self._use(frame, Mount('/tf_static', found), 'cloud_mount')
+
+    def _laser(self, frame: str, sensor: str) -> Mount:
+        own = self.config.laser_pose(sensor)
+        team = None if sensor else self._team.laser  # it cannot be that of several lasers
+        found = self._lookup(frame, own, team, 'laser_mount', sensor)
         if found is None:
             mount = self._from_settings(own or team, own is not None, 'laser_mount')
-            return self._use(frame, mount, 'laser_mount')
+            return self._use(frame or sensor, mount, 'laser_mount')
         rotation = found.rotation
         ahead = math.atan2(rotation[1, 0], rotation[0, 0])
         pose = Pose2(found.position[0], found.position[1], ahead)
@@ -162,12 +200,13 @@ class SensorMounts:
             )
         return self._use(frame, Mount('/tf_static', pose, vertical < 0.0), 'laser_mount')
 
-    def _camera(self, frame: str) -> Mount:
-        own, team = self.config.optical_pose, self._team.camera
-        found = self._lookup(frame, own, team, 'camera_mount')
+    def _camera(self, frame: str, sensor: str) -> Mount:
+        own = self.config.optical_pose(sensor)
+        team = None if sensor else self._team.camera
+        found = self._lookup(frame, own, team, 'camera_mount', sensor)
         if found is None:
             mount = self._from_settings(own or team, own is not None, 'camera_mount')
-            return self._use(frame, mount, 'camera_mount')
+            return self._use(frame or sensor, mount, 'camera_mount')
         if abs(float(found.rotation[2, 2])) > _UPRIGHT and 'optical' not in frame:
             # the z axis of an optical frame looks forward: this is the body of the camera
             self._warn_once(
@@ -181,17 +220,22 @@ class SensorMounts:
             self._warn_once(
                 f'camera {frame}',
                 f'/tf_static and the settings have the camera ({frame}) at different poses: '
-                f'{_text(found)} and {_text(expected)}; /tf_static is used',
+                f'{_body_text(found)} and {_body_text(expected)}; /tf_static is used',
             )
         return self._use(frame, Mount('/tf_static', found), 'camera_mount')
 
-    def _lookup(self, frame: str, own: object, team: object, setting: str) -> Pose3 | None:
+    def _lookup(
+        self, frame: str, own: object, team: object, setting: str, sensor: str
+    ) -> Pose3 | None:
         """Return the pose of a sensor's frame; None where the settings are to be used.
 
         own, team: mounts in the settings, None where they have none. That of the vehicle decides
-        where static transforms contradict each other, as when several robots publish one frame.
+        where static transforms contradict each other, as when several robots publish one frame,
+        and where several sensors of the vehicle have one frame.
         """
         found = self._tree.lookup(self.base, frame)
+        if sensor and self._is_shared(frame, sensor, setting, own) and own is not None:
+            return None
         is_set = own is not None or (team is not None and not self._mapping)  # of one vehicle
         if found is not None and is_set and self._tree.is_contradicted(self.base, frame):
             self._warn_once(
@@ -200,7 +244,42 @@ class SensorMounts:
                 f'it; {self.vehicle}.{setting} is used',
             )
             return None
+        if found is not None and sensor:
+            self._check_places(frame, sensor, setting, found)
         return found
+
+    def _check_places(self, frame: str, sensor: str, setting: str, found: Pose3) -> None:
+        """Name transforms of several sensors that contradict each other."""
+        remedy = f'correct the transforms, or set {self.vehicle}.{setting}'
+        if self._tree.is_contradicted(self.base, frame):
+            self._warn_once(
+                f'several {frame}',
+                f'/tf_static has had different poses of {frame} ({sensor}); the newest, '
+                f'{_text(found)}, is used; {remedy}',
+            )
+        for other, (name, place) in self._places.items():
+            if other[0] == setting and other[1] != frame and not _differ_in_space(found, place):
+                pair = ' and '.join(sorted((f'{name} ({other[1]})', f'{sensor} ({frame})')))
+                self._warn_once(
+                    f'same place {pair}',
+                    f'{pair} are at the same pose {_text(found)} by /tf_static; {remedy}',
+                )
+        self._places[setting, frame] = (sensor, found)
+
+    def _is_shared(self, frame: str, sensor: str, setting: str, own: object) -> bool:
+        """Return whether another sensor has the same frame; name both once."""
+        owner = self._sensors.setdefault((setting, frame), sensor)
+        if owner == sensor and (setting, frame) not in self._shared:
+            return False
+        self._shared.add((setting, frame))
+        if owner != sensor:
+            name = f'{self.vehicle}.{setting}'
+            self._warn_once(
+                f'shared {setting} {frame}',
+                f'{owner} and {sensor} have the same frame {frame!r}: '
+                + (f'{name} is used' if own is not None else f'set their frames, or {name}'),
+            )
+        return True
 
     def _from_settings(self, pose: Pose2 | Pose3 | None, own: bool, name: str) -> Mount:
         if pose is None:
@@ -288,7 +367,11 @@ def _differ_in_space(a: Pose3, b: Pose3) -> bool:
     return math.dist(a.position, b.position) > _TOLERANCE or turn > _TOLERANCE
 
 
-def _text(pose: Pose3) -> str:
-    body = pose.compose(Pose3((0.0, 0.0, 0.0), OPTICAL).inverse())
-    values = (*pose.position, *roll_pitch_yaw(body.rotation))
-    return '(' + ', '.join(f'{value:.3f}' for value in values) + ')'
+def _body_text(pose: Pose3) -> str:
+    """Return the pose of the body of a camera by that of its optical frame, in words."""
+    return _text(pose.compose(Pose3((0.0, 0.0, 0.0), OPTICAL).inverse()))
+
+
+def _text(body: Pose3) -> str:
+    values = (*body.position, *roll_pitch_yaw(body.rotation))
+    return '(' + ', '.join(f'{round(value, 3) + 0.0:.3f}' for value in values) + ')'  # no -0.000

@@ -58,12 +58,16 @@ _COMPRESSED_IMAGE = 'sensor_msgs/msg/CompressedImage'
 _POSE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
 _POLYGON = 'geometry_msgs/msg/PolygonStamped'
 _ODOMETRY = 'nav_msgs/msg/Odometry'
+# of cmd_vel, which carries either type: nodes.velocity_topic
+STAMPED_VELOCITY = 'geometry_msgs/msg/TwistStamped'
 
 
 class TopicKind(Topic):
     """What a vehicle measures, its ground truth and its start pose: what recordings hold."""
 
     SCAN = 'scan', 'sensor_msgs/msg/LaserScan'
+    # of a 3-D lidar; only where the settings name it, never by this name
+    CLOUD = 'points', 'sensor_msgs/msg/PointCloud2'
     ODOMETRY = 'odom', _ODOMETRY, RELIABLE, SENSOR_BURST
     COLOR = 'camera/rgb/image_raw', _IMAGE
     COLOR_COMPRESSED = 'camera/rgb/image_raw/compressed', _COMPRESSED_IMAGE
@@ -93,6 +97,7 @@ class VehicleTopic(Topic):
     TELEOP_COMMAND = 'cmd_vel_teleop', 'geometry_msgs/msg/Twist', NEWEST, NEWEST
     GOAL_POSE = 'goal_pose', 'geometry_msgs/msg/PoseStamped', RELIABLE, RELIABLE
     FOLLOWER_STATUS = 'follower_status', 'diagnostic_msgs/msg/DiagnosticStatus', RELIABLE, RELIABLE
+    SWEEPS = 'sweeps', 'diagnostic_msgs/msg/DiagnosticStatus', LATCHED, LATCHED
     BATTERY = 'battery', 'sensor_msgs/msg/BatteryState'
     MOTORS_ON = 'motors_on', 'std_msgs/msg/Bool'
     SONAR = 'sonar', 'sensor_msgs/msg/PointCloud2'
@@ -130,19 +135,45 @@ class GlobalTopic(Topic):
 COLOR_TOPICS = (TopicKind.COLOR, TopicKind.COLOR_COMPRESSED)
 DEPTH_TOPICS = (TopicKind.DEPTH, TopicKind.DEPTH_COMPRESSED, TopicKind.DEPTH_COMPRESSED_DEPTH)
 # longest first: 'camera/rgb/image_raw/compressed' must not be taken for anything shorter
-_BY_LENGTH = sorted(TopicKind, key=lambda kind: -len(kind.value))
+_BY_LENGTH = sorted(set(TopicKind) - {TopicKind.CLOUD}, key=lambda kind: -len(kind.value))
+_CAMERA = 'camera'  # first part of the names of a camera's topics
+_CAMERA_TOPICS = (*COLOR_TOPICS, *DEPTH_TOPICS, TopicKind.CAMERA_INFO)
+
+
+class SensorTopic(NamedTuple):
+    """A topic of a vehicle: kind, name below its namespace, and which of its sensors it is of.
+
+    sensor: the name of a laser's topic, or of a camera; '' where the vehicle has one only.
+    """
+
+    kind: TopicKind
+    name: str
+    sensor: str = ''
 
 
 class RecordedTopic(NamedTuple):
-    """A topic that a recording may hold: full name, vehicle, kind."""
+    """A topic that a recording may hold: full name, vehicle, kind; sensor as of SensorTopic."""
 
     name: str
     vehicle: str
     kind: TopicKind
+    sensor: str = ''
 
 
-def topic_name(vehicle: str, topic: Topic) -> str:
+def sensor_topic(kind: TopicKind, sensor: str) -> SensorTopic:
+    """Return the topic of one of several lasers, or of one of several cameras.
+
+    The topics of a camera begin with its name instead of `camera`.
+    """
+    if kind in _CAMERA_TOPICS:
+        return SensorTopic(kind, sensor + str(kind.value).removeprefix(_CAMERA), sensor)
+    return SensorTopic(kind, sensor, sensor)
+
+
+def topic_name(vehicle: str, topic: Topic, sensor: str = '') -> str:
     """Return the full name of a vehicle's topic, e.g. '/robot1/scan' for ('robot1', SCAN)."""
+    if sensor and isinstance(topic, TopicKind):
+        return f'/{vehicle}/{sensor_topic(topic, sensor).name}'
     return f'/{vehicle}/{topic.value}'
 
 

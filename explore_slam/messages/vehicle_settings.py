@@ -5,6 +5,7 @@ Every setting has a value for the team, and a vehicle may have another one: `vis
 """
 
 import math
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -13,10 +14,13 @@ from explore_slam.body import BodyConfig
 from explore_slam.errors import ConfigError
 from explore_slam.geometry import Pose2, Pose3, quaternion_from_rotation, rotation_matrix
 from explore_slam.messages.base import OPTICAL
+from explore_slam.messages.topics import SensorTopic, TopicKind, sensor_topic
 from explore_slam.settings import Section, section, setting, unknown_name, values_of, with_values
 from explore_slam.sweeps import SweepConfig
 
 _UNSET = (math.nan,)
+_NONE = ('',)
+_NAME = re.compile(r'[A-Za-z_]\w*(/[A-Za-z_]\w*)*')
 
 
 @dataclass(frozen=True)
@@ -31,23 +35,70 @@ class VehicleConfig(Section):
         tier='basic',
     )
     use_laser: bool = setting(True, 'Whether the vehicle has a laser scanner', tier='basic')
+    scans: tuple[str, ...] = setting(
+        ('scan',),
+        'Topics of its laser scanners (LaserScan), below its namespace; a single empty name: none',
+        tier='basic',
+    )
+    clouds: tuple[str, ...] = setting(
+        _NONE,
+        'Topics of its 3-D lidars (PointCloud2), below its namespace; a single empty name: none',
+        tier='basic',
+    )
+    cloud_lowest: float = setting(
+        0.1,
+        'Height above the floor, in the base frame, from which points of a 3-D lidar count as '
+        'obstacles',
+        unit='m',
+        low=-10.0,
+        high=10.0,
+        tier='basic',
+    )
+    cloud_highest: float = setting(
+        1.0,
+        'Height up to which they do',
+        unit='m',
+        low=-10.0,
+        high=10.0,
+        tier='basic',
+    )
+    cameras: tuple[str, ...] = setting(
+        ('camera',),
+        'Names of its RGB-D cameras, with which their topics begin (<camera>/rgb/image_raw, '
+        '<camera>/depth_registered/image_raw, <camera>/rgb/camera_info)',
+        tier='basic',
+    )
     navigator: str = setting(
         'follower',
         'What drives the vehicle along its plans: follower; nav2 by the action '
         '<vehicle>/navigate_to_pose; nav2_path by <vehicle>/follow_path',
         tier='basic',
     )
+    cmd_vel_type: str = setting(
+        'auto',
+        'Type in which the path follower sends cmd_vel: twist, stamped (TwistStamped), or auto: '
+        'as its subscribers take it. Our driver and simulator take both',
+        choices=('auto', 'twist', 'stamped'),
+    )
     body: BodyConfig = section(BodyConfig)
     laser_mount: tuple[float, ...] = setting(
         _UNSET,
         'Pose x (m), y (m), yaw (rad) of the laser in the vehicle frame, used if /tf_static does '
-        'not provide it; a single NaN: laser_x, laser_y, laser_yaw',
+        'not provide it; of several lasers one after the other, in the order of scans; a single '
+        'NaN: laser_x, laser_y, laser_yaw',
+        tier='basic',
+    )
+    cloud_mount: tuple[float, ...] = setting(
+        _UNSET,
+        'Pose x, y, z (m), roll, pitch, yaw (rad) of the 3-D lidar in the vehicle frame, used if '
+        '/tf_static does not provide it; of several in the order of clouds; a single NaN: not set',
         tier='basic',
     )
     camera_mount: tuple[float, ...] = setting(
         _UNSET,
         'Pose x, y, z (m), roll, pitch, yaw (rad) of the camera body in the vehicle frame, used '
-        'if /tf_static does not provide it; a single NaN: camera_x to camera_yaw',
+        'if /tf_static does not provide it; of several cameras in the order of cameras; a single '
+        'NaN: camera_x to camera_yaw',
         tier='basic',
     )
     pairing_tolerance: float = setting(
@@ -76,31 +127,86 @@ class VehicleConfig(Section):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name, count in (('laser_mount', 3), ('camera_mount', 6)):
+        for setting_name in ('scans', 'clouds', 'cameras'):
+            _check_topics(setting_name, getattr(self, setting_name))
+        for name, each, sensors in (
+            ('laser_mount', 3, self.scans),
+            ('cloud_mount', 6, self.clouds),
+            ('camera_mount', 6, self.cameras),
+        ):
             values = getattr(self, name)
+            count = each * len(sensors)
             if len(values) == 1 and math.isnan(values[0]):
                 object.__setattr__(self, name, _UNSET)  # NaN equals no other one but itself
             elif not (len(values) == count and all(map(math.isfinite, values))):
                 raise ConfigError(f'{name} is {list(values)}, expected {count} finite numbers')
+        if not self.cloud_lowest < self.cloud_highest:
+            raise ConfigError(
+                f'cloud_lowest is {self.cloud_lowest} m and cloud_highest {self.cloud_highest} m, '
+                'expected the former to be less'
+            )
+
+    @property
+    def laser_topics(self) -> list[SensorTopic]:
+        """Topics of all lasers, 3-D lidars included; none with use_laser false."""
+        if not self.use_laser:
+            return []
+        found = [sensor_topic(TopicKind.SCAN, name) for name in self.scans if name]
+        found += [sensor_topic(TopicKind.CLOUD, name) for name in self.clouds if name]
+        return [found[0]._replace(sensor='')] if len(found) == 1 else found
+
+    def camera_topics(self, kinds: Iterable[TopicKind]) -> list[SensorTopic]:
+        """Return the topics of all cameras, of some kinds."""
+        found = [sensor_topic(kind, name) for name in self.cameras for kind in kinds]
+        return [item._replace(sensor='') for item in found] if len(self.cameras) == 1 else found
 
     @property
     def has_sensor(self) -> bool:
         """Whether the vehicle has a sensor that maps: a laser or a camera."""
         return self.use_laser or self.vision != 'none'
 
-    @property
-    def laser_pose(self) -> Pose2 | None:
-        """Pose of the laser, None where it is not set."""
-        return Pose2.from_array(self.laser_mount) if len(self.laser_mount) == 3 else None
+    def laser_pose(self, sensor: str = '') -> Pose2 | None:
+        """Return the pose of a laser, None where it is not set; '' is the only one."""
+        numbers = _mount_of(sensor, self.scans, self.laser_mount, 3)
+        return None if numbers is None else Pose2.from_array(numbers)
 
-    @property
-    def optical_pose(self) -> Pose3 | None:
-        """Pose of the camera's optical frame, None where it is not set."""
-        if len(self.camera_mount) != 6:
+    def cloud_pose(self, sensor: str = '') -> Pose3 | None:
+        """Return the pose of a 3-D lidar, None where it is not set; '' is the only one."""
+        numbers = _mount_of(sensor, self.clouds, self.cloud_mount, 6)
+        return None if numbers is None else _pose_in_space(numbers)
+
+    def optical_pose(self, sensor: str = '') -> Pose3 | None:
+        """Return the pose of a camera's optical frame, None where it is not set."""
+        numbers = _mount_of(sensor, self.cameras, self.camera_mount, 6)
+        if numbers is None:
             return None
-        x, y, z, roll, pitch, yaw = self.camera_mount
-        body = Pose3((x, y, z), quaternion_from_rotation(rotation_matrix(roll, pitch, yaw)))
-        return body.compose(Pose3((0.0, 0.0, 0.0), OPTICAL))
+        return _pose_in_space(numbers).compose(Pose3((0.0, 0.0, 0.0), OPTICAL))
+
+
+def _mount_of(
+    sensor: str, sensors: tuple[str, ...], numbers: tuple[float, ...], count: int
+) -> tuple[float, ...] | None:
+    """Return the numbers of one sensor out of those of all, None where they are not set."""
+    if len(numbers) != count * len(sensors) or (sensor and sensor not in sensors):
+        return None
+    index = sensors.index(sensor) if sensor else 0
+    return numbers[count * index : count * (index + 1)]
+
+
+def _pose_in_space(numbers: tuple[float, ...]) -> Pose3:
+    x, y, z, roll, pitch, yaw = numbers
+    return Pose3((x, y, z), quaternion_from_rotation(rotation_matrix(roll, pitch, yaw)))
+
+
+def _check_topics(setting_name: str, names: tuple[str, ...]) -> None:
+    """Raise ConfigError unless these are different relative names, or a single empty one."""
+    if names == _NONE and setting_name != 'cameras':
+        return
+    if not names or len(set(names)) != len(names) or not all(map(_NAME.fullmatch, names)):
+        raise ConfigError(
+            f'{setting_name} is {list(names)}, expected different names below the namespace of '
+            "the vehicle, such as 'front/scan', without a slash at the beginning or the end"
+        )
 
 
 def vehicle_names(vehicles: Iterable[str]) -> list[str]:

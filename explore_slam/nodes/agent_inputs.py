@@ -25,9 +25,11 @@ from explore_slam.messages.sensor_mounts import SensorMounts
 from explore_slam.messages.topics import (
     COLOR_TOPICS,
     DEPTH_TOPICS,
+    SensorTopic,
     Topic,
     TopicKind,
     VehicleTopic,
+    sensor_topic,
 )
 from explore_slam.messages.transforms import frame_name
 from explore_slam.messages.vehicle_settings import VehicleConfig
@@ -44,9 +46,8 @@ LIMITS: Mapping[str, int] = {
 }
 MOUNT_WAIT = 2.0  # s for which messages wait for the transform of their sensor
 _HELD = 100  # messages per vehicle that wait for a transform
-_MOUNTED = (TopicKind.SCAN, *COLOR_TOPICS, *DEPTH_TOPICS)  # topics whose sensor has a mount
-
-_OFFSET_OF = {topic.value: kind.clock for topic, kind in KIND_OF_TOPIC.items()}  # settings
+# topics whose sensor has a mount
+_MOUNTED = (TopicKind.SCAN, TopicKind.CLOUD, *COLOR_TOPICS, *DEPTH_TOPICS)
 
 type Take = Callable[[tuple[str, Any]], None]
 
@@ -109,10 +110,16 @@ def operator_polygon(message: Any, map_frame: str) -> list[tuple[float, float]]:
     return points
 
 
-def _alternatives(topic: Topic) -> tuple[Topic, ...]:
+def _alternatives(topic: SensorTopic) -> list[SensorTopic]:
     """Return the topics that may take the place of one, itself included."""
     groups = (COLOR_TOPICS, DEPTH_TOPICS)
-    return next((group for group in groups if topic in group), (topic,))
+    group = next((group for group in groups if topic.kind in group), ())
+    stem = topic.name.removesuffix(topic.kind.value.removeprefix('camera'))
+    others = [kind for kind in group if kind is not topic.kind]
+    return [topic] + [
+        SensorTopic(kind, stem + kind.value.removeprefix('camera'), topic.sensor)
+        for kind in others
+    ]
 
 
 class VehicleInputs:
@@ -149,21 +156,23 @@ class VehicleInputs:
         self._reader = VehicleReader(MEASUREMENT_KINDS, mounts)
         self._stamps = StampWatch()
         self._since = time.monotonic()
-        self._held: deque[tuple[TopicKind, Any]] = deque(maxlen=_HELD)
+        self._held: deque[tuple[SensorTopic, Any]] = deque(maxlen=_HELD)
         self._waiting_since: dict[str, float] = {}  # frame -> monotonic s
         self._number: int | None = None  # of the newest odometry message at its publisher
         self.malformed = 0
-        self._warned: dict[Topic, float] = {}
-        self.received: dict[Topic, int] = {}
+        self._warned: dict[str, float] = {}
+        self.received: dict[str, int] = {}  # by name below the vehicle's namespace
         self._takers: dict[Topic, Callable[[Any], None]] = {}
-        self._expected: list[Topic] = []
+        self._expected: list[SensorTopic] = []
+        self._clocks: dict[str, str] = {}  # name of a topic -> setting of its time offset
         for kind in MEASUREMENT_KINDS:
             expected = kind.is_expected(mounts.config)
             if expected or kind.is_accepted(mounts.config):
-                for topic in kind.topics:
-                    self._subscribe(topic, self._measurement_callback(topic))
-            if expected:
-                self._expected += kind.expected
+                for topic in kind.topics_of(mounts.config):
+                    self._subscribe_to_sensor(topic)
+                    self._clocks[topic.name] = kind.clock
+                    if expected and topic.kind in kind.expected:
+                        self._expected.append(topic)
         self._subscribe(TopicKind.INITIAL_POSE, self._on_pose)
         self._subscribe(VehicleTopic.GOAL_POSE, self._on_goal)
 
@@ -173,49 +182,73 @@ class VehicleInputs:
         return self.mounts.config
 
     def _subscribe(self, topic: Topic, take: Callable[[Any], None]) -> None:
-        self.received[topic] = 0
+        """Subscribe to what an operator sends."""
+        self.received[topic.value] = 0
         self._takers[topic] = take
-        callback: Callable[..., None] = partial(self.take, topic)
-        if topic is TopicKind.ODOMETRY:
-            callback = self._on_odometry
-        subscribe(self._node, topic, callback, self.vehicle)
+        subscribe(self._node, topic, partial(self.take, topic), self.vehicle)
 
-    def _on_odometry(self, message: Any, info: Mapping[str, int | None]) -> None:
+    def _subscribe_to_sensor(self, topic: SensorTopic) -> None:
+        self.received[topic.name] = 0
+        callback: Callable[..., None] = partial(self.take_measurement, topic)
+        if topic.kind is TopicKind.ODOMETRY:
+            callback = partial(self._on_odometry, topic)
+        subscribe(self._node, topic.kind, callback, self.vehicle, name=topic.name)
+
+    def _on_odometry(
+        self, topic: SensorTopic, message: Any, info: Mapping[str, int | None]
+    ) -> None:
         """Take odometry with its number at the publisher, by which restarts are told from losses.
 
         info: of rclpy; the number is None where the middleware does not report it.
         """
         self._number = info['publication_sequence_number']
-        self.take(TopicKind.ODOMETRY, message)
+        self.take_measurement(topic, message)
 
     def take(self, topic: Topic, message: Any) -> None:
-        """Take a message of a topic: check frame and stamp, then use it."""
+        """Take what an operator has sent: check its frame, then use it."""
 
         def check_and_take(message: Any) -> None:
             self._check_frame(topic, message)
-            self._check_stamp(topic, message)
             self._takers[topic](message)
 
-        self.received[topic] += 1
-        self._try(topic, check_and_take, message)
+        self.received[topic.value] += 1
+        self._try(topic.value, check_and_take, message)
 
-    def _try(self, topic: Topic, take: Callable[[Any], None], message: Any) -> None:
-        """Take a message; a malformed one is counted and named."""
+    def take_measurement(self, topic: SensorTopic, message: Any) -> None:
+        """Take a measurement: check frame and stamp; it may have to wait for its mount."""
+
+        def check_and_read(message: Any) -> None:
+            self._check_frame(topic.kind, message)
+            self._check_stamp(topic, message)
+            if topic.kind in _MOUNTED and self._must_wait(message.header.frame_id):
+                self._held.append((topic, message))
+                return
+            self.release_held()
+            self._read(topic, message)
+
+        self.received[topic.name] += 1
+        self._try(topic.name, check_and_read, message, topic.sensor)
+
+    def _try(
+        self, topic: str, take: Callable[[Any], None], message: Any, sensor: str = ''
+    ) -> None:
+        """Take a message of a topic, and of a sensor; a malformed one is counted and named."""
         try:
             take(message)
         except RefusedMessageError as error:
             self.malformed += 1
-            self._warn(error.topic, f'{error}; message omitted')
+            name = sensor_topic(error.topic, sensor).name if sensor else error.topic.value
+            self._warn(name, f'{error}; message omitted')
         except (ExploreSlamError, ValueError, TypeError) as error:
             self.malformed += 1
             self._warn(topic, f'{error}; message omitted')
 
-    def _warn(self, topic: Topic, text: str) -> None:
+    def _warn(self, topic: str, text: str) -> None:
         """Log a warning about a topic, at most one per WARNING_PERIOD and topic."""
         now = time.monotonic()
         if now - self._warned.get(topic, -math.inf) >= WARNING_PERIOD:
             self._warned[topic] = now
-            self._node.get_logger().warning(f'{self.vehicle}/{topic.value}: {text}')
+            self._node.get_logger().warning(f'{self.vehicle}/{topic}: {text}')
 
     def _check_frame(self, topic: Topic, message: Any) -> None:
         """Raise ValueError for a message in the frame of another vehicle: topics are mixed up."""
@@ -224,33 +257,21 @@ class VehicleInputs:
         if owner in self._others and topic is not TopicKind.INTER_ROBOT:
             raise ValueError(f'frame {frame!r} belongs to vehicle {owner!r}')
 
-    def _check_stamp(self, topic: Topic, message: Any) -> None:
+    def _check_stamp(self, topic: SensorTopic, message: Any) -> None:
         """Compare a stamp with the clock; replace a stamp of zero by the time of receipt."""
-        if topic is TopicKind.INITIAL_POSE or not isinstance(topic, TopicKind):
-            return
         now = now_seconds(self._node)
         if now == 0.0:
             return  # simulated time has not begun: there is nothing to compare with
-        offset = float(getattr(self.config, KIND_OF_TOPIC[topic].clock))
+        offset = float(getattr(self.config, KIND_OF_TOPIC[topic.kind].clock))
         stamp = seconds(message.header.stamp)
-        if not self._stamps.add(topic.value, stamp + offset if stamp else 0.0, now):
+        if not self._stamps.add(topic.name, stamp + offset if stamp else 0.0, now):
             message.header.stamp = time_message(MESSAGES, now - offset)
-
-    def _measurement_callback(self, topic: TopicKind) -> Callable[[Any], None]:
-        def on_measurement(message: Any) -> None:
-            if topic in _MOUNTED and self._must_wait(message.header.frame_id):
-                self._held.append((topic, message))
-                return
-            self.release_held()
-            self._read(topic, message)
-
-        return on_measurement
 
     def release_held(self) -> None:
         """Read the messages that have waited for the transforms of their sensors long enough."""
         while self._held and not self._must_wait(self._held[0][1].header.frame_id):
             topic, message = self._held.popleft()
-            self._try(topic, partial(self._read, topic), message)
+            self._try(topic.name, partial(self._read, topic), message, topic.sensor)
 
     def _must_wait(self, frame: str) -> bool:
         """Return whether a message of a sensor has to wait for the transform of its frame."""
@@ -262,11 +283,11 @@ class VehicleInputs:
             self._transforms.listen_to_tf()
         return waited < MOUNT_WAIT
 
-    def _read(self, topic: TopicKind, message: Any) -> None:
-        found = self._reader.read(topic, message)
+    def _read(self, topic: SensorTopic, message: Any) -> None:
+        found = self._reader.read(topic.kind, message, topic.sensor)
         if found is not None:
             kind, record = found
-            if topic is TopicKind.ODOMETRY:
+            if topic.kind is TopicKind.ODOMETRY:
                 record = replace(record, number=self._number)
             self._put(kind, record)
 
@@ -305,7 +326,8 @@ class VehicleInputs:
             return {'/clock': StampProblem(text, 'no time')}
         found = {}
         for topic, problem in self._stamps.problems(TopicKind.ODOMETRY.value).items():
-            hint = f'; if the clocks differ by a constant, set {self.vehicle}.{_OFFSET_OF[topic]}'
+            setting = f'{self.vehicle}.{self._clocks[topic]}'
+            hint = f'; if the clocks differ by a constant, set {setting}'
             text = problem.text + hint * (problem.amount is not None)
             found[f'{self.vehicle}/{topic}'] = problem._replace(text=text)
         return found
@@ -316,7 +338,7 @@ class VehicleInputs:
         Images may come on any of their topics, raw or compressed.
         """
         return [
-            explain_silence(self._node, f'{self.vehicle}/{topic.value}', SILENCE)
+            explain_silence(self._node, f'{self.vehicle}/{topic.name}', SILENCE)
             for topic in self._expected
-            if not any(self.received[other] for other in _alternatives(topic))
+            if not any(self.received[other.name] for other in _alternatives(topic))
         ]

@@ -1,5 +1,6 @@
 """Publishers of the agent: poses, maps, landmarks, frontiers, status, transforms."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -20,14 +21,18 @@ from explore_slam.messages import (
     pose_array_message,
     time_message,
 )
+from explore_slam.messages.sweep_status import sweeps_message
 from explore_slam.messages.topics import TeamTopic, VehicleTopic
 from explore_slam.nodes.agent_parameters import AgentNodeConfig
 from explore_slam.nodes.endpoints import TransformBroadcaster, publisher
 from explore_slam.nodes.map_outputs import MapOutputs
 from explore_slam.nodes.ros_types import MESSAGES
 from explore_slam.slam import Landmarks
+from explore_slam.sweeps import Sweep
 
-_RESULTS = (VehicleTopic.POSE, VehicleTopic.TRAJECTORY, VehicleTopic.PARTICLES)
+_RESULTS = (
+    VehicleTopic.POSE, VehicleTopic.TRAJECTORY, VehicleTopic.PARTICLES, VehicleTopic.SWEEPS,
+)  # fmt: skip
 # what RViz shows: side of a cube (m), colours (red, green, blue) and opacity
 _MARKER_SIZE = 0.15
 _FRONTIER_COLOR = (0.2, 0.5, 1.0)
@@ -57,6 +62,11 @@ class AgentOutputs:
         """Publish the pose estimate of a vehicle."""
         message = estimate_message(MESSAGES, stamp, self._config.map_frame, pose, covariance)
         self._vehicle[vehicle, VehicleTopic.POSE].publish(message)
+
+    def sweeps(self, vehicle: str, found: Mapping[str, Sweep]) -> None:
+        """Publish what the scans of a vehicle's lasers have shown of their sweeps."""
+        message = sweeps_message(MESSAGES, vehicle, found)
+        self._vehicle[vehicle, VehicleTopic.SWEEPS].publish(message)
 
     def transform(
         self, vehicle: str, stamp: float, pose: Pose2, odometry: Pose2, odom_frame: str

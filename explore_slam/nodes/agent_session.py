@@ -29,6 +29,7 @@ from explore_slam.messages.clocks import NamedProblems, StampProblem
 from explore_slam.messages.frame_pairing import FRAME
 from explore_slam.messages.odometry import ODOMETRY
 from explore_slam.messages.sensor_mounts import SensorMounts, shared_frames
+from explore_slam.messages.sweep_status import SWEEP_KEY, named_sweeps
 from explore_slam.messages.topics import (
     GlobalTopic,
     TeamTopic,
@@ -59,6 +60,7 @@ from explore_slam.nodes.node_support import (
 )
 from explore_slam.nodes.plan_outputs import PlanOutputs
 from explore_slam.nodes.transform_listener import TransformListener
+from explore_slam.sweeps import Sweep
 
 POLL_PERIOD = 0.05  # s that the worker waits for an item before it does periodic work
 _RELEASE_PERIOD = 0.2  # s between looks at messages that wait for transforms
@@ -89,6 +91,7 @@ class AgentSession:
         self._diagnostics = publisher(node, GlobalTopic.DIAGNOSTICS)
         self._due = dict.fromkeys(_PERIODIC, -np.inf)
         self._posed = dict.fromkeys(config.vehicles, -np.inf)
+        self._sweeps: dict[str, dict[str, Sweep]] = {name: {} for name in config.vehicles}
         self._reported = time.monotonic()
         self._named_problems = NamedProblems()
         self._shared_frames: set[str] = set()
@@ -473,16 +476,24 @@ class AgentSession:
         topics = (GlobalTopic.TF, GlobalTopic.TF_STATIC)
         return any(self._node.count_publishers(f'{vehicle}{topic.value}') for topic in topics)
 
-    def _vehicle_figures(self) -> dict[str, dict[str, float]]:
-        """Return counts and odometry calibration per vehicle."""
-        counts = self.agent.summary()
+    def _vehicle_figures(self) -> dict[str, dict[str, float | str]]:
+        """Return counts, odometry calibration and what the scans have shown, per vehicle."""
+        counts, sweeps = self.agent.summary(), self.agent.found_sweeps()
         return {
             name: {
                 **counts[name],
                 **{f'odometry_{key}': value for key, value in calibration._asdict().items()},
+                **{f'{SWEEP_KEY}{k}': words for k, words in named_sweeps(sweeps[name]).items()},
             }
             for name, calibration in self.agent.odometry_calibrations().items()
         }
+
+    def _publish_sweeps(self) -> None:
+        """Tell the nodes of the vehicles what the scans have shown of the sweeps, once each."""
+        for vehicle, found in self.agent.found_sweeps().items():
+            if found != self._sweeps[vehicle]:
+                self._sweeps[vehicle] = found
+                self.outputs.sweeps(vehicle, found)
 
     def _publish_diagnostics(self) -> None:
         if time.monotonic() < self._reported + REPORT_PERIOD:
@@ -490,6 +501,7 @@ class AgentSession:
         self._reported = time.monotonic()
         self._explain_clocks()
         self._explain_shared_frames()
+        self._publish_sweeps()
         behind = explain_delay(self.inbox)
         if behind:
             self._node.get_logger().warning(behind, throttle_duration_sec=_BEHIND_PERIOD)

@@ -86,7 +86,7 @@ class AgentStatistics:
     def parts(
         self,
         statuses: Iterable[VehicleStatus],
-        figures: Mapping[str, Mapping[str, float]],
+        figures: Mapping[str, Mapping[str, float | str]],
         inputs: Iterable[VehicleInputs],
         inbox: Inbox,
         planning: PlanningResult,

@@ -54,14 +54,16 @@ def subscribe(
     callback: Callable[..., None],
     vehicle: str = '',
     qos: Qos | None = None,
+    name: str = '',
 ) -> Subscription:
     """Create a subscription with the requested quality of service, or with another one.
 
+    name: of the topic, below the vehicle's name or the node's namespace; '': its usual one.
     callback: takes the message, or the message and rclpy's information about it.
     """
     return node.create_subscription(
         message_class(topic.message_type),
-        relative_name(topic, vehicle),
+        f'{vehicle}/{name}'.lstrip('/') if name else relative_name(topic, vehicle),
         callback,
         qos_profile(topic.requested if qos is None else qos),
     )

@@ -8,7 +8,8 @@ import logging
 import sys
 import threading
 import time
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -21,7 +22,7 @@ from explore_slam.data import RgbdFrame
 from explore_slam.errors import ExploreSlamError
 from explore_slam.messages import landmarks_message, odometry_record
 from explore_slam.messages.frame_pairing import FRAME, FramePairing
-from explore_slam.messages.topics import GlobalTopic, TopicKind
+from explore_slam.messages.topics import GlobalTopic, SensorTopic, TopicKind
 from explore_slam.messages.vehicle_settings import VehicleConfig
 from explore_slam.mounts import LaserMountConfig
 from explore_slam.nodes.driver_parameters import DriverNodeConfig
@@ -46,7 +47,7 @@ from explore_slam.vision import FeatureExtractor, KeyframeSelector, VisionConfig
 
 _INPUTS = InputConfig()  # the defaults of the agent
 # settings of the vehicle, which the agent has too
-_VEHICLE_SETTINGS = ('camera_mount', 'odom_frame', 'robot_base_frame')
+_VEHICLE_SETTINGS = ('cameras', 'camera_mount', 'odom_frame', 'robot_base_frame')
 POLL_PERIOD = 0.2  # s that the worker waits for a frame before it looks at the time
 ODOMETRY_WAIT = 0.5  # s that a frame waits for odometry that reaches its stamp
 
@@ -74,9 +75,11 @@ class FeatureExtractorNode(Node):
         others = {**values_of(DriverNodeConfig()), **values_of(PathFollowerConfig())}
         warn_of_unknown_vehicle_parameters(self, self.vehicle, others)
         self._extractor = FeatureExtractor(self.config.vision)
-        self._selector = KeyframeSelector(self.config.vision)
         self._mounts = own_mounts(self, self.vehicle, LaserMountConfig(), sensors)
-        self._pairing = FramePairing(self._mounts)
+        topics = sensors.camera_topics(FRAME.topics)
+        cameras = {topic.sensor for topic in topics}
+        self._pairings = {name: FramePairing(self._mounts, name) for name in cameras}
+        self._selectors = {name: KeyframeSelector(self.config.vision) for name in cameras}
         self._odometry = OdometryBuffer(
             self.vehicle,
             _INPUTS.odometry_duration,
@@ -90,24 +93,25 @@ class FeatureExtractorNode(Node):
         self._busy = 0.0
         self._reported = time.monotonic()
         subscribe(self, TopicKind.ODOMETRY, self._on_odometry)
-        for topic in FRAME.topics:
-            subscribe(self, topic, partial(self._on_camera, topic))
+        for topic in topics:
+            subscribe(self, topic.kind, partial(self._on_camera, topic), name=topic.name)
         self._landmarks = publisher(self, TopicKind.LANDMARKS)
         self._diagnostics = publisher(self, GlobalTopic.DIAGNOSTICS)
         self._worker = threading.Thread(target=self._work, name='features', daemon=True)
         self._worker.start()
 
-    def _on_camera(self, topic: TopicKind, message: Any) -> None:
+    def _on_camera(self, topic: SensorTopic, message: Any) -> None:
         try:
-            frame = self._pairing.read(topic, message)
+            frame = self._pairings[topic.sensor].read(topic.kind, message)
         except ExploreSlamError as error:
             self._malformed += 1
             self.get_logger().warning(
-                f'{topic.value}: {error}', throttle_duration_sec=WARNING_PERIOD
+                f'{topic.name}: {error}', throttle_duration_sec=WARNING_PERIOD
             )
             return
         if frame is not None:
-            self._inbox.put(FRAME.name, self.vehicle, self._extract, frame)
+            named = replace(frame, sensor=topic.sensor)
+            self._inbox.put(FRAME.name, self.vehicle, self._extract, named)
 
     def _on_odometry(self, message: Odometry) -> None:
         try:
@@ -138,7 +142,7 @@ class FeatureExtractorNode(Node):
             if not len(self._odometry):
                 return
             pose = self._odometry.at(frame.stamp)
-        if not self._selector.select(frame.stamp, pose):
+        if not self._selectors[frame.sensor].select(frame.stamp, pose):
             return
         start = time.perf_counter()
         observations = self._extractor.extract(frame)
@@ -150,12 +154,15 @@ class FeatureExtractorNode(Node):
     def _report(self) -> None:
         self._reported = time.monotonic()
         dropped = self._inbox.dropped[(FRAME.name, self.vehicle)]
+        losses: Counter[str] = Counter()
+        for pairing in self._pairings.values():
+            losses.update(pairing.losses())
         values = {
             'keyframes': self._sent,
             'extraction_mean_ms': 1e3 * self._busy / max(self._sent, 1),
             'dropped_frames': dropped,
             'malformed': self._malformed,
-            **self._pairing.losses(),
+            **losses,
         }
         level, text = (OK, 'extracting') if self._sent else (WARN, 'no keyframe yet')
         parts = {'features': (level, text, values)}

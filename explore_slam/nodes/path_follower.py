@@ -12,8 +12,10 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
 from nav_msgs.msg import Odometry, Path
 from rcl_interfaces.msg import SetParametersResult
@@ -21,7 +23,6 @@ from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import LaserScan
 from std_msgs.msg import Empty
 
 from explore_slam.data import FollowerReport, FollowerState
@@ -30,14 +31,16 @@ from explore_slam.messages import (
     odometry_record,
     plan_record,
     planar_pose,
-    scan_record,
     seconds,
-    twist_message,
 )
 from explore_slam.messages.follower_status import follower_status_message
+from explore_slam.messages.measurement import VehicleReader
+from explore_slam.messages.scans import SCAN
+from explore_slam.messages.sweep_status import sweeps_record
 from explore_slam.messages.topics import (
     SENSOR_DATA,
     GlobalTopic,
+    SensorTopic,
     Topic,
     TopicKind,
     VehicleTopic,
@@ -64,6 +67,7 @@ from explore_slam.nodes.node_support import (
 from explore_slam.nodes.ros_types import MESSAGES
 from explore_slam.nodes.shared_parameters import LifecycleConfig, TeleoperationConfig
 from explore_slam.nodes.transform_listener import own_mounts
+from explore_slam.nodes.velocity_topic import VelocityOutput
 from explore_slam.settings import values_of
 from explore_slam.sweeps import SweepConfig
 from explore_slam.vehicle import PathFollower, PathFollowerConfig, VelocityCommand
@@ -74,28 +78,34 @@ _ACKNOWLEDGE_TIMEOUT = 0.2  # s for the last command to arrive
 _QUIET_AFTER = 1.0  # s of zero commands, then none: another node may drive the vehicle
 # settings of the vehicle, which the agent has too
 _AT_START = dict.fromkeys(
-    ('use_laser', 'laser_mount', 'odom_frame', 'robot_base_frame', *values_of(SweepConfig())),
+    [
+        *('use_laser', 'scans', 'laser_mount', 'odom_frame', 'robot_base_frame'),
+        *('clouds', 'cloud_mount', 'cloud_lowest', 'cloud_highest'),
+        *values_of(SweepConfig()),
+    ],
     'set at start only',
 )
 _TELEOP_SILENCE = 0.6  # s without a command by hand after which the vehicle is told to stand
 _FINE = (FollowerState.DRIVING, FollowerState.ARRIVED, FollowerState.TELEOPERATED)
 _TELEOP = FollowerReport(FollowerState.TELEOPERATED, 'driven by cmd_vel_teleop')
 _INPUTS = (VehicleTopic.PLAN, VehicleTopic.POSE, TopicKind.ODOMETRY, TopicKind.SCAN)
+_EXPECTED = (VehicleTopic.POSE, TopicKind.ODOMETRY)  # the agent need not have a plan yet
 
 
 class PathFollowerOutputs:
     """Publishers of the node, which it has while it is configured."""
 
-    def __init__(self, node: Node, vehicle: str) -> None:
+    def __init__(self, node: Node, vehicle: str, sensors: VehicleConfig) -> None:
         self._node = node
         self._vehicle = vehicle
-        self._velocity = publisher(node, VehicleTopic.VELOCITY_COMMAND)
+        frame = sensors.robot_base_frame or f'{vehicle}/base_link'
+        self.commands = VelocityOutput(node, sensors.cmd_vel_type, frame)
         self._status = publisher(node, VehicleTopic.FOLLOWER_STATUS)
         self._diagnostics = publisher(node, GlobalTopic.DIAGNOSTICS)
 
     def velocity(self, linear: float, angular: float) -> None:
         """Command a velocity (m/s, rad/s)."""
-        self._velocity.publish(twist_message(MESSAGES, linear, angular))
+        self.commands.send(linear, angular)
 
     def status(self, report: FollowerReport) -> None:
         """Publish the state of the follower."""
@@ -110,7 +120,7 @@ class PathFollowerOutputs:
         """Command zero velocity and wait until it has arrived: the last message is easily lost."""
         self.velocity(0.0, 0.0)
         self.status(FollowerReport(FollowerState.WAITING, reason, now_seconds(self._node)))
-        for output in (self._velocity, self._status):
+        for output in (self.commands, self._status):
             output.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGE_TIMEOUT))
 
 
@@ -129,17 +139,18 @@ class ActiveFollower:
         self._node = node
         self._vehicle = vehicle
         self._outputs = outputs
-        self._has_laser = sensors.use_laser
+        self._has_laser = bool(sensors.laser_topics)
         self.teleoperation = teleoperation
         self._teleop = Teleoperation()
         self.follower = PathFollower(self._effective(config), vehicle)
         self._mounts = own_mounts(node, vehicle, config.laser_mount, sensors)
+        self._lasers = VehicleReader((SCAN,), self._mounts)
         self._command: VelocityCommand | None = None
         self._reported = -1.0
         self._since = 0.0  # s; since when the state holds
         self._driven = -1.0
         self._malformed = 0
-        self._counts: dict[Topic, int] = dict.fromkeys(_INPUTS, 0)
+        self._counts: dict[Topic, int] = dict.fromkeys((*_INPUTS, VehicleTopic.SWEEPS), 0)
         self._heartbeat: float | None = None  # monotonic s
         subscribe(node, VehicleTopic.AGENT_ALIVE, self._on_heartbeat)
         subscribe(node, VehicleTopic.TELEOP_COMMAND, self._on_teleoperation)
@@ -149,7 +160,10 @@ class ActiveFollower:
         subscribe(node, VehicleTopic.POSE, self._on_pose)
         # only the newest readings matter here: no burst is kept
         subscribe(node, TopicKind.ODOMETRY, self._on_odometry, qos=SENSOR_DATA)
-        subscribe(node, TopicKind.SCAN, self._on_scan)
+        self._silent_lasers = sensors.laser_topics
+        for topic in sensors.laser_topics:
+            subscribe(node, topic.kind, partial(self._on_scan, topic), name=topic.name)
+        subscribe(node, VehicleTopic.SWEEPS, self._on_sweeps)
         self._silence_timer = node.create_timer(
             SILENCE, self._explain_silence, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
@@ -198,23 +212,25 @@ class ActiveFollower:
             lambda now: self.follower.set_odometry(odometry_record(message), now),
         )
 
-    def _on_scan(self, message: LaserScan) -> None:
-        self._take(
-            TopicKind.SCAN,
-            lambda now: self.follower.set_scan(
-                self._mounts.place_scan(scan_record(message), message.header.frame_id), now
-            ),
-        )
+    def _on_scan(self, topic: SensorTopic, message: Any) -> None:
+        def take(now: float) -> None:
+            found = self._lasers.read(topic.kind, message, topic.sensor)
+            if found is not None:
+                self.follower.set_scan(found[1], now)
+                self._silent_lasers = [item for item in self._silent_lasers if item != topic]
+
+        self._take(TopicKind.SCAN, take)
+
+    def _on_sweeps(self, message: DiagnosticStatus) -> None:
+        self._take(VehicleTopic.SWEEPS, lambda _: self.follower.set_sweeps(sweeps_record(message)))
 
     def _explain_silence(self) -> None:
         """Log once which inputs are missing, and the possible causes."""
         self._silence_timer.cancel()
-        for topic, count in self._counts.items():
-            if topic is TopicKind.SCAN and not self._has_laser:
-                continue
-            if count == 0 and topic is not VehicleTopic.PLAN:  # the agent need not have one yet
-                text = explain_silence(self._node, topic.value, SILENCE)
-                self._node.get_logger().warning(text)
+        missing = [topic.value for topic in _EXPECTED if self._counts[topic] == 0]
+        missing += [topic.name for topic in self._silent_lasers]
+        for name in missing:
+            self._node.get_logger().warning(explain_silence(self._node, name, SILENCE))
 
     def _take(self, topic: Topic, hand_over: Callable[[float], None]) -> None:
         """Pass a message to the follower; a malformed one is logged and omitted."""
@@ -265,6 +281,7 @@ class ActiveFollower:
             'goal': '' if plan is None else f'{plan.goal.x:.2f} {plan.goal.y:.2f}',
             'linear_m_s': command.linear,
             'angular_rad_s': command.angular,
+            'cmd_vel_type': ' and '.join(self._outputs.commands.types),
             'malformed_messages': self._malformed,
             **{f'{topic.value}_messages': count for topic, count in self._counts.items()},
         }
@@ -280,7 +297,7 @@ class PathFollowerNode(ManagedNode):
         self._vehicle = vehicle_name(self)
         self.config = declare_settings(self, PathFollowerConfig(), vehicle=self._vehicle)
         self._sensors = declare_settings(
-            self, VehicleConfig(), _AT_START, self._vehicle, _AT_START.keys()
+            self, VehicleConfig(), _AT_START, self._vehicle, {*_AT_START, 'cmd_vel_type'}
         )
         self._teleoperation = declare_settings(self, TeleoperationConfig())
         self._lifecycle = declare_settings(self, LifecycleConfig())
@@ -298,14 +315,20 @@ class PathFollowerNode(ManagedNode):
         self.config, result = changed_settings(self.config, parameters)
         if result.successful:
             self._teleoperation, result = changed_settings(self._teleoperation, parameters)
-        if result.successful and self.active is not None:
+        if result.successful:
+            self._sensors, result = changed_settings(self._sensors, parameters)
+        if not result.successful:
+            return result
+        if self._outputs is not None:
+            self._outputs.commands.configure(self._sensors.cmd_vel_type)
+        if self.active is not None:
             self.active.teleoperation = self._teleoperation
             self.active.configure(self.config)
         return result
 
     def configure(self) -> None:
         """Create the publishers."""
-        self._outputs = PathFollowerOutputs(self, self._vehicle)
+        self._outputs = PathFollowerOutputs(self, self._vehicle, self._sensors)
 
     def activate(self) -> None:
         """Begin to follow plans; nothing of an earlier activation is known any more."""
@@ -322,6 +345,8 @@ class PathFollowerNode(ManagedNode):
 
     def clean_up(self) -> None:
         """Release the publishers."""
+        assert self._outputs is not None
+        self._outputs.commands.close()
         self._outputs = None
 
 

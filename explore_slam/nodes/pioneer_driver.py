@@ -13,24 +13,26 @@ import math
 import sys
 import threading
 import time
+from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Twist
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.task import Future
-from sensor_msgs.msg import LaserScan as ScanMessage
 from std_srvs.srv import SetBool
 
 from explore_slam.data import LaserScan, RgbdFrame
 from explore_slam.errors import DataError, VehicleError
-from explore_slam.geometry import to_world
-from explore_slam.messages import scan_record
-from explore_slam.messages.sensor_mounts import SensorMounts
-from explore_slam.messages.topics import TopicKind, VehicleTopic
+from explore_slam.messages.measurement import VehicleReader
+from explore_slam.messages.scans import SCAN
+from explore_slam.messages.sweep_status import sweeps_record
+from explore_slam.messages.topics import SensorTopic, VehicleTopic
 from explore_slam.messages.vehicle_settings import VehicleConfig
 from explore_slam.mounts import LaserMountConfig
 from explore_slam.nodes.driver_outputs import DriverOutputs, Latency
@@ -54,7 +56,9 @@ from explore_slam.nodes.node_support import (
 )
 from explore_slam.nodes.shared_parameters import TeleoperationConfig
 from explore_slam.nodes.transform_listener import own_mounts
+from explore_slam.nodes.velocity_topic import VelocityInput
 from explore_slam.settings import values_of
+from explore_slam.sweeps import SweepConfig
 from explore_slam.vehicle import (
     BaseState,
     Device,
@@ -67,9 +71,9 @@ from explore_slam.vehicle import (
     make_base,
     make_camera,
     make_laser,
-    scan_points,
 )
 from explore_slam.vehicle.dead_reckoning import DeadReckoning
+from explore_slam.vehicle.laser_view import LaserView
 from explore_slam.vehicle.teleoperation import Teleoperation
 
 CONTROL_PERIOD = 0.02  # s between velocities sent to the base
@@ -84,7 +88,10 @@ _BASE_STOP_TIMEOUT, _STOP_TIMEOUT = 3.0, 1.0  # s for a device to close; a base 
 _OPEN_TIMEOUT = 30.0  # s for all devices to be opened: a laser may try several baud rates
 _NO_POINTS = np.empty((0, 2))
 # settings of the vehicle, which the agent has too
-_SENSORS = ('use_laser', 'laser_mount', 'camera_mount')
+_SENSORS = (
+    'use_laser', 'scans', 'laser_mount', 'clouds', 'cloud_mount', 'cloud_lowest', 'cloud_highest',
+    'cameras', 'camera_mount', *values_of(SweepConfig()),
+)  # fmt: skip
 _CHANGEABLE = {
     *values_of(SafetyConfig()),
     *values_of(TeleoperationConfig()),
@@ -106,30 +113,31 @@ class MotorRequest(NamedTuple):
 class DriverSession:
     """The devices of a configured driver. Inactive, they are open, and the vehicle is stopped."""
 
-    def __init__(self, node: Node, config: DriverNodeConfig) -> None:
+    def __init__(self, node: Node, config: DriverNodeConfig, sensors: VehicleConfig) -> None:
         self._node = node
+        self._sensors = sensors
         self._vehicle = vehicle_name(node)
         config = config.with_odometry_file(self._vehicle)
         self.config = config
         driver = config.driver
         self.outputs = DriverOutputs(node, config.frames(self._vehicle), driver, config.publish_tf)
         self._laser_pose = driver.laser_mount.pose
-        self._mounts: SensorMounts | None = None  # of the laser of another driver
+        self._lasers: VehicleReader | None = None  # of the lasers of other drivers
         limits = driver.base.maximum_speed, driver.base.maximum_turn_rate
         self._gate = SafetyGate(driver.safety, *limits)
         self._inputs = SafetyInputs()
         self._reckoning = DeadReckoning()
-        self._seen: tuple[float, Any] = (0.0, _NO_POINTS)  # stamp and points of the newest scan
+        self._view = LaserView(self._vehicle, self._reckoning)
         self._safe = SafeVelocity(0.0, 0.0, 'base not connected')
         self._lock = threading.Lock()
         self._active = False
+        self._commands: VelocityInput | None = None
         self._motors_wanted: bool | None = None  # None before the first connection
         self._motors_asked = 0.0
         self._motor_request: MotorRequest | None = None
         self._teleoperation = Teleoperation()
         self._standing_since: float | None = None
         self._state: BaseState | None = None  # the newest one
-        self._watched_scan = -np.inf
         self._latency = {'base': Latency(), 'laser': Latency(), 'camera': Latency()}
         self.base = make_base(driver, self._clock_seconds)
         self.laser = make_laser(driver, self._clock_seconds)
@@ -164,15 +172,19 @@ class DriverSession:
         """Publish, and take velocities."""
         self.outputs.publish_mounts(self.config.driver)
         if self.base is not None:
-            subscribe(self._node, VehicleTopic.VELOCITY_COMMAND, self._on_velocity)
+            self._commands = VelocityInput(self._node, {'': self._on_velocity})
             subscribe(self._node, VehicleTopic.TELEOP_COMMAND, self._on_teleoperation)
             self._node.create_service(SetBool, 'enable_motors', self._on_enable_motors)
         if self.laser is None and self.config.watch_scan_topic:
             name, laser = self._vehicle, self.config.driver.laser_mount
             base = self.config.frames(name).base if self.base is not None else ''
-            sensors = VehicleConfig(robot_base_frame=base)
-            self._mounts = own_mounts(self._node, name, laser, sensors)
-            subscribe(self._node, TopicKind.SCAN, self._on_watched_scan)
+            sensors = replace(self._sensors, robot_base_frame=base)
+            mounts = own_mounts(self._node, name, laser, sensors)
+            self._lasers = VehicleReader((SCAN,), mounts)
+            for topic in sensors.laser_topics:
+                callback = partial(self._on_watched_scan, topic)
+                subscribe(self._node, topic.kind, callback, name=topic.name)
+            subscribe(self._node, VehicleTopic.SWEEPS, self._on_sweeps)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._node.create_timer(REPORT_PERIOD, self._report, clock=steady)
         with self._lock:
@@ -180,6 +192,9 @@ class DriverSession:
 
     def deactivate(self) -> None:
         """Bring the vehicle to rest; the devices stay open."""
+        if self._commands is not None:
+            self._commands.close()
+            self._commands = None
         with self._lock:
             self._active = False
             self._gate.command(0.0, 0.0, time.monotonic())
@@ -217,11 +232,11 @@ class DriverSession:
 
     # -- callbacks -------------------------------------------------------------------------------
 
-    def _on_velocity(self, message: Twist) -> None:
+    def _on_velocity(self, linear: float, angular: float) -> None:
         now = time.monotonic()
         with self._lock:
             if not self._teleoperation.is_active(now, self._teleop_timeout):
-                self._gate.command(message.linear.x, message.angular.z, now)
+                self._gate.command(linear, angular, now)
 
     def _on_teleoperation(self, message: Twist) -> None:
         now = time.monotonic()
@@ -282,15 +297,28 @@ class DriverSession:
             text += _explain_motors(state)
         self._answer_motor_request(False, text)
 
-    def _on_watched_scan(self, message: ScanMessage) -> None:
+    def _on_watched_scan(self, topic: SensorTopic, message: Any) -> None:
+        assert self._lasers is not None
         try:
-            scan = scan_record(message)
-            if self._mounts is not None:
-                scan = self._mounts.place_scan(scan, message.header.frame_id)
-            self._keep_points(scan)
-            self._watched_scan = time.monotonic()
+            found = self._lasers.read(topic.kind, message, topic.sensor)
+            if found is not None:
+                self._keep_points(found[1])
         except DataError as error:
-            self._node.get_logger().warning(f'scan: {error}', throttle_duration_sec=WARNING_PERIOD)
+            self._node.get_logger().warning(
+                f'{topic.name}: {error}', throttle_duration_sec=WARNING_PERIOD
+            )
+
+    def _on_sweeps(self, message: DiagnosticStatus) -> None:
+        """Take what the agent has found of the sweeps of the lasers."""
+        try:
+            found = sweeps_record(message)
+        except DataError as error:
+            self._node.get_logger().warning(
+                f'sweeps: {error}', throttle_duration_sec=WARNING_PERIOD
+            )
+            return
+        with self._lock:
+            self._view.set_sweeps(found)
 
     # -- thread of the base ----------------------------------------------------------------------
 
@@ -376,18 +404,11 @@ class DriverSession:
             if self.laser is not None:
                 inputs.laser_last_received = self.laser.last_received
             elif self.config.watch_scan_topic:
-                inputs.laser_last_received = self._watched_scan
-            inputs.laser_points = self._points_now()
+                inputs.laser_last_received = self._view.last_received
+            # the newest scan is 0.2 s old
+            inputs.laser_points = self._view.points(now_seconds(self._node))
             self._safe = self._gate.update(inputs, now)
         self.base.set_velocity(self._safe.linear, self._safe.angular)
-
-    def _points_now(self) -> Any:
-        """Return the newest scan's points in the present vehicle frame: it is 0.2 s old."""
-        stamp, points = self._seen
-        moved = self._reckoning.odometry_at(now_seconds(self._node)).between(
-            self._reckoning.odometry_at(stamp)
-        )
-        return to_world(moved, points)
 
     # -- threads of laser and camera -------------------------------------------------------------
 
@@ -399,9 +420,8 @@ class DriverSession:
         self._keep_points(scan)
 
     def _keep_points(self, scan: LaserScan) -> None:
-        points = scan_points(scan, scan.mount or self._laser_pose)
         with self._lock:
-            self._seen = (scan.stamp, points)
+            self._view.add(scan, scan.mount or self._laser_pose, time.monotonic())
 
     def _on_frame(self, frame: RgbdFrame) -> None:
         if self._active:
@@ -496,6 +516,7 @@ class PioneerDriverNode(ManagedNode):
         vehicle = vehicle_name(self)
         config = declare_settings(self, DriverNodeConfig(), vehicle=vehicle)
         sensors = declare_settings(self, VehicleConfig(), vehicle=vehicle, names=_SENSORS)
+        self._sensors = sensors
         self.config = config.with_vehicle(sensors)
         warn_of_unknown_vehicle_parameters(self, vehicle, values_of(PathFollowerConfig()))
         self._session: DriverSession | None = None
@@ -507,7 +528,7 @@ class PioneerDriverNode(ManagedNode):
 
         A node that starts by itself runs with the devices that it finds and retries the others.
         """
-        session = DriverSession(self, self.config)
+        session = DriverSession(self, self.config, self._sensors)
         session.open(patient=self.starting)
         self._session = session
 

@@ -5,6 +5,7 @@ import logging
 import queue
 import sys
 import threading
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from rclpy.subscription import Subscription
 from rclpy.utilities import remove_ros_args
 
 from explore_slam.errors import ExploreSlamError
-from explore_slam.messages.topics import GlobalTopic, Qos, topic_name, vehicle_topic
+from explore_slam.messages.topics import GlobalTopic, Qos, TopicKind, topic_name, vehicle_topic
 from explore_slam.nodes.endpoints import qos_profile
 from explore_slam.nodes.node_support import run_node
 from explore_slam.nodes.ros_types import message_class
@@ -94,8 +95,8 @@ class Recorder(Node):
         self._vehicles = set(vehicles)
         # live topic -> name in the bag, of topics that the user has chosen
         self._chosen = {
-            self.resolve_topic_name(item.name): topic_name(item.vehicle, item.kind)
-            for item in choices
+            self.resolve_topic_name(name): recorded
+            for name, recorded in recorded_names(list(choices)).items()
         }
         self._early: list[tuple[str, bytes]] = []  # received before simulated time begins
         self._writer = BagWriter(path)
@@ -130,7 +131,11 @@ class Recorder(Node):
         if topic in self._chosen or _is_transform(topic):
             return True
         found = vehicle_topic(topic)
-        return found is not None and (not self._vehicles or found.vehicle in self._vehicles)
+        if found is None:
+            return False
+        # one of several lasers or cameras: '/robot1/front/scan'
+        owner = found.vehicle.split('/')[0]
+        return not self._vehicles or not self._vehicles.isdisjoint({found.vehicle, owner})
 
     def _discover(self) -> None:
         if self._thread.error is not None:
@@ -193,6 +198,22 @@ class Recorder(Node):
     def _put(self, topic: str, data: bytes, log_time: int) -> None:
         self.counts[topic] = self.counts.get(topic, 0) + 1
         self._thread.put(topic, log_time, data)
+
+
+def recorded_names(choices: list[TopicChoice]) -> dict[str, str]:
+    """Return topic -> name in the bag, of topics that the user has chosen.
+
+    Of several of one kind, as of two lasers, each keeps its name in the namespace of the vehicle.
+    """
+    kinds = Counter((item.vehicle, item.kind) for item in choices)
+    names = {}
+    for item in choices:
+        name = topic_name(item.vehicle, item.kind)
+        if kinds[item.vehicle, item.kind] > 1 or item.kind is TopicKind.CLOUD:
+            below = item.name.removeprefix(f'/{item.vehicle}/').strip('/')
+            name = f'/{item.vehicle}/{below}'
+        names[item.name] = name
+    return names
 
 
 def _is_transform(topic: str) -> bool:

@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.node import Node
 
 from explore_slam.errors import ConfigError
@@ -39,6 +39,7 @@ from explore_slam.nodes.node_support import (
 )
 from explore_slam.nodes.simulation_pace import Pace, PaceConfig
 from explore_slam.nodes.simulator_outputs import VehicleOutputs, clock_message
+from explore_slam.nodes.velocity_topic import VelocityInput
 from explore_slam.settings import Section, section, setting
 from explore_slam.simulation import (
     SimulationConfig,
@@ -136,6 +137,7 @@ class SimulatorNode(Node):
         warn_of_unknown_parameters(self)
         self._worker = ThreadPoolExecutor(1, thread_name_prefix='simulator')
         self._hardware: HardwareBridge | None = None
+        self._inputs: VelocityInput | None = None
         self._wake = threading.Condition()
         self._stopping = False
         self.simulator: Simulator = self._worker.submit(self._make_simulator).result()
@@ -160,11 +162,10 @@ class SimulatorNode(Node):
         self._clock_output = publisher(self, GlobalTopic.CLOCK)
         self._diagnostics = publisher(self, GlobalTopic.DIAGNOSTICS)
         self._outputs = self._make_outputs()
+        if self._hardware is None:
+            takers = {name: partial(self._on_velocity, name) for name in names}
+            self._inputs = VelocityInput(self, takers)
         for name in names:
-            if self._hardware is None:
-                subscribe(
-                    self, VehicleTopic.VELOCITY_COMMAND, partial(self._on_velocity, name), name
-                )
             subscribe(self, VehicleTopic.POSE, partial(self._on_pose, name), name)
         self.add_on_set_parameters_callback(self._on_parameters)
         self._reported = (0.0, time.monotonic())
@@ -191,8 +192,7 @@ class SimulatorNode(Node):
 
     # -- callbacks -------------------------------------------------------------------------------
 
-    def _on_velocity(self, vehicle: str, message: Twist) -> None:
-        linear, angular = float(message.linear.x), float(message.angular.z)
+    def _on_velocity(self, vehicle: str, linear: float, angular: float) -> None:
         if not (math.isfinite(linear) and math.isfinite(angular)):
             self._malformed += 1
             self.get_logger().warning(
@@ -296,6 +296,9 @@ class SimulatorNode(Node):
     def stop(self) -> None:
         """End the worker and release the renderer."""
         self._stopping = True
+        if self._inputs is not None:
+            self._inputs.close()
+            self._inputs = None
         with self._wake:
             self._wake.notify()
         if self._hardware is not None:

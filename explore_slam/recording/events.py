@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from explore_slam.data import OdometryReading
+from explore_slam.data import LaserScan, OdometryReading, RgbdFrame
 from explore_slam.errors import RecordingError
 from explore_slam.geometry import Pose2, Quaternion
 from explore_slam.messages.base import quaternion_message
@@ -57,9 +57,11 @@ def start_event(vehicle: str, stamp: float, pose: Pose2) -> Event:
 
 def write_event(writer: BagWriter, event: Event) -> None:
     """Write an event on the topics of its vehicle, logged at its stamp."""
+    record = event.record
+    sensor = record.sensor if isinstance(record, LaserScan | RgbdFrame) else ''
     for kind, message in _messages(event):
         writer.write_message(
-            topic_name(event.vehicle, kind), kind.message_type, event.stamp, message
+            topic_name(event.vehicle, kind, sensor), kind.message_type, event.stamp, message
         )
 
 

@@ -35,6 +35,7 @@ from explore_slam.recording.events import Event
 from explore_slam.recording.ordering import StampOrder, StampStatistics, header_stamp
 from explore_slam.recording.recorded_transforms import recorded_transforms
 from explore_slam.recording.rosbags_types import MESSAGES, full_name
+from explore_slam.recording.sensor_topics import choices_of_settings, with_sensors
 from explore_slam.recording.storage.storage import RawMessage
 from explore_slam.recording.topic_selection import (
     TopicChoice,
@@ -92,7 +93,8 @@ class Replay:
     may hold one; the former take precedence.
     vision: 'agent' or 'vehicle', see topic_selection.frames_or_landmarks.
     choices: topics that the user has chosen by hand.
-    settings: of the team and of single vehicles by name (messages.vehicle_settings).
+    settings: of the team and of single vehicles by name (messages.vehicle_settings); scans, clouds
+    and cameras among them choose topics, too.
     team_mounts: mounts of the sensors that the settings of the team give explicitly.
     """
 
@@ -108,9 +110,10 @@ class Replay:
         team_mounts: ExplicitMounts | None = None,
     ) -> None:
         self.bag = bag
-        found, warnings = vehicle_topics(bag.topics, vehicles, choices, bag.rates)
-        self._topics = frames_or_landmarks(found, vision, warnings)
-        self._notes = warnings
+        wanted, notes = choices_of_settings(bag.topics, vehicles, settings or {})
+        found, warnings = vehicle_topics(bag.topics, vehicles, [*choices, *wanted], bag.rates)
+        self._topics = with_sensors(frames_or_landmarks(found, vision, warnings))
+        self._notes = [*warnings, *notes]
         self._is_complete = False  # all messages have been read
         self._by_name = {topic.name: topic for topic in self._topics}
         self.vehicles = sorted({topic.vehicle for topic in self._topics})
@@ -344,7 +347,7 @@ class Replay:
     def _event(self, topic: RecordedTopic, stamp: float, message: Any) -> Event | None:
         if topic.kind in POSE_KINDS:
             return Event(stamp, topic.vehicle, topic.kind, odometry_record(message))
-        found = self._readers[topic.vehicle].read(topic.kind, message)
+        found = self._readers[topic.vehicle].read(topic.kind, message, topic.sensor)
         if found is None:
             return None
         kind, record = found
@@ -429,7 +432,8 @@ class Replay:
             topic = waiting.pop(message.topic, None)
             if topic is not None:
                 try:
-                    self._readers[topic.vehicle].read(topic.kind, self.bag.decode(message))
+                    reader = self._readers[topic.vehicle]
+                    reader.read(topic.kind, self.bag.decode(message), topic.sensor)
                 except ExploreSlamError:  # counted and named when the events are read
                     waiting[message.topic] = topic
             if not waiting:

@@ -14,6 +14,7 @@ from explore_slam.data import OdometryReading
 from explore_slam.errors import RecordingError
 from explore_slam.geometry import Pose2
 from explore_slam.mapping import OccupancyGrid
+from explore_slam.messages.sweep_status import named_sweeps
 from explore_slam.messages.topics import TopicKind
 from explore_slam.messages.vehicle_settings import split_vehicle_values
 from explore_slam.recording.bag import BagReader
@@ -24,6 +25,7 @@ from explore_slam.recording.topic_selection import topic_choices
 from explore_slam.results.landmark_agreement import evaluate_frames
 from explore_slam.results.run_data import RunData, RunRecorder
 from explore_slam.settings import read_parameters, values_of, with_values
+from explore_slam.sweeps import Sweep
 
 logger = logging.getLogger(__name__)
 
@@ -193,6 +195,7 @@ def replay_bag(
         *replay.warnings,
         *_mount_notes(replay),
         *_no_return_notes(no_returns, effective.mapping.no_return_range),
+        *_sweep_notes(agent.found_sweeps()),
         *_warn_without_sensors(replay),
         *_join_notes(agent, poses, apart),
     ):
@@ -212,6 +215,9 @@ def replay_bag(
             'odometry_calibration': {
                 name: found._asdict() for name, found in calibrations.items()
             },
+            'sweeps': {
+                name: named_sweeps(lasers) for name, lasers in agent.found_sweeps().items()
+            },
             'mounts': {name: dict(item.report()) for name, item in replay.mounts.items()},
             'no_return': {
                 name: {'share': share, 'free': free} for name, (share, free) in no_returns.items()
@@ -224,6 +230,17 @@ def replay_bag(
             },
         },
     )
+
+
+def _sweep_notes(found: Mapping[str, Mapping[str, Sweep]]) -> list[str]:
+    """Return what scans have shown of the sweeps of their lasers, in words."""
+    notes = []
+    for vehicle, lasers in found.items():
+        for laser, sweep in lasers.items():
+            name = f'{vehicle}, {laser}' if laser else vehicle
+            shown = str(sweep) if sweep.duration else 'that all beams are measured at one moment'
+            notes.append(f'{name}: the scans show {shown}')
+    return notes
 
 
 def _mount_notes(replay: Replay) -> list[str]:

@@ -1,12 +1,13 @@
-"""A vehicle with a laser as people have them, on a floor of three rooms with exact walls.
+"""A vehicle with lasers as people have them, on a floor of three rooms with exact walls.
 
-The vehicle turns on the spot and drives straight. Its wheel odometry turns too far. The laser
-measures its beams one after the other while the vehicle moves, or all at one moment.
+The vehicle turns on the spot and drives straight. Its wheel odometry turns too far. A laser
+measures its beams one after the other while the vehicle moves, or all at one moment; it looks all
+around, or there are two that look ahead and back.
 """
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,6 +59,8 @@ class Laser:
     backward: against the order of the message. last: stamped at the last beam by time.
     stated: the messages hold the true time_increment, and the settings direction and stamp;
     otherwise nothing is known of them.
+    name: of its topic, below the vehicle's namespace; '' for the only one. mount: its pose on the
+    vehicle. half: it looks ahead only, over 180°, from its right to its left.
     """
 
     rate: float = 5.5
@@ -65,6 +68,18 @@ class Laser:
     backward: bool = False
     last: bool = False
     stated: bool = True
+    name: str = ''
+    mount: Pose2 = LASER
+    half: bool = False
+
+    @property
+    def angles(self) -> Array:
+        """Bearings of the beams in the laser frame (B,) rad."""
+        step = 2.0 * math.pi / BEAMS
+        count = BEAMS // 2 + 1 if self.half else BEAMS
+        first = -0.5 * math.pi if self.half else -math.pi
+        angles: Array = first + step * np.arange(count, dtype=np.float64)
+        return angles
 
     @property
     def time_increment(self) -> float:
@@ -74,7 +89,7 @@ class Laser:
     @property
     def shares(self) -> Array:
         """When the beams of a message are measured (B,), in s after the first one by time."""
-        order = np.arange(BEAMS, dtype=np.float64)
+        order = np.arange(len(self.angles), dtype=np.float64)
         shares: Array = self.time_increment * (order[::-1] if self.backward else order)
         return shares
 
@@ -156,38 +171,45 @@ def odometry(
 
 def scans(drive: Drive, laser: Laser, random: np.random.Generator) -> list[LaserScan]:
     """Return the scans of a drive; the phase of the laser is random."""
-    angles = -math.pi + 2.0 * math.pi / BEAMS * np.arange(BEAMS)
+    angles, mount = laser.angles, laser.mount
     found = []
     sweep = 1.0 / laser.rate
     for begin in np.arange(random.uniform(0.0, sweep), drive.duration - sweep, sweep):
         poses = drive.at(begin + laser.shares)
         c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
         origins = poses[:, :2] + np.stack(
-            [c * LASER.x - s * LASER.y, s * LASER.x + c * LASER.y], axis=1
+            [c * mount.x - s * mount.y, s * mount.x + c * mount.y], axis=1
         )
-        ranges = distances_along(FLOOR, origins, poses[:, 2] + LASER.theta + angles)
-        ranges = ranges + RANGE_DEVIATION * random.standard_normal(BEAMS)
+        ranges = distances_along(FLOOR, origins, poses[:, 2] + mount.theta + angles)
+        ranges = ranges + RANGE_DEVIATION * random.standard_normal(len(angles))
         ranges[ranges > RANGE] = np.inf
         stamp = begin + (laser.shares.max() if laser.last else 0.0)
         found.append(
             LaserScan(
                 float(stamp), float(angles[0]), float(angles[1] - angles[0]),
-                ranges.astype(np.float32), 0.1, RANGE, LASER,
+                ranges.astype(np.float32), 0.1, RANGE, mount,
                 time_increment=laser.time_increment if laser.stated else 0.0,
                 scan_time=sweep,
                 timing=laser.timing,
+                sensor=laser.name,
             )
         )  # fmt: skip
     return found
 
 
 def in_order_of_arrival(
-    readings: Sequence[OdometryReading], sweeps: Sequence[LaserScan], laser: Laser
+    readings: Sequence[OdometryReading],
+    sweeps: Iterable[Sequence[LaserScan]],
+    lasers: Iterable[Laser],
 ) -> list[OdometryReading | LaserScan]:
-    """Return all records as they arrive: a scan when its last beam has been measured."""
-    late = 0.0 if laser.last else float(laser.shares.max())
+    """Return all records as they arrive: a scan when its last beam has been measured.
+
+    sweeps: the scans of each laser.
+    """
     arrivals = [(reading.stamp, 0, reading) for reading in readings]
     records: list[tuple[float, int, OdometryReading | LaserScan]] = list(arrivals)
-    records += [(scan.stamp + late, 1, scan) for scan in sweeps]
+    for scans_of_one, laser in zip(sweeps, lasers, strict=True):
+        late = 0.0 if laser.last else float(laser.shares.max())
+        records += [(scan.stamp + late, 1, scan) for scan in scans_of_one]
     records.sort(key=lambda item: item[:2])
     return [record for _, _, record in records]

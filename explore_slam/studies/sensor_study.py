@@ -3,13 +3,14 @@
 A case is a row of the table. Further sensors are further cases.
 """
 
+import heapq
 import itertools
 import json
 import math
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,12 +20,17 @@ from explore_slam.agent import Agent, AgentConfig, warm_up
 from explore_slam.data import LaserScan, OdometryReading
 from explore_slam.errors import EvaluationError
 from explore_slam.files import write_text
-from explore_slam.geometry import Array, Pose2, wrap_angle
+from explore_slam.geometry import Array, Pose2, quaternion_from_yaw, wrap_angle
 from explore_slam.mapping import OccupancyGrid
-from explore_slam.messages.topics import TopicKind
+from explore_slam.messages.base import transform_message
+from explore_slam.messages.clouds import cloud_message
+from explore_slam.messages.frames import FrameNames
+from explore_slam.messages.scans import scan_message
+from explore_slam.messages.topics import GlobalTopic, TopicKind, topic_name
 from explore_slam.recording import BagReader, Replay
-from explore_slam.recording.events import Event
-from explore_slam.recording.importers.importing import write_bag
+from explore_slam.recording.bag import BagWriter
+from explore_slam.recording.events import Event, write_event
+from explore_slam.recording.rosbags_types import MESSAGES
 from explore_slam.results import tables
 from explore_slam.settings import with_values
 from explore_slam.simulation.worlds.walls import distances_from
@@ -40,8 +46,11 @@ from explore_slam.studies.sensor_rig import (
 )
 
 VEHICLE = 'robot1'
+FRONT, REAR = Pose2(0.25, 0.0, 0.0), Pose2(-0.25, 0.0, math.pi)  # two lasers on a vehicle
+LASER_HEIGHT, CEILING = 0.5, 2.6  # m above the floor
+RINGS = np.radians(np.arange(-15.0, 16.0, 2.0))  # elevations of a VLP-16
 OFF_WALL = 0.10  # m; occupied cells whose centre is farther from the true walls are wrong
-SOURCES = ('live', 'bag')
+SOURCES = ('live', 'bag', 'topic', 'cloud')
 
 
 @dataclass(frozen=True)
@@ -49,11 +58,13 @@ class Case:
     """One row of the table.
 
     turn_rate: rad/s on the spot. odometry_turn: what the wheels measure of a turn of 1.
-    source: live, records in the order of arrival; bag, the messages of a bag through its replay.
+    source: live, records in the order of arrival; bag, the messages of a bag through its replay;
+    topic, likewise with all lasers on the topic scan, told apart by header.frame_id; cloud,
+    likewise with the laser as a 3-D lidar, whose clouds hold the floor and the ceiling, too.
     """
 
     title: str
-    laser: Laser = field(default_factory=Laser)
+    lasers: tuple[Laser, ...] = (Laser(),)
     turn_rate: float = 0.9
     odometry_turn: float = 1.05
     source: str = 'live'
@@ -66,7 +77,7 @@ class Case:
 def _sweep_cases() -> Iterator[Case]:
     """Yield the cases of motion within a sweep."""
     for rate in (5.5, 10.0):
-        yield Case(f'one moment, {rate:g} Hz', Laser(rate, spinning=False))
+        yield Case(f'one moment, {rate:g} Hz', (Laser(rate, spinning=False),))
     for rate, turn_rate, backward, last, stated in itertools.product(
         (5.5, 10.0), (0.9, 0.45), (False, True), (False, True), (True, False)
     ):
@@ -76,14 +87,39 @@ def _sweep_cases() -> Iterator[Case]:
             f'{"stated" if stated else "not stated"}'
         )
         laser = Laser(rate, backward=backward, last=last, stated=stated)
-        yield Case(title, laser, turn_rate)
+        yield Case(title, (laser,), turn_rate)
     for rate, stated in itertools.product((5.5, 10.0), (True, False)):
         title = f'spinning, {rate:g} Hz, {"stated" if stated else "not stated"}, from a bag'
-        yield Case(title, Laser(rate, stated=stated), source='bag')
+        yield Case(title, (Laser(rate, stated=stated),), source='bag')
     yield Case('spinning, 5.5 Hz, exact wheels', odometry_turn=1.0)
 
 
-CASES: dict[str, tuple[Case, ...]] = {'sweeps': tuple(_sweep_cases())}
+def _laser_cases() -> Iterator[Case]:
+    """Yield the cases of several lasers on one vehicle."""
+
+    def pair(rate: float, *, spinning: bool = False) -> tuple[Laser, ...]:
+        return tuple(
+            Laser(rate, spinning, name=name, mount=mount, half=True)
+            for name, mount in (('front/scan', FRONT), ('rear/scan', REAR))
+        )
+
+    for rate, turn_rate in itertools.product((5.5, 10.0), (0.9, 0.45)):
+        title = f'two lasers of 180°, {rate:g} Hz, {turn_rate:g} rad/s'
+        yield Case(title, pair(rate), turn_rate)
+    yield Case('two lasers of 180°, 10 Hz, from a bag', pair(10.0), source='bag')
+    yield Case('two lasers of 180°, 10 Hz, on one topic', pair(10.0), source='topic')
+    yield Case('two lasers of 180°, beams one by one, 10 Hz', pair(10.0, spinning=True))
+    lidar = Laser(10.0, name='points')
+    yield Case('3-D lidar, beams one by one, 10 Hz', (lidar,), source='cloud')
+    front, rear = pair(10.0)
+    yield Case('two lasers of 180°, 10 and 7 Hz', (front, replace(rear, rate=7.0)))
+    yield Case('the laser ahead alone, 10 Hz', (replace(front, name=''),))
+
+
+CASES: dict[str, tuple[Case, ...]] = {
+    'sweeps': tuple(_sweep_cases()),
+    'lasers': tuple(_laser_cases()),
+}
 
 
 class CaseRun(NamedTuple):
@@ -176,13 +212,13 @@ def run_case(case: Case, seed: int, config: AgentConfig) -> tuple[CaseRun, Occup
     random = np.random.default_rng(seed)
     drive = Drive(case.turn_rate)
     readings = odometry(drive, case.odometry_turn, random)
-    sweeps = scans(drive, case.laser, random)
+    sweeps = [scans(drive, laser, random) for laser in case.lasers]
     watch = _Watch(Agent(config, {VEHICLE: START}, seed))
     if case.source == 'live':
-        for record in in_order_of_arrival(readings, sweeps, case.laser):
+        for record in in_order_of_arrival(readings, sweeps, case.lasers):
             watch.add(VEHICLE, record)
     else:
-        _replay(watch, readings, sweeps, case.laser)
+        _replay(watch, readings, sweeps, case)
     table = np.array(watch.rows)
     off = table[:, 1:] - drive.at(table[:, 0])
     turn = [wrap_angle(value) for value in off[:, 2]]
@@ -207,21 +243,94 @@ def run_case(case: Case, seed: int, config: AgentConfig) -> tuple[CaseRun, Occup
 def _replay(
     watch: _Watch,
     readings: Sequence[OdometryReading],
-    sweeps: Sequence[LaserScan],
-    laser: Laser,
+    sweeps: Sequence[Sequence[LaserScan]],
+    case: Case,
 ) -> None:
-    """Write the records as a bag, and feed its replay."""
+    """Write the records as a bag, with the mounts of several lasers, and feed its replay."""
     with tempfile.TemporaryDirectory(prefix='explore_slam_') as folder:
         path = Path(folder) / 'bag'
-        streams: list[Iterable[Event]] = [
-            (Event(item.stamp, VEHICLE, TopicKind.ODOMETRY, item) for item in readings),
-            (Event(item.stamp, VEHICLE, TopicKind.SCAN, item) for item in sweeps),
-        ]
-        write_bag(path, streams, {})
-        timing = laser.timing
-        settings = {'sweep_direction': timing.direction, 'sweep_stamp': timing.stamp}
+        with BagWriter(path) as writer:
+            if len(case.lasers) > 1 or case.source == 'cloud':
+                _write_mounts(writer, case.lasers)
+            streams: list[Iterable[Event]] = [
+                (Event(item.stamp, VEHICLE, TopicKind.ODOMETRY, item) for item in readings),
+                *((Event(i.stamp, VEHICLE, TopicKind.SCAN, i) for i in scans) for scans in sweeps),
+            ]
+            for event in heapq.merge(*streams, key=lambda event: event.stamp):
+                if case.source == 'topic' and isinstance(event.record, LaserScan):
+                    _write_on_one_topic(writer, event.record)
+                elif case.source == 'cloud' and isinstance(event.record, LaserScan):
+                    _write_cloud(writer, event.record)
+                else:
+                    write_event(writer, event)
+        timing = case.lasers[0].timing
+        settings: dict[str, Any] = {
+            'sweep_direction': timing.direction,
+            'sweep_stamp': timing.stamp,
+        }
+        if case.source == 'bag' and len(case.lasers) > 1:
+            settings['scans'] = [laser.name for laser in case.lasers]
+        if case.source == 'cloud':
+            settings |= {'scans': [''], 'clouds': [laser.name for laser in case.lasers]}
         with BagReader(path) as bag:
             Replay(bag, starts={VEHICLE: START}, settings=settings).feed(watch)
+
+
+def _write_mounts(writer: BagWriter, lasers: Iterable[Laser]) -> None:
+    """Write the mounts of lasers as /tf_static."""
+    frames, topic = FrameNames(VEHICLE), GlobalTopic.TF_STATIC
+    transforms = [
+        transform_message(
+            MESSAGES,
+            0.0,
+            frames.base,
+            frames.laser_frame(laser.name),
+            (laser.mount.x, laser.mount.y, LASER_HEIGHT),
+            quaternion_from_yaw(laser.mount.theta),
+        )
+        for laser in lasers
+    ]
+    writer.add_topic(topic.value, topic.message_type, latched=True)
+    message = MESSAGES.make(topic.message_type, transforms=transforms)
+    writer.write_message(topic.value, topic.message_type, 0.0, message)
+
+
+def _write_on_one_topic(writer: BagWriter, scan: LaserScan) -> None:
+    """Write the scan of any laser on the topic `scan`, with the frame of its laser."""
+    frame = FrameNames(VEHICLE).laser_frame(scan.sensor)
+    writer.write_message(
+        topic_name(VEHICLE, TopicKind.SCAN),
+        TopicKind.SCAN.message_type,
+        scan.stamp,
+        scan_message(MESSAGES, scan, frame),
+    )
+
+
+def _write_cloud(writer: BagWriter, scan: LaserScan) -> None:
+    """Write a scan as the cloud of a 3-D lidar in a room with floor, walls and ceiling.
+
+    All rings of a bearing are measured at once. A ring that meets floor or ceiling before the wall
+    ends there.
+    """
+    walls = np.repeat(scan.ranges.astype(np.float64), len(RINGS))
+    bearings = np.repeat(scan.angles, len(RINGS))
+    slopes = np.tile(np.tan(RINGS), scan.ranges.size)
+    level = np.where(slopes < 0.0, -LASER_HEIGHT, CEILING - LASER_HEIGHT)
+    reach = np.minimum(walls, level / slopes)
+    seen = np.isfinite(reach)
+    reach, bearings, slopes = reach[seen], bearings[seen], slopes[seen]
+    times = np.repeat(scan.time_increment * np.arange(scan.ranges.size), len(RINGS))[seen]
+    columns = [
+        ('x', reach * np.cos(bearings)), ('y', reach * np.sin(bearings)), ('z', reach * slopes),
+        ('time', times),
+    ]  # fmt: skip
+    frame = FrameNames(VEHICLE).laser_frame(scan.sensor)
+    writer.write_message(
+        topic_name(VEHICLE, TopicKind.CLOUD, scan.sensor),
+        TopicKind.CLOUD.message_type,
+        scan.stamp,
+        cloud_message(MESSAGES, scan.stamp, frame, columns),
+    )
 
 
 def run_study(study: SensorStudy, output: Path | None = None) -> Iterator[CaseRun]:

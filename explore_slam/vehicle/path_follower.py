@@ -6,16 +6,18 @@ benchmarks/vehicle_following.py (slalom, corners, obstacles; odometry and scans 
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from explore_slam.data import FollowerState, LaserScan, OdometryReading, Plan
-from explore_slam.geometry import Array, Pose2, to_world
-from explore_slam.sweeps import SweepJudge, deskewed
-from explore_slam.vehicle.clearance import free_distance, scan_points
+from explore_slam.geometry import Pose2, to_world
+from explore_slam.sweeps import Sweep
+from explore_slam.vehicle.clearance import free_distance
 from explore_slam.vehicle.config import PathFollowerConfig
 from explore_slam.vehicle.dead_reckoning import DeadReckoning
+from explore_slam.vehicle.laser_view import LaserView
 from explore_slam.vehicle.reference_path import ReferencePath
 
 _PROJECTION_WINDOW = 2.0  # m of path searched for the nearest point: paths may cross themselves
@@ -28,9 +30,6 @@ _TURN_GAIN = 2.0  # 1/s, turn rate per bearing when turning on the spot
 _TURN_HYSTERESIS = 0.35  # of turn_in_place_angle: turning on the spot ends at this bearing
 _GENTLE_CURVATURE = 0.5  # 1/m; below it the straight line ahead must be free too
 _BRAKING_SHARE = 0.6  # of follow_acceleration, relied upon for braking before obstacles
-_SWEEP_STEP = (
-    0.02  # s between the poses by which beams are placed; odometry comes at 50 Hz or less
-)
 _RESTART_ROOM = 0.05  # m more than the stop distance to start again after an obstacle
 
 
@@ -94,14 +93,12 @@ class PathFollower:
     ) -> None:
         """Create a follower; vehicle: its name in messages."""
         self.config = config or PathFollowerConfig()
-        self._sweeps = SweepJudge(vehicle)
         self.progress = FollowerProgress()
         self.plan: Plan | None = None
         self._path: ReferencePath | None = None
         self._s = 0.0
         self._reckoning = DeadReckoning()
-        self._points: Array = np.empty((0, 2))
-        self._scan_stamp = 0.0
+        self._view = LaserView(vehicle, self._reckoning)
         self._times = _Timers()
         self._best = _Best()
         self._motion = _Motion()
@@ -146,22 +143,14 @@ class PathFollower:
         self._reckoning.add_odometry(reading)
 
     def set_scan(self, scan: LaserScan, received: float | None = None) -> None:
-        """Replace the scan that shows obstacles.
-
-        Beams that were measured one after the other are placed by odometry at their own times.
-        Obstacles cannot wait for odometry: where it has not come yet, it is extrapolated.
-        """
-        self._times.scan = scan.stamp if received is None else received
+        """Replace the scan of a laser that shows obstacles; see LaserView."""
         laser = scan.mount or self.config.laser_mount.pose
-        sweep = self._sweeps.sweep_of(scan)
-        if sweep is not None:
-            begin = scan.stamp + sweep.begin
-            count = max(math.ceil(sweep.duration / _SWEEP_STEP), 1) + 1
-            at = np.linspace(begin, begin + sweep.duration, count)
-            path = np.array([self._reckoning.odometry_at(float(stamp)) for stamp in at])
-            scan = deskewed(scan, sweep, at, path, laser)
-        self._scan_stamp = scan.stamp
-        self._points = scan_points(scan, laser)
+        self._view.add(scan, laser, scan.stamp if received is None else received)
+        self._times.scan = self._view.last_received
+
+    def set_sweeps(self, found: Mapping[str, Sweep]) -> None:
+        """Set when the beams of lasers are measured, as the agent has found from their scans."""
+        self._view.set_sweeps(found)
 
     def map_pose(self, now: float) -> Pose2 | None:
         """Return the dead-reckoned pose in the map, None before the first map pose."""
@@ -274,10 +263,7 @@ class PathFollower:
         c = self.config
         if not c.obstacle_stop:
             return speed, False
-        moved = self._reckoning.odometry_at(now).between(
-            self._reckoning.odometry_at(self._scan_stamp)
-        )
-        points = to_world(moved, self._points)
+        points = self._view.points(now)
         body = c.body.vehicle_radius + c.side_clearance
         free = free_distance(points, curvature, body)
         straight = free

@@ -163,7 +163,7 @@ def test_the_map_is_right_although_nothing_tells_how_the_sweeps_go(sweep):
 def test_a_statement_that_the_scans_contradict_is_corrected():
     increment = 0.199 / (BEAMS - 1)
     agent = run(records(Sweep(0.199, backward=True), until=9.0, time_increment=increment))
-    assert agent.track('a').sweeps.judge.found == Sweep(pytest.approx(0.199), True)
+    assert agent.track('a').sweeps.of('').judge.found == Sweep(pytest.approx(0.199), True)
     assert wrong_cells(agent) <= 0.01
 
 
@@ -171,8 +171,8 @@ def test_a_statement_that_the_scans_contradict_is_corrected():
 def test_scans_of_one_moment_give_the_same_map_as_if_that_were_known(interval):
     unknown = run(records(MOMENT, interval))
     known = run(records(MOMENT, interval, timing=SweepTiming(0.0)))
-    assert unknown.track('a').sweeps.judge.found == MOMENT
-    assert known.track('a').sweeps.judge.found is None
+    assert unknown.track('a').sweeps.of('').judge.found == MOMENT
+    assert known.track('a').sweeps.of('').judge.found is None
     assert unknown.grid.evidence().tobytes() == known.grid.evidence().tobytes()
     scans = [item.scan for item in unknown.laser_map.scans]
     assert [scan.stamp for scan in scans] == [item.scan.stamp for item in known.laser_map.scans]
@@ -182,7 +182,7 @@ def test_scans_of_one_moment_give_the_same_map_as_if_that_were_known(interval):
 
 def test_a_scanner_that_does_not_look_all_around_is_never_taken_for_a_spinning_one():
     agent = run(records(MOMENT, span=math.pi))
-    detector = agent.track('a').sweeps.detector
+    detector = agent.track('a').sweeps.of('').detector
     assert (detector.comparisons, detector.found) == (0, None)
     assert 'deskewed_scans' not in agent.summary()['a']
 
@@ -191,7 +191,7 @@ def test_known_sweeps_are_not_tested():
     timing = SweepTiming(None, 'forward', 'first')
     increment = 0.199 / (BEAMS - 1)
     agent = run(records(Sweep(0.199), timing=timing, time_increment=increment))
-    assert agent.track('a').sweeps.detector.comparisons == 0
+    assert agent.track('a').sweeps.of('').detector.comparisons == 0
 
 
 def test_scans_of_the_first_turn_are_held_back_for_a_few_seconds_at_most():
@@ -212,8 +212,10 @@ def test_scans_of_the_first_turn_are_held_back_for_a_few_seconds_at_most():
 def test_a_reset_keeps_what_the_scans_have_shown():
     agent = run(records(Sweep(0.199, True)))
     agent.reset()
-    assert agent.track('a').sweeps.judge.found == Sweep(pytest.approx(0.2 * 179 / 180), True)
-    assert agent.track('a').sweeps.detector.is_done
+    assert agent.track('a').sweeps.of('').judge.found == Sweep(
+        pytest.approx(0.2 * 179 / 180), True
+    )
+    assert agent.track('a').sweeps.of('').detector.is_done
 
 
 def test_a_map_that_was_drawn_before_it_was_known_is_named(caplog):
@@ -222,7 +224,7 @@ def test_a_map_that_was_drawn_before_it_was_known_is_named(caplog):
         Sweep(0.199), until=14.0, turn=lambda stamp, rate: rate * (stamp if stamp < 8.0 else 8.0)
     )
     agent = run(found)
-    assert agent.track('a').sweeps.judge.found == Sweep(pytest.approx(0.2 * 179 / 180))
+    assert agent.track('a').sweeps.of('').judge.found == Sweep(pytest.approx(0.2 * 179 / 180))
     assert caplog.text.count('call the service reset if the map so far is distorted') == 1
 
 
@@ -233,6 +235,6 @@ def test_scans_stay_in_order_when_it_becomes_known():
     for record in found:
         agent.add('a', record)
         stamps += [item.scan.stamp for item in agent.laser_map.scans[len(stamps) :]]
-    assert agent.track('a').sweeps.judge.found == MOMENT
+    assert agent.track('a').sweeps.of('').judge.found == MOMENT
     assert len(stamps) > 30
     assert stamps == sorted(stamps)

@@ -90,14 +90,14 @@ def test_a_restarted_clock_drops_what_waits_and_restamps_the_keyframe(track):
     track.wait(seen(2.0), 10)
     track.wait(seen(3.0), 10)
     track.unmatched.push(scan(2.0), 10)
-    track.last_scan, track.last_seen = (0.5, IDENTITY), 0.5
+    track.last_scans[''], track.last_seen = (0.5, IDENTITY), 0.5
     track.matched_until = track.last_match_attempt = 0.5
     track.selector.select(0.5, IDENTITY)
     track.restart_clock()
     assert track.counts == {'dropped_by_clock_jump': 2}
     assert len(track.waiting) == len(track.unmatched) == 0
     assert track.keyframe == Keyframe(3, 1.0, Pose2(0.45, 0.0, 0.0))
-    assert track.last_scan is None
+    assert track.last_scans == {}
     assert track.last_seen == track.matched_until == track.last_match_attempt == -math.inf
     assert track.selector.select(0.6, IDENTITY)
 

@@ -313,8 +313,8 @@ def test_vehicles_differ_by_their_own_settings():
     own = {'r2.vision': 'agent', 'r2.laser_mount': [0.0, 0.0, 3.1]}
     made = vehicle_settings(team, own, ['r1', 'r2'])
     assert (made['r1'].vision, made['r2'].vision) == ('none', 'agent')
-    assert made['r2'].laser_pose == pytest.approx(Pose2(0.0, 0.0, 3.1))
-    assert made['r1'].laser_pose is None
+    assert made['r2'].laser_pose() == pytest.approx(Pose2(0.0, 0.0, 3.1))
+    assert made['r1'].laser_pose() is None
     with pytest.raises(
         ConfigError, match=r"r2: there is no setting 'vison'; did you mean 'vision'"
     ):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import Twist
+from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Path
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from ros_domain import own_domain
@@ -29,13 +29,14 @@ LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 class Harness:
     """A vehicle that drives as commanded, on topics of a namespace, in this process."""
 
-    def __init__(self, context):
+    def __init__(self, context, command_type=Twist):
         self.node = rclpy.create_node('harness', namespace='/robot7', context=context)
         self.executor = rclpy.executors.SingleThreadedExecutor(context=context)
         self.executor.add_node(self.node)
         self.pose, self.velocity, self.states, self.parts = Pose2(0, 0, 0), (0.0, 0.0), [], []
         self.commands = []
-        self.node.create_subscription(Twist, 'cmd_vel', self.on_velocity, 10)
+        take = self.on_velocity if command_type is Twist else self.on_stamped
+        self.node.create_subscription(command_type, 'cmd_vel', take, 10)
         self.node.create_subscription(DiagnosticStatus, 'follower_status', self.on_state, 10)
         self.node.create_subscription(DiagnosticArray, '/diagnostics', self.parts.append, 10)
         self.plan = self.node.create_publisher(Path, 'plan', LATCHED)
@@ -53,6 +54,11 @@ class Harness:
     def on_velocity(self, message):
         self.velocity = (message.linear.x, message.angular.z)
         self.commands.append((time.monotonic(), *self.velocity))
+
+    def on_stamped(self, message):
+        assert abs(messages.seconds(message.header.stamp) - self.now()) < 5.0
+        assert message.header.frame_id == 'robot7/base_link'
+        self.on_velocity(message.twist)
 
     def state(self):
         return self.states[-1] if self.states else ''
@@ -106,10 +112,10 @@ class Harness:
 
 
 @pytest.fixture
-def harness():
+def harness(request):
     context = rclpy.Context()
     context.init(domain_id=DOMAIN)
-    made = Harness(context)
+    made = Harness(context, getattr(request, 'param', Twist))
     yield made
     made.node.destroy_node()
     context.try_shutdown()
@@ -138,6 +144,18 @@ def follower():
     if process.poll() is None:
         process.kill()
     process.communicate()
+
+
+@pytest.mark.parametrize('harness', [TwistStamped], indirect=True)
+def test_drives_a_base_that_takes_stamped_commands_only(harness, follower):
+    harness.send_plan([[0, 0], [0.4, 0.0]])
+    assert harness.spin(20, lambda: harness.state().startswith('arrived'))
+    assert harness.pose.x == pytest.approx(0.4, abs=0.2)
+    follower.send_signal(signal.SIGTERM)
+    assert harness.spin(5, lambda: harness.velocity == (0.0, 0.0))
+    errors = follower.communicate(timeout=10)[1]
+    assert errors.count('cmd_vel is sent as TwistStamped') == 1
+    assert 'which none of its subscribers takes' not in errors
 
 
 def test_drives_a_plan_stops_before_a_wall_for_teleoperation_and_at_sigterm(harness, follower):

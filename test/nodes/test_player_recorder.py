@@ -30,7 +30,7 @@ from explore_slam.messages import odometry_message, scan_message, transform_mess
 from explore_slam.messages.topics import GlobalTopic
 from explore_slam.nodes.endpoints import qos_profile
 from explore_slam.nodes.player import Player, wait_for_listeners
-from explore_slam.nodes.recorder import Recorder, WriterThread
+from explore_slam.nodes.recorder import Recorder, WriterThread, recorded_names
 from explore_slam.recording import BagReader, BagWriter, Event, TopicKind
 from explore_slam.recording.events import odometry_event, start_event, write_event
 from explore_slam.recording.recorded_transforms import recorded_transforms
@@ -179,6 +179,20 @@ def test_only_what_was_asked_for_is_played(tmp_path):
             Player(bag, vehicles=['robot9'])
         with pytest.raises(RecordingError, match='rate is 0'):
             Player(bag, rate=0.0)
+
+
+def test_several_lasers_that_were_chosen_keep_their_names():
+    choices = topic_choices(
+        ['robot1.scan=/front/scan', 'robot1.scan=/robot1/rear/scan', 'robot1.odom=/wheels',
+         'robot2.scan=/laser', 'robot2.cloud=/lidar/points']
+    )  # fmt: skip
+    assert recorded_names(choices) == {
+        '/front/scan': '/robot1/front/scan',
+        '/robot1/rear/scan': '/robot1/rear/scan',
+        '/wheels': '/robot1/odom',
+        '/laser': '/robot2/scan',
+        '/lidar/points': '/robot2/lidar/points',
+    }
 
 
 def test_what_the_disk_cannot_take_is_dropped_and_counted(tmp_path):

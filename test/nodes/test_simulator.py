@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
+from geometry_msgs.msg import PoseWithCovarianceStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
@@ -156,6 +156,21 @@ def test_topics_frames_and_stamps_are_those_of_a_real_vehicle(start, listener):
         assert (frame.depth > 0).any()
     start_pose = messages.planar_pose(everything['robot1/ground_truth'][0].pose.pose)
     assert start_pose == pytest.approx((0.8, 2.0, 0.0))
+
+
+def test_a_vehicle_takes_stamped_commands(start, listener):
+    start('simulated_camera_rate:=0.0', 'real_time_factor:=2.0')
+    stamped = listener.node.create_publisher(TwistStamped, 'robot2/cmd_vel', 1)
+    truths = listener.heard['robot2/ground_truth']
+    assert listener.spin(20.0, lambda: truths)
+    begin = messages.planar_pose(truths[0].pose.pose).theta
+
+    def turned():
+        message = messages.stamped_twist_message(MESSAGES, listener.time, 'base_link', 0.0, 0.5)
+        stamped.publish(message)
+        return messages.planar_pose(truths[-1].pose.pose).theta > begin + 0.4
+
+    assert listener.spin(10.0, turned)
 
 
 def test_a_vehicle_drives_as_commanded_and_stops_when_commands_end(start, listener):

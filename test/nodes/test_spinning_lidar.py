@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import rclpy
 import yaml
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.executors import SingleThreadedExecutor
@@ -16,6 +17,7 @@ from sensor_msgs.msg import LaserScan
 
 from explore_slam import data, messages
 from explore_slam.live.processes import NodeProcess, NodeProcesses, one_machine_environment
+from explore_slam.messages.sweep_status import sweeps_record
 from explore_slam.nodes.ros_types import MESSAGES
 from explore_slam.simulation.worlds.walls import distances_from
 from explore_slam.studies import sensor_rig
@@ -69,12 +71,15 @@ def test_the_map_that_is_published_is_right(tmp_path, monkeypatch, node, stated,
     random = np.random.default_rng(0)
     readings = sensor_rig.odometry(drive, 1.05, random)
     records = sensor_rig.in_order_of_arrival(
-        readings, sensor_rig.scans(drive, laser, random), laser
+        readings, [sensor_rig.scans(drive, laser, random)], [laser]
     )
     heard = {}
     node.create_subscription(OccupancyGrid, 'map', lambda m: heard.update(map=m), LATCHED)
     node.create_subscription(
         PoseWithCovarianceStamped, 'robot1/pose', lambda m: heard.update(pose=m), 10
+    )
+    node.create_subscription(
+        DiagnosticStatus, 'robot1/sweeps', lambda m: heard.update(sweeps=m), LATCHED
     )
     odom = node.create_publisher(Odometry, 'robot1/odom', 10)
     scan = node.create_publisher(LaserScan, 'robot1/scan', 10)
@@ -102,6 +107,7 @@ def test_the_map_that_is_published_is_right(tmp_path, monkeypatch, node, stated,
         wait_for(lambda: 'pose' in heard and messages.seconds(heard['pose'].header.stamp) > newest)
         heard.pop('map', None)
         wait_for(lambda: 'map' in heard)
+        wait_for(lambda: stated or 'sweeps' in heard)  # follower and driver learn it
         processes.check()
     cells, resolution, origin = messages.grid_arrays(heard['map'])
     walls = (np.argwhere(cells == 100)[:, ::-1] + 0.5) * resolution + origin
@@ -111,4 +117,6 @@ def test_the_map_that_is_published_is_right(tmp_path, monkeypatch, node, stated,
     pose = messages.planar_pose(heard['pose'].pose.pose)
     true = drive.at(np.array([stamp]))[0]
     assert math.dist(pose[:2], true[:2]) <= 0.03
+    if not stated:
+        assert sweeps_record(heard['sweeps'])[''] == (pytest.approx(0.1813, rel=0.01), True, True)
     assert log in (tmp_path / 'logs' / 'agent.log').read_text()

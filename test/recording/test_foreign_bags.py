@@ -186,7 +186,7 @@ def test_the_lidar_of_the_turtlebot_measures_its_beams_against_their_order(recor
         'found': {},
     }
     agents = {name: replayed(folder, settings) for name, settings in cases.items()}
-    found = agents['found'].track('robot1').sweeps.judge.found
+    found = agents['found'].track('robot1').sweeps.of('').judge.found
     assert found == Sweep(pytest.approx(0.134, abs=0.003), backward=True, last=True)
     grids = {name: agent.grid for name, agent in agents.items()}
     near = np.concatenate(

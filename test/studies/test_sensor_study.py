@@ -89,7 +89,7 @@ def test_scans_arrive_when_their_last_beam_is_measured():
     first, last = Laser(5.0), Laser(5.0, last=True)
     for laser, late in ((first, 0.2 - 0.2 / 360), (last, 0.0)):
         sweeps = sensor_rig.scans(drive, laser, np.random.default_rng(1))
-        records = sensor_rig.in_order_of_arrival(readings, sweeps, laser)
+        records = sensor_rig.in_order_of_arrival(readings, [sweeps], [laser])
         assert len(records) == len(readings) + len(sweeps)
         number = next(k for k, record in enumerate(records) if isinstance(record, LaserScan))
         arrival = records[number].stamp + late
@@ -100,12 +100,24 @@ def test_scans_arrive_when_their_last_beam_is_measured():
 @pytest.mark.parametrize('source', ['live', 'bag'])
 def test_a_spinning_lidar_gives_a_right_map(source):
     laser = Laser(5.5, backward=True, last=True)
-    run, grid = run_case(Case('case', laser, source=source), 0, AgentConfig())
+    run, grid = run_case(Case('case', (laser,), source=source), 0, AgentConfig())
     assert run.position_rms <= 0.02
     assert run.wrong_cells <= 0.01
     assert run.unmatched == 0
     assert run.occupied == np.count_nonzero(grid.to_trinary() == 100) > 500
     assert run.matched > 50
+
+
+@pytest.mark.usefixtures('short_tour')
+@pytest.mark.parametrize('title', ['10 Hz, on one topic', '3-D lidar'])
+def test_two_lasers_and_a_3d_lidar_give_a_right_map(title):
+    (case,) = SensorStudy(groups=['lasers'], titles=[title]).cases()
+    run, _ = run_case(case, 0, AgentConfig())
+    assert run.position_rms <= 0.02
+    assert run.wrong_cells <= 0.01
+    assert run.unmatched == 0
+    assert run.occupied > 500
+    assert run.matched == pytest.approx(138, abs=3)  # those of two lasers together
 
 
 def test_the_table_has_a_row_per_case_and_the_range_of_its_seeds():

@@ -12,7 +12,8 @@ def process(team: Team, track: VehicleTrack, frame: RgbdFrame) -> None:
         return
     track.last_seen = frame.stamp
     track.count('frames')
-    if track.selector.select(frame.stamp, track.odometry.at(frame.stamp)):
+    selector = track.selector_of(frame.sensor)
+    if selector.select(frame.stamp, track.odometry.at(frame.stamp)):
         team.update(track, team.extractor.extract(frame))
 
 

@@ -11,7 +11,8 @@ from explore_slam.registration import scan_cloud
 
 def enqueue_scan(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
     """Queue a scan: as it is, or until its sweep is complete and its motion can be undone."""
-    dropped = track.sweeps.takes(scan, team.config.inputs.measurement_queue_length)
+    sweeps = track.sweeps.of(scan.sensor)
+    dropped = sweeps.takes(scan, team.config.inputs.measurement_queue_length)
     if dropped is None:
         _enqueue_scan_of_one_moment(team, track, scan)
     elif dropped:
@@ -21,9 +22,10 @@ def enqueue_scan(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
 def release_sweeps(team: Team, track: VehicleTrack) -> None:
     """Undo the motion within the sweeps that odometry covers by now."""
     laser = team.config.laser_mount.pose
-    while (scan := track.sweeps.pop(track.odometry, laser)) is not None:
-        track.count('deskewed_scans', int(scan.bearings is not None))
-        _enqueue_scan_of_one_moment(team, track, scan)
+    for sweeps in track.sweeps.all:
+        while (scan := sweeps.pop(track.odometry, laser)) is not None:
+            track.count('deskewed_scans', int(scan.bearings is not None))
+            _enqueue_scan_of_one_moment(team, track, scan)
 
 
 def _enqueue_scan_of_one_moment(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
@@ -40,9 +42,9 @@ def process(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
         track.count('late_observations')
         return
     pose = track.odometry.at(scan.stamp)
-    if not _enters_map(team, track, scan.stamp, pose):
+    if not _enters_map(team, track, scan, pose):
         return
-    track.last_scan = (scan.stamp, pose)
+    track.last_scans[scan.sensor] = (scan.stamp, pose)
     _add_keyframe_without_vision(team, track, scan.stamp)
     moved = track.keyframe.odometry.between(pose)
     team.laser_map.add(
@@ -73,15 +75,19 @@ def _close_loops(team: Team, track: VehicleTrack, scan: LaserScan, moved: Pose2)
     track.count('closures_retracted', counts.retracted)
 
 
-def _enters_map(team: Team, track: VehicleTrack, stamp: float, pose: Pose2) -> bool:
-    """Return whether the vehicle moved far enough, or long enough passed, since the last scan."""
-    if track.last_scan is None:
+def _enters_map(team: Team, track: VehicleTrack, scan: LaserScan, pose: Pose2) -> bool:
+    """Return whether the vehicle moved far enough, or long enough passed, since the last scan.
+
+    Scans are compared with those of the same laser.
+    """
+    last = track.last_scans.get(scan.sensor)
+    if last is None:
         return True
-    last_stamp, last_pose = track.last_scan
+    last_stamp, last_pose = last
     scans = team.config.scans
     return (
         moved_enough(last_pose.between(pose), scans.map_scan_distance, scans.map_scan_heading)
-        or stamp - last_stamp >= scans.map_scan_period
+        or scan.stamp - last_stamp >= scans.map_scan_period
     )
 
 
