@@ -3,8 +3,8 @@
 python benchmarks/two_cameras.py [--seconds S] [--seeds N ...]
 
 The vehicle drives a circle. The cameras look 35° to its left and to its right; the runs with one
-camera have the left one. Printed per seed: keyframes with landmarks, the agent's time per keyframe
-and in all, and the error of the position.
+camera have the left one. Printed per seed: keyframes with landmarks, the agent's processor
+time per keyframe and in all, and the error of the position.
 """
 
 import argparse
@@ -52,10 +52,10 @@ def record(seconds: float, yaw: float, seed: int) -> tuple[list[Any], list[tuple
 def run(records: list[Any], truth: list[tuple[float, Pose2]], seed: int) -> str:
     """Feed an agent; return its figures."""
     agent = Agent(AgentConfig(), {VEHICLE: truth[0][1]}, seed)
-    began = time.perf_counter()
+    began = time.process_time()
     for item in sorted(records, key=lambda item: item.stamp):
         agent.add(VEHICLE, item)
-    spent = time.perf_counter() - began
+    spent = time.process_time() - began
     keyframes = sum(event.update is not None for event in agent.take_events())
     stamps, poses = agent.trajectory(VEHICLE)
     at = np.array([stamp for stamp, _ in truth])
@@ -78,6 +78,8 @@ def main() -> None:
     for seed in arguments.seeds:
         drives = {name: record(arguments.seconds, yaw, seed) for name, yaw in YAWS.items()}
         left, truth = drives['left_camera']
+        if seed == arguments.seeds[0]:
+            run(left, truth, seed)  # what is slow at its first use
         print(f'seed {seed}, one camera: {run(left, truth, seed)}', flush=True)
         both = [item for item in left if not isinstance(item, RgbdFrame)]
         for name, (records, _) in drives.items():

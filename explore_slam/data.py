@@ -112,7 +112,8 @@ class LaserScan:
     timing: what is known apart from that.
     bearings (B,) rad in the laser frame: where the beams point if not to equal steps, because the
     motion within the sweep has been undone; None: equal steps.
-    sensor: which laser of the vehicle it is from; '' where there is one only.
+    sensor: which laser of the vehicle it is from; '' where there is one only. Of lasers that share
+    a topic, its name and the frame, 'scan, rear_laser'.
     """
 
     stamp: float

@@ -13,6 +13,9 @@ from explore_slam.vehicle.dead_reckoning import DeadReckoning
 
 # s between the poses by which beams are placed; odometry comes at 50 Hz or less
 _SWEEP_STEP = 0.02
+# s by which a scan may be older than the newest one; long after silence has stopped the vehicle
+_FORGOTTEN = 5.0
+_ONLY_TOPIC = 'scan'  # of a vehicle with one laser
 
 
 class LaserView:
@@ -34,8 +37,15 @@ class LaserView:
 
     @property
     def last_received(self) -> float:
-        """Time (s) since which a laser has been silent: the longest silent one; -inf: no scan."""
-        return min(self._received.values(), default=-math.inf)
+        """Time (s) since which a laser has been silent: the longest silent one; -inf: no scan.
+
+        Lasers that share a topic count as one: a driver may have begun anew with another frame.
+        """
+        newest: dict[str, float] = {}
+        for laser, received in self._received.items():
+            topic = laser.partition(', ')[0] or _ONLY_TOPIC
+            newest[topic] = max(received, newest.get(topic, -math.inf))
+        return min(newest.values(), default=-math.inf)
 
     def set_sweeps(self, found: Mapping[str, Sweep]) -> None:
         """Set when the beams of lasers are measured, as their scans have shown elsewhere."""
@@ -65,8 +75,10 @@ class LaserView:
     def points(self, now: float) -> Array:
         """Return the returns (N, 2) m of all lasers in the vehicle frame at a time (s)."""
         present = self._reckoning.odometry_at(now)
+        oldest = max((stamp for stamp, _ in self._seen.values()), default=now) - _FORGOTTEN
         found = [
             to_world(present.between(self._reckoning.odometry_at(stamp)), points)
             for stamp, points in self._seen.values()
+            if stamp >= oldest
         ]
         return np.concatenate(found) if found else np.empty((0, 2))

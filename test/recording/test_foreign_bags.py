@@ -188,6 +188,8 @@ def test_the_lidar_of_the_turtlebot_measures_its_beams_against_their_order(recor
     agents = {name: replayed(folder, settings) for name, settings in cases.items()}
     found = agents['found'].track('robot1').sweeps.of('').judge.found
     assert found == Sweep(pytest.approx(0.134, abs=0.003), backward=True, last=True)
+    assert agents['found'].found_sweeps() == {'robot1': {'': found}}
+    assert agents['backward'].found_sweeps() == {'robot1': {}}  # the settings give it
     grids = {name: agent.grid for name, agent in agents.items()}
     near = np.concatenate(
         [

@@ -52,6 +52,16 @@ def test_the_laser_that_is_silent_longest_counts():
     assert view.last_received == 7.0
 
 
+def test_a_driver_that_was_restarted_with_another_frame_is_the_same_laser():
+    view = LaserView('r', turning())
+    view.add(post(1.0), Pose2(0.0, 0.0, 0.0), 7.0)
+    view.add(post(1.1, sensor='scan, laser_link'), Pose2(0.0, 0.0, 0.0), 7.1)
+    assert view.last_received == 7.1
+    assert len(view.points(1.2)) == 2
+    view.add(post(6.2, sensor='scan, laser_link'), Pose2(0.0, 0.0, 0.0), 12.2)
+    assert len(view.points(6.2)) == 1  # what the other one has seen is long ago
+
+
 @pytest.mark.parametrize('early', [True, False])
 def test_a_sweep_that_was_found_elsewhere_places_the_beams(early):
     view = LaserView('r', turning())
