@@ -246,12 +246,11 @@ def _replay(
     sweeps: Sequence[Sequence[LaserScan]],
     case: Case,
 ) -> None:
-    """Write the records as a bag, with the mounts of several lasers, and feed its replay."""
+    """Write the records as a bag, with the mounts of the lasers, and feed its replay."""
     with tempfile.TemporaryDirectory(prefix='explore_slam_') as folder:
         path = Path(folder) / 'bag'
         with BagWriter(path) as writer:
-            if len(case.lasers) > 1 or case.source == 'cloud':
-                _write_mounts(writer, case.lasers)
+            _write_mounts(writer, case.lasers)
             streams: list[Iterable[Event]] = [
                 (Event(item.stamp, VEHICLE, TopicKind.ODOMETRY, item) for item in readings),
                 *((Event(i.stamp, VEHICLE, TopicKind.SCAN, i) for i in scans) for scans in sweeps),
