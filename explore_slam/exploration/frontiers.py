@@ -27,6 +27,9 @@ from explore_slam.geometry import Array
 
 # Chosen by hand; `explore_slam benchmark exploration` measures what another value does
 _RAYS = 40  # by which the unknown area in sight of a viewpoint is estimated
+_NEAR_RANGE = 3.0  # m from a viewpoint within which the unknown area in sight decides on a visit
+_NEAR_RAYS = 120  # for that area, of which specks are a part
+_WIDE = 1.5  # m; a frontier as long as this shows all that is in sight behind it
 _NARROW_FACTOR = 0.6  # on the gain of a frontier through which no vehicle fits
 _POCKET_AREA = 6.0  # m²; smaller unknown areas are measured instead of estimated
 
@@ -43,6 +46,18 @@ def expected_area(unknown: float, reach: float) -> float:
     view = math.pi * reach * reach
     fraction = unknown / view
     return view * min(0.44 * fraction * fraction, 0.15 * fraction)
+
+
+def expected_showing(unknown: float, size: float) -> float:
+    """Return the area (m²) that a visit to a frontier is expected to show at least.
+
+    unknown: unknown area (m²) in sight within a few metres. size: length of the frontier (m).
+    What remains at the end of a run are gaps between beams and the inside of furniture: the
+    shorter a frontier, the smaller the share of the unknown area that proves free. Of 1500
+    frontiers late in runs on three maps, those shorter than 0.65 m showed 0.05 m² on average,
+    those between 0.85 and 1.2 m 0.5 m²; the square fits both.
+    """
+    return unknown * min(1.0, size / _WIDE) ** 2
 
 
 def find_frontiers(
@@ -116,7 +131,9 @@ def _candidate(
     limit = round(_POCKET_AREA / area)
     pocket, *behind = pocket_size(costs.unknown, marks, mark + 1, part, limit)
     gain = area * pocket
-    if gain < config.min_frontier_gain:
+    close = int(min(_NEAR_RANGE, config.sensor_range) / scale)
+    near = area * visible_unknown(costs.free, costs.unknown, row, col, close, _NEAR_RAYS)
+    if expected_showing(min(gain, near), len(part) * scale) < config.min_frontier_gain:
         return None
     if pocket >= limit:
         # The area in sight of the viewpoint is a rough estimate: it ranks frontiers, and drops
