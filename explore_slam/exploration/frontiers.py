@@ -96,6 +96,7 @@ def _frontiers_of(
     smallest = max(1, round(config.min_frontier_size / scale))
     largest = max(1, round(config.max_frontier_size / scale))
     marks = np.zeros(costs.free.shape, np.int32)
+    roomy = viewpoints & (costs.squared >= costs.roomy)
     candidates: list[_Candidate] = []
     end, mark = 0, 1
     for length in lengths.tolist():
@@ -103,8 +104,8 @@ def _frontiers_of(
         if length < smallest:
             continue
         for part in _split(cells[start:end], largest):
-            mark += 2  # one for each of the two searches
-            candidate = _candidate(part, scale, config, costs, viewpoints, marks, mark)
+            mark += 3  # one for each of the three searches
+            candidate = _candidate(part, scale, config, costs, (roomy, viewpoints), marks, mark)
             if candidate is not None:
                 candidates.append(candidate)
     return _records(grid, candidates)
@@ -115,21 +116,25 @@ def _candidate(
     scale: float,
     config: FrontierConfig,
     costs: CostMap,
-    viewpoints: NDArray[np.bool_],
+    viewpoints: tuple[NDArray[np.bool_], NDArray[np.bool_]],
     marks: NDArray[np.int32],
     mark: int,
 ) -> _Candidate | None:
     """Return viewpoint and gain of a piece of a cluster (N, 2), None if it is not worth a visit.
 
-    scale: side of a cell (m). marks (H, W): scratch, without the values mark and mark + 1.
+    scale: side of a cell (m). viewpoints: cells (H, W) with room for errors, and all that will
+    do. marks (H, W): scratch, without the values from mark to mark + 2.
     """
     area = scale * scale
     reach = round(config.viewpoint_distance / scale)
-    row, col = find_viewpoint(costs.free, viewpoints, marks, mark, part, reach)
+    roomy, possible = viewpoints
+    row, col = find_viewpoint(costs.free, roomy, marks, mark, part, reach)
+    if row < 0:
+        row, col = find_viewpoint(costs.free, possible, marks, mark + 1, part, reach)
     if row < 0:
         return None
     limit = round(_POCKET_AREA / area)
-    pocket, *behind = pocket_size(costs.unknown, marks, mark + 1, part, limit)
+    pocket, *behind = pocket_size(costs.unknown, marks, mark + 2, part, limit)
     gain = area * pocket
     close = int(min(_NEAR_RANGE, config.sensor_range) / scale)
     near = area * visible_unknown(costs.free, costs.unknown, row, col, close, _NEAR_RAYS)
@@ -141,7 +146,7 @@ def _candidate(
         sensor = int(config.sensor_range / scale)
         seen = visible_unknown(costs.free, costs.unknown, row, col, sensor, _RAYS)
         gain = expected_area(area * seen, config.sensor_range)
-        if not viewpoints[part[:, 0], part[:, 1]].any():
+        if not possible[part[:, 0], part[:, 1]].any():
             gain *= _NARROW_FACTOR
             if gain < config.min_frontier_gain:
                 return None

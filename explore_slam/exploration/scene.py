@@ -77,8 +77,8 @@ class Scene:
             for name, vehicle in vehicles.items()
             if name not in self.vehicles and vehicle.pose.is_finite()
         }
-        self._maps: dict[float, CostMap] = {}  # by the radius of a body
-        narrowest = min(self._bodies.values(), default=VehicleBody())
+        self._maps: dict[float, CostMap] = {}  # by the envelope (m) of a body
+        narrowest = min(self._bodies.values(), key=_envelope, default=VehicleBody())
         self.costs: CostMap = self._map_for(narrowest)
         # the same in all cycles, so that costs between blocks can be kept
         self._route_radius = self._paths(narrowest).planning_radius
@@ -98,7 +98,7 @@ class Scene:
 
     def _map_for(self, body: VehicleBody) -> CostMap:
         """Return the costs for a body, with all that a vehicle of this size must respect."""
-        found = self._maps.get(body.radius)
+        found = self._maps.get(body.envelope)
         if found is not None:
             return found
         paths = self._paths(body)
@@ -109,10 +109,10 @@ class Scene:
             for cost in both:
                 self._block_disc(cost, other.pose, theirs + paths.planning_radius)
         for name, trail in self._trails.items():
-            if self._bodies.get(name, body).radius >= body.radius:  # else it may not fit there
+            if self._bodies.get(name, body).envelope >= body.envelope:  # else it may not fit there
                 self._open_trail(trail, made, made.free, both, paths.planning_radius)
         self._block_keep_out_zones(both)
-        self._maps[body.radius] = made
+        self._maps[body.envelope] = made
         return made
 
     def _map_of(self, name: str) -> CostMap:
@@ -136,7 +136,7 @@ class Scene:
 
     def _key(self, name: str) -> tuple[float, bool]:
         """Return what the costs of a vehicle depend on: its size, and whether it is trapped."""
-        return self._bodies[name].radius, name in self.tight
+        return self._bodies[name].envelope, name in self.tight
 
     def _open_trail(
         self,
@@ -235,16 +235,16 @@ class Scene:
 
     def routes(self) -> RouteGrid:
         """Return the coarse grid over all cells that some vehicle can get to."""
-        narrowest = min(self._bodies[name].radius for name in self.reach)
+        narrowest = min(self._bodies[name].envelope for name in self.reach)
         return self._routes_from(narrowest)
 
     def _routes_from(self, radius: float) -> RouteGrid:
-        """Return the coarse grid of the vehicles whose radius (m) is this one or larger."""
+        """Return the coarse grid of the vehicles whose envelope (m) is this one or larger."""
         if radius not in self._routes:
             paths, scale, (x, y) = self.config.paths, self.grid.resolution, self.grid.origin
             first = round(y / scale), round(x / scale)
             block = block_size(paths.route_resolution, self._route_radius, scale)
-            names = [name for name in self.reach if self._bodies[name].radius >= radius]
+            names = [name for name in self.reach if self._bodies[name].envelope >= radius]
             made = self._maps[radius]
             cost = made.tight_cost if self.tight.intersection(names) else made.cost
             reach = _union(self.reach[name] for name in names)
@@ -257,7 +257,7 @@ class Scene:
             values = self._spread(self.padded_of(name), self.starts[name])
             costs = values[cells[:, 0], cells[:, 1]].astype(np.float64)
         else:
-            routes = self._routes_from(self._bodies[name].radius)
+            routes = self._routes_from(self._bodies[name].envelope)
             if name not in self._fields:
                 start = np.array([self.starts[name]])
                 self._fields[name] = routes.values_from(routes.blocks(start)[0])
@@ -356,3 +356,7 @@ def _union(masks: Iterable[NDArray[np.bool_]]) -> NDArray[np.bool_]:
     """Return where any of the masks (H, W) holds."""
     different = list({id(mask): mask for mask in masks}.values())
     return different[0] if len(different) == 1 else np.logical_or.reduce(different)
+
+
+def _envelope(body: VehicleBody) -> float:
+    return body.envelope

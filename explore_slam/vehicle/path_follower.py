@@ -264,12 +264,12 @@ class PathFollower:
         if not c.obstacle_stop:
             return speed, False
         points = self._view.points(now)
-        body = c.body.vehicle_radius + c.side_clearance
+        body = c.body.record.envelope
         free = free_distance(points, curvature, body)
         straight = free
         if abs(curvature) < _GENTLE_CURVATURE:
             straight = free_distance(points, 0.0, body)
-        self.progress.free = free = min(free, straight) + c.side_clearance
+        self.progress.free = free = min(free, straight) + c.body.side_clearance
         room = free - c.stop_distance
         # hysteresis: the vehicle does not creep after an obstacle that moves away slowly
         if room <= (_RESTART_ROOM if self._times.obstacle is not None else 0.0):
