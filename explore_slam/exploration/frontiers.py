@@ -30,6 +30,7 @@ _RAYS = 40  # by which the unknown area in sight of a viewpoint is estimated
 _NEAR_RANGE = 3.0  # m from a viewpoint within which the unknown area in sight decides on a visit
 _NEAR_RAYS = 120  # for that area, of which specks are a part
 _WIDE = 1.5  # m; a frontier as long as this shows all that is in sight behind it
+_DOORWAY = 0.9  # m; a frontier that a vehicle can pass, with a room behind, counts as this long
 _NARROW_FACTOR = 0.6  # on the gain of a frontier through which no vehicle fits
 _POCKET_AREA = 6.0  # m²; smaller unknown areas are measured instead of estimated
 
@@ -80,12 +81,16 @@ def find_frontiers(
 
 
 class _Candidate(NamedTuple):
-    """A piece of a cluster: cells (N, 2), viewpoint, centre of what is behind it, gain (m²)."""
+    """A piece of a cluster: cells (N, 2), viewpoint, centre of what is behind it.
+
+    gain, showing: see Frontier (m²).
+    """
 
     cells: NDArray[np.int64]
     viewpoint: Cell
     behind: tuple[float, float]
     gain: float
+    showing: float
 
 
 def _frontiers_of(
@@ -138,7 +143,11 @@ def _candidate(
     gain = area * pocket
     close = int(min(_NEAR_RANGE, config.sensor_range) / scale)
     near = area * visible_unknown(costs.free, costs.unknown, row, col, close, _NEAR_RAYS)
-    if expected_showing(min(gain, near), len(part) * scale) < config.min_frontier_gain:
+    size, leads_on = len(part) * scale, bool(possible[part[:, 0], part[:, 1]].any())
+    if leads_on and pocket >= limit:
+        size = max(size, _DOORWAY)
+    showing = expected_showing(min(gain, near), size)
+    if showing < config.min_frontier_gain:
         return None
     if pocket >= limit:
         # The area in sight of the viewpoint is a rough estimate: it ranks frontiers, and drops
@@ -146,12 +155,12 @@ def _candidate(
         sensor = int(config.sensor_range / scale)
         seen = visible_unknown(costs.free, costs.unknown, row, col, sensor, _RAYS)
         gain = expected_area(area * seen, config.sensor_range)
-        if not possible[part[:, 0], part[:, 1]].any():
+        if not leads_on:
             gain *= _NARROW_FACTOR
             if gain < config.min_frontier_gain:
                 return None
         gain = max(gain, config.min_frontier_gain)
-    return _Candidate(part, (row, col), (behind[0], behind[1]), gain)
+    return _Candidate(part, (row, col), (behind[0], behind[1]), gain, showing)
 
 
 def _records(grid: Grid, candidates: list[_Candidate]) -> list[Frontier]:
@@ -173,7 +182,9 @@ def _records(grid: Grid, candidates: list[_Candidate]) -> list[Frontier]:
         viewpoint = (int(item.viewpoint[0]), int(item.viewpoint[1]))
         size = len(item.cells) * scale
         frontiers.append(
-            Frontier(item.cells, centroid, (px, py), viewpoint, size, item.gain, look_at)
+            Frontier(
+                item.cells, centroid, (px, py), viewpoint, size, item.gain, look_at, item.showing
+            )
         )
     return frontiers
 

@@ -46,6 +46,7 @@ class Scene:
     starts: cell from which each vehicle starts; a vehicle without one cannot move.
     reach: cells (H, W) that each vehicle can get to.
     tight: vehicles that may use tight passages because they are trapped otherwise.
+    forbidden: cells (H, W) that no vehicle may enter, or None.
     """
 
     def __init__(
@@ -70,7 +71,7 @@ class Scene:
         self._probability_costs = STRATEGIES[config.strategy].probability_costs
         self._trails = trails or {}
         self._keep_out = list(keep_out)
-        self._forbidden = forbidden
+        self.forbidden = forbidden
         self._bodies = {name: vehicle.body for name, vehicle in vehicles.items()}
         self._others = {
             name: vehicle
@@ -85,6 +86,7 @@ class Scene:
         self.starts: dict[str, Cell] = {}
         self.reach: dict[str, NDArray[np.bool_]] = {}
         self.tight: set[str] = set()
+        self._reach_before: dict[str, NDArray[np.bool_]] = {}  # without tight passages
         self._routes: dict[float, RouteGrid] = {}
         self._fields: dict[str, Field] = {}
         self._padded: dict[tuple[float, bool], Costs] = {}
@@ -181,18 +183,26 @@ class Scene:
             tight = (made.tight_cost,)
             radius = self._paths(self._bodies[name]).planning_radius
             allowed = ~made.unknown
-            if self._forbidden is not None:
-                allowed &= ~self._forbidden
+            if self.forbidden is not None:
+                allowed &= ~self.forbidden
             self._open_trail(self._trails.get(name, []), made, allowed, tight, radius)
             self._block_keep_out_zones(tight)
             mask = connected_region(made.tight_cost, *self.starts[name])
             if not self._leads_further(mask, name):
                 return False
         self.tight.add(name)
+        self._reach_before[name] = self.reach[name]
         self.reach[name] = mask
         self._routes.clear()
         self._fields.clear()
         return True
+
+    def forbid_tight(self, name: str) -> None:
+        """Undo allow_tight."""
+        self.tight.remove(name)
+        self.reach[name] = self._reach_before.pop(name)
+        self._routes.clear()
+        self._fields.clear()
 
     def _leads_further(self, mask: NDArray[np.bool_], name: str) -> bool:
         """Return whether cells (H, W) hold more passable ones than a vehicle reaches now."""
@@ -214,6 +224,21 @@ class Scene:
     def reachable(self) -> NDArray[np.bool_]:
         """Return the cells (H, W) that some vehicle can get to."""
         return _union(self.reach.values())
+
+    def reachable_costs(self) -> Costs:
+        """Return the costs (H, W) of all cells, at which those of `reachable` can be entered."""
+        return self.costs.tight_cost if self.tight else self.costs.cost
+
+    def viewpoints(self) -> NDArray[np.bool_]:
+        """Return the cells (H, W) from which a vehicle may look: it gets there, and has room."""
+        reach = self.reachable()
+        return reach & np.isfinite(self.costs.cost) if self.tight else reach
+
+    def is_shut_in(self, name: str) -> bool:
+        """Return whether a vehicle gets to less than half of the cells that are passable."""
+        own = self._map_of(name).cost
+        passable = np.count_nonzero(np.isfinite(own))
+        return bool(2 * np.count_nonzero(self.reach[name] & np.isfinite(own)) < passable)
 
     def cell_of(self, place: Point | Pose2) -> Cell:
         """Return the cell of a point (m), which may lie outside of the grid."""

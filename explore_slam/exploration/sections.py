@@ -110,6 +110,14 @@ class FrontierConfig(Section):
         low=0.0,
         high=100.0,
     )
+    min_gain_per_travel: float = setting(
+        0.08,
+        'Frontiers are left alone while they are expected to show less than this per metre of '
+        'the way there; ways beyond 10 m count as 10 m',
+        unit='m² per m',
+        low=0.0,
+        high=10.0,
+    )
     sensor_range: float = setting(
         8.0,
         'Range that the laser is expected to cover (max range of the paper, equation 9)',

@@ -27,6 +27,7 @@ class Task:
     sent: the plan in force, which may lead along a part of the path only.
     right: its right of way when the plan was made.
     switches: how often the vehicle has switched targets since it last reached one.
+    patient: the vehicle is to wait at the target, which cannot fail.
     """
 
     target: Point
@@ -36,6 +37,7 @@ class Task:
     sent: Plan | None = None
     right: RightOfWay = RightOfWay.GO
     switches: int = 0
+    patient: bool = False
 
     def leads_to(self, target: Point) -> bool:
         """Return whether a target (m) is that of the task."""
@@ -45,7 +47,8 @@ class Task:
         """Return the task of reaching practically the same target along another path."""
         sent = None if self.right is RightOfWay.GO else self.sent
         progress = self.progress.restart()
-        return Task(target, path, look_at, progress, sent, self.right, self.switches)
+        right, switches = self.right, self.switches
+        return Task(target, path, look_at, progress, sent, right, switches, self.patient)
 
 
 @dataclass
