@@ -58,8 +58,10 @@ _KEEP_OUT_AHEAD = 0.5  # m along the path from where a vehicle is blocked to its
 _LOOKED_AT = 1.0  # m; a vehicle that is blocked this near to its target has seen what is there
 _SQUEEZE_GAIN = 4.0  # m²; a tight place is passed for a small room, not for specks
 _LONGEST_TRIP = 10.0  # m; a longer way to a frontier asks no more of it
+_TRAPPED_AREA = 5.0  # m², of passable cells; keep-out zones may not hold a vehicle in less
 _ROOM_GAIN = 6.0  # m²; a small obstacle is waited for where a room lies behind it, not a speck
 _UNSEEN_ROOM = 2.0  # m²; what remains unknown beside a vehicle that is blocked, and is no speck
+_LITTLE = 0.5  # of the free area; a warning is given if less can be reached
 _NOTABLE_GAIN = 1.0  # m²; frontiers out of reach that would show less are not reported as left
 
 
@@ -84,6 +86,7 @@ class Planner:
         self._plans: dict[str, Plan] = {}  # in force, by name
         self._tasks: dict[str, Task] = {}
         self._retreats: dict[str, Plan] = {}  # plans of vehicles that retreat, by name
+        self._warning, self._warned = '', False
         self._searches = 0
         self._empty_searches = 0  # without a target, since the last one with a target
 
@@ -161,6 +164,7 @@ class Planner:
         self._searches += 1
         self._blacklist.update(now, grid, scene.costs.free)
         self._ways.update(grid, scene.costs)
+        self._warn_of_little_reach(scene)
         if wanted is PlanningMode.RETURN_HOME:
             result = self._go_home(scene, (), Orders())
         else:
@@ -172,6 +176,19 @@ class Planner:
                 result.plans[name] = self._plans[name]
         self._plans = dict(result.plans)
         return result
+
+    def _warn_of_little_reach(self, scene: Scene) -> None:
+        """Update the warning that little of the free area can be reached; log what is new."""
+        area, reached = scene.free_area()
+        text = ''
+        if reached < _LITTLE * area:
+            text = (
+                f'only {reached:.0f} of {area:.0f} m² of free space can be reached at '
+                f'planning_radius {self.config.paths.planning_radius:g} m'
+            )
+        if text and not self._warned:
+            logger.warning('%s', text)
+        self._warning, self._warned = text, self._warned or bool(text)
 
     def _without_stuck(
         self, vehicles: Mapping[str, VehicleSnapshot], now: float
@@ -221,8 +238,7 @@ class Planner:
             # a keep-out zone may close the only way to the rest
             reason = 'no target outside keep-out zones, which are released'
             return self._conclude(scene, ExplorationStatus.IN_PROGRESS, reason, frontiers, guided)
-        shut_in = [name for name in scene.starts if scene.is_shut_in(name)]
-        if not found and self._release_keep_out(shut_in):
+        if not found and self._release_keep_out(scene, list(scene.starts)):
             reason = 'no target outside permanent keep-out zones; those near by are released'
             return self._conclude(scene, ExplorationStatus.IN_PROGRESS, reason, frontiers, guided)
         return self._finish(scene, guided)
@@ -333,9 +349,7 @@ class Planner:
         look = None
         for people, worth in ((False, frontiers), (True, rooms)):
             if worth and look is None:
-                blocked = self._ways.blocked(
-                    scene.costs, radius, scene.forbidden, people=people
-                )
+                blocked = self._ways.blocked(scene.costs, radius, scene.forbidden, people=people)
                 look = self._second_look.choose(scene, blocked, worth)
         if look is None:
             return ''
@@ -374,10 +388,15 @@ class Planner:
                 orders.tasks[name] = task
         return orders
 
-    def _release_keep_out(self, names: list[str]) -> bool:
-        """Release keep-out zones around trapped vehicles; return whether there were any."""
+    def _release_keep_out(self, scene: Scene, names: list[str]) -> bool:
+        """Release the keep-out zones that hold vehicles in; return whether there were any.
+
+        Where a vehicle can still move about, it looks again before zones are released.
+        """
         released = [
-            self._keep_out.release_around(name, self._history.position(name)) for name in names
+            self._keep_out.release_around(name, self._history.position(name))
+            for name in names
+            if scene.reached_area(name) < _TRAPPED_AREA
         ]
         return any(released)
 
@@ -396,7 +415,7 @@ class Planner:
         self._clear_blacklist(scene, names, current)
         reachable = np.isfinite(costs).any(axis=1)
         lost = [n for n, ok in zip(names, reachable, strict=True) if not ok]
-        self._release_keep_out([name for name in lost if scene.is_shut_in(name)])
+        self._release_keep_out(scene, lost)
         switches = [
             self._tasks[name].switches if index >= 0 else 0
             for name, index in zip(names, current, strict=True)
@@ -553,6 +572,7 @@ class Planner:
             unreachable=len(left),
             refused=tuple(orders.refused),
             unreached_m2=sum(frontier.gain for frontier in left),
+            warning=self._warning,
         )
 
     def _go_home(

@@ -11,6 +11,7 @@ from explore_slam.exploration.clearance import (
     CostMap,
     make_cost_map,
     paths_of,
+    squared_distance,
     tight_factor,
 )
 from explore_slam.exploration.config import ExplorationConfig
@@ -233,6 +234,28 @@ class Scene:
         """Return the cells (H, W) from which a vehicle may look: it gets there, and has room."""
         reach = self.reachable()
         return reach & np.isfinite(self.costs.cost) if self.tight else reach
+
+    def free_area(self) -> tuple[float, float]:
+        """Return the known free area, and the part of it that vehicles can cover (m²).
+
+        Vehicles cover what lies within the planning radius of cells that they can get to. Only
+        the part counts in which a vehicle would fit. While most of the passable cells can be
+        reached, those are counted instead, which is less work.
+        """
+        passable, reach = np.isfinite(self.costs.cost), self.reachable()
+        centres = np.count_nonzero(passable), np.count_nonzero(reach & passable)
+        if 2 * centres[1] >= centres[0]:
+            cell = self.grid.resolution**2
+            return float(centres[0]) * cell, float(centres[1]) * cell
+        radius = math.floor(self._route_radius / self.grid.resolution)
+        covered = [squared_distance(mask, radius) <= radius * radius for mask in (passable, reach)]
+        cell = self.grid.resolution**2
+        whole, part = (float(np.count_nonzero(mask & self.costs.free)) for mask in covered)
+        return whole * cell, part * cell
+
+    def reached_area(self, name: str) -> float:
+        """Return the area (m²) of the cells that a vehicle can get to."""
+        return float(np.count_nonzero(self.reach[name])) * self.grid.resolution**2
 
     def is_shut_in(self, name: str) -> bool:
         """Return whether a vehicle gets to less than half of the cells that are passable."""

@@ -1,9 +1,10 @@
 """A second look, before the end, at ways that have become blocked.
 
-What blocks a way may go away: a person, a door, another vehicle. Nobody sees it go unless a vehicle
-looks again. So before exploration ends, the cheapest way to the frontiers that are out of reach is
-planned through what may have gone (KnownWays); a vehicle goes to where that way is blocked first,
-looks, and waits for a limited time. What no laser sees, such as glass, is tried again meanwhile.
+What blocks a way may go away: a person, a door, another vehicle. Nobody sees it go unless a
+vehicle looks again. So before exploration ends, the cheapest way to the frontiers that are out of
+reach is planned through what may have gone (KnownWays); a vehicle goes to where that way is
+blocked first, looks, and waits for a limited time. What no laser sees, such as glass, is tried
+again meanwhile.
 """
 
 import math
@@ -25,6 +26,7 @@ _DOUBT_FACTOR = 20.0  # by which cells of a blocked way cost more than free ones
 _DISTANCE = 0.5  # m before the first blocked cell at which a vehicle looks
 _SAME_PLACE = 1.0  # m; blocked places this near to each other are one
 _MOST_CASES = 3  # places at which the team waits; more are as good as a closed building
+_LATER_PLACES = 0.25  # of the patience at the first place, at the others
 _RETRY = 30.0  # s of waiting after which a blocked place is tried again
 _AT_PLACE = 0.6  # m from where a vehicle should look, from which on it does
 
@@ -118,8 +120,9 @@ class SecondLook:
 
     def _closed(self, now: float) -> Iterable[Point]:
         """Yield the places that have been given up."""
-        for case in self._cases:
-            if case.begun is not None and now - case.begun > self._patience:
+        for index, case in enumerate(self._cases):
+            patience = self._patience * (_LATER_PLACES if index else 1.0)
+            if case.begun is not None and now - case.begun > patience:
                 yield case.place
 
     def _doubtful(self, scene: Scene, blocked: NDArray[np.bool_]) -> Costs:

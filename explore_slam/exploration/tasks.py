@@ -9,13 +9,12 @@ from explore_slam.data import Plan
 from explore_slam.exploration.progress import Progress
 from explore_slam.exploration.records import Point
 from explore_slam.exploration.scene import Scene
-from explore_slam.exploration.traffic import Grant, RightOfWay, Traveler
+from explore_slam.exploration.traffic import SHORTEST_DRIVE, Grant, RightOfWay, Traveler
 from explore_slam.geometry import Array, Pose2
 from explore_slam.polyline import arc_lengths, truncated
 
 # Chosen by hand; test_tasks shows what they decide.
 SAME_TARGET = 0.5  # m; targets this near to each other are the same
-_MINIMUM_PATH = 0.3  # m; a path that ends earlier, at a stop, is not worth driving
 
 
 @dataclass
@@ -87,7 +86,7 @@ def plan_for(
             task.sent = make_plan(scene, name, traveler.points, task.look_at)
         return task.sent
     part = truncated(traveler.points, grant.limit)
-    if arc_lengths(part)[-1] < _MINIMUM_PATH:
+    if arc_lengths(part)[-1] < SHORTEST_DRIVE:
         task.right, task.sent = RightOfWay.STOP, None
         return None
     unchanged = (

@@ -315,6 +315,8 @@ class LiveRun:
             'status': self._last_status or state.status or 'not started',
             'complete': self.complete,
             'duration': state.stamp,
+            'unreached_frontiers': int(agent.get('unreached_frontiers', 0)),
+            'unreached_m2': float(agent.get('unreached_m2', 0.0)),
             'area_left_out': left_out,
             'real_time_factor': float(clock.get('real_time_factor', 'nan')),
             'collisions': collisions,

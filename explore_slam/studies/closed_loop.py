@@ -148,6 +148,8 @@ class ClosedLoop:
                 'duration': self.simulator.time,
                 'collisions': self.simulator.collisions,
                 'status': self.planner.result.status.value,
+                'unreached_frontiers': self.planner.result.unreachable,
+                'unreached_m2': self.planner.result.unreached_m2,
                 'counts': self.agent.summary(),
                 'odometry_calibration': {
                     name: found._asdict() for name, found in calibrations.items()

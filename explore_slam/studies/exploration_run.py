@@ -179,9 +179,7 @@ def explore(
 
 
 def _is_over(status: ExplorationStatus, home_at_end: bool) -> bool:
-    return status is ExplorationStatus.RETURNED or (
-        status.explored and not home_at_end
-    )
+    return status is ExplorationStatus.RETURNED or (status.explored and not home_at_end)
 
 
 def _make_team(

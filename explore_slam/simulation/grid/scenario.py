@@ -198,7 +198,9 @@ def _check_places(where: str, event: Event, world: GridWorld) -> None:
     """Raise SimulationError unless a person stands in the free, and a segment crosses it."""
     for point in event.points:
         if not world.is_inside(point):
-            raise SimulationError(f'{where}: {list(point)} lies outside of the map, expected inside')
+            raise SimulationError(
+                f'{where}: {list(point)} lies outside of the map, expected inside'
+            )
     if event.kind == 'person':
         row, col = world.to_cell([event.points[0]])[0]
         if world.cells[row, col] != FREE:
@@ -215,7 +217,9 @@ def _distance(event: Event, points: Array) -> Array:
     start, end = np.array(event.points[0]), np.array(event.points[-1])
     along = end - start
     square = float(along @ along)
-    share = np.clip((points - start) @ along / square, 0.0, 1.0) if square else np.zeros(len(points))
+    share = (
+        np.clip((points - start) @ along / square, 0.0, 1.0) if square else np.zeros(len(points))
+    )
     distance: Array = np.hypot(*(points - start - share[:, None] * along).T)
     return distance
 
@@ -227,7 +231,7 @@ def _covered(event: Event, world: GridWorld) -> NDArray[np.bool_]:
     margin = math.ceil(width / world.resolution) + 1
     low = np.maximum(cells.min(axis=0) - margin, 0)
     high = np.minimum(cells.max(axis=0) + margin + 1, world.shape)
-    index = np.indices(high - low).reshape(2, -1).T + low
+    index = np.indices((high - low).tolist()).reshape(2, -1).T + low
     near = index[_distance(event, world.to_point(index)) <= width]
     covered = np.zeros(world.shape, np.bool_)
     covered[near[:, 0], near[:, 1]] = True
