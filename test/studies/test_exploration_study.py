@@ -148,7 +148,8 @@ def test_one_who_stays_is_waited_for_in_vain_and_the_end_says_what_is_left():
 
 
 def test_a_door_that_opens_late_is_driven_through():
-    done = disturbed(Event('door', 0.0, 6.0, ((9.0, 2.7), (9.0, 3.8))))
+    door = Event('door', 0.0, 6.0, ((9.0, 2.7), (9.0, 3.8)))
+    done = disturbed(door, starts=((1.0, 1.0, 3.0),))
     assert done.status == 'exploration_complete'
     assert done.curve.team[-1] > 0.99
 
