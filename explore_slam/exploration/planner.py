@@ -59,7 +59,6 @@ _LOOKED_AT = 1.0  # m; a vehicle that is blocked this near to its target has see
 _SQUEEZE_GAIN = 4.0  # m²; a tight place is passed for a small room, not for specks
 _LONGEST_TRIP = 10.0  # m; a longer way to a frontier asks no more of it
 _TRAPPED_AREA = 5.0  # m², of passable cells; keep-out zones may not hold a vehicle in less
-_ROOM_GAIN = 6.0  # m²; a small obstacle is waited for where a room lies behind it, not a speck
 _UNSEEN_ROOM = 2.0  # m²; what remains unknown beside a vehicle that is blocked, and is no speck
 _LITTLE = 0.5  # of the free area; a warning is given if less can be reached
 _NOTABLE_GAIN = 1.0  # m²; frontiers out of reach that would show less are not reported as left
@@ -345,12 +344,11 @@ class Planner:
         """
         self._second_look.forget_expired(scene.now)
         radius = self.config.paths.planning_radius
-        rooms = [f for f in frontiers if f.gain >= _ROOM_GAIN]
         look = None
-        for people, worth in ((False, frontiers), (True, rooms)):
-            if worth and look is None:
+        for people in (False, True):
+            if look is None:
                 blocked = self._ways.blocked(scene.costs, radius, scene.forbidden, people=people)
-                look = self._second_look.choose(scene, blocked, worth)
+                look = self._second_look.choose(scene, blocked, frontiers)
         if look is None:
             return ''
         name, position = look.vehicle, scene.vehicles[look.vehicle].pose[:2]

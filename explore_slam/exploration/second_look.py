@@ -25,6 +25,7 @@ from explore_slam.exploration.value_iteration import Costs, padded_costs, spread
 _DOUBT_FACTOR = 20.0  # by which cells of a blocked way cost more than free ones
 _DISTANCE = 0.5  # m before the first blocked cell at which a vehicle looks
 _SAME_PLACE = 1.0  # m; blocked places this near to each other are one
+_WORTH_WAITING = 10.0  # m²; a way is waited for if rooms lie behind it, not for specks
 _MOST_CASES = 3  # places at which the team waits; more are as good as a closed building
 _LATER_PLACES = 0.25  # of the patience at the first place, at the others
 _RETRY = 30.0  # s of waiting after which a blocked place is tried again
@@ -78,11 +79,11 @@ class SecondLook:
         cells = np.array([frontier.target_cell for frontier in frontiers], np.int64)
         costs = values[cells[:, 0] + 1, cells[:, 1] + 1]
         nearest = int(np.argmin(costs))
-        if not math.isfinite(costs[nearest]):
+        behind = np.array([frontier.gain for frontier in frontiers])[np.isfinite(costs)]
+        if behind.sum() < _WORTH_WAITING:
             return None
         goal = frontiers[nearest].target_cell
-        count = int(np.count_nonzero(np.isfinite(costs)))
-        look = self._look(scene, padded, goal, count)
+        look = self._look(scene, padded, goal, len(behind))
         if look is None or (self._case_at(look) is None and len(self._cases) >= _MOST_CASES):
             return None
         return look

@@ -46,8 +46,8 @@ class PathFollowerConfig(Section):
         True, 'Require scans, and stop for obstacles they show on the path', tier='basic'
     )
     stop_distance: float = setting(
-        0.2, 'Clearance kept between body and obstacle ahead, unless the plan ends before it', unit='m', low=0.02, high=2.0,
-        tier='basic',
+        0.2, 'Clearance kept between body and obstacle ahead, unless the plan ends before it',
+        unit='m', low=0.02, high=2.0, tier='basic',
     )  # fmt: skip
     reaction_time: float = setting(
         0.35, 'Delay between the appearance of an obstacle and braking', unit='s',
