@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass
 
-from explore_slam.data import STANDARD_RADIUS, VehicleBody
+from explore_slam.data import STANDARD_CLEARANCE, STANDARD_RADIUS, VehicleBody
 from explore_slam.settings import Section, setting
 
 
 @dataclass(frozen=True)
 class BodyConfig(Section):
-    """Size and speed of a vehicle; agent and path follower must agree on them."""
+    """Size, speed and clearance of a vehicle; agent and path follower must agree on them."""
 
     vehicle_radius: float = setting(
         STANDARD_RADIUS,
@@ -27,7 +27,15 @@ class BodyConfig(Section):
         tier='basic',
     )
 
+    side_clearance: float = setting(
+        STANDARD_CLEARANCE,
+        'Clearance beside the body that the path follower requires, and the planner with it',
+        unit='m',
+        low=0.0,
+        high=1.0,
+    )
+
     @property
     def record(self) -> VehicleBody:
         """Size and speed as a record."""
-        return VehicleBody(self.vehicle_radius, self.follow_speed)
+        return VehicleBody(self.vehicle_radius, self.follow_speed, self.side_clearance)

@@ -44,6 +44,7 @@ def _check_finite(record: object, name: str, array: NDArray[Any]) -> None:
 # assumes of a vehicle. The bodies that collide in the simulators are declared there on their own:
 # simulated_radius, 0.26 m, and disc_radius, 0.22 m, both less than planning_radius, 0.3 m.
 STANDARD_RADIUS = 0.25
+STANDARD_CLEARANCE = 0.02  # m beside that body, which the path follower keeps free
 
 
 class VehicleBody(NamedTuple):
@@ -51,15 +52,22 @@ class VehicleBody(NamedTuple):
 
     radius: of the circle around the vehicle origin that contains the body (m).
     speed: at which it follows its plans (m/s).
+    side_clearance: that it keeps beside its body (m).
     """
 
     radius: float = STANDARD_RADIUS
     speed: float = 0.4
+    side_clearance: float = STANDARD_CLEARANCE
+
+    @property
+    def envelope(self) -> float:
+        """Radius (m) of the circle that the path follower keeps free of obstacles."""
+        return self.radius + self.side_clearance
 
     @property
     def extra_radius(self) -> float:
-        """How much larger the radius is than that of a standard body (m); negative: smaller."""
-        return self.radius - STANDARD_RADIUS
+        """How much larger the envelope is than that of a standard body (m); negative: smaller."""
+        return self.envelope - (STANDARD_RADIUS + STANDARD_CLEARANCE)
 
 
 @dataclass(frozen=True)

@@ -160,6 +160,7 @@ class TeamPlanner:
             return VehicleState.RETURNING if returning else VehicleState.DRIVING
         return {
             ExplorationStatus.COMPLETE: VehicleState.DONE,
+            ExplorationStatus.INCOMPLETE: VehicleState.DONE,
             ExplorationStatus.RETURNED: VehicleState.HOME,
         }.get(result.status, VehicleState.WAITING)
 

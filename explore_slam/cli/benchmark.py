@@ -4,6 +4,7 @@ import argparse
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from explore_slam.cli import benchmark_mapping, benchmark_sensors
 from explore_slam.cli.arguments import (
@@ -12,6 +13,9 @@ from explore_slam.cli.arguments import (
     named_settings,
     whole_numbers,
 )
+
+if TYPE_CHECKING:
+    from explore_slam.studies.exploration_run import ExplorationRun
 
 HELP = 'measure exploration, mapping, consistency, endurance, aliasing, or sensors'
 
@@ -43,6 +47,9 @@ def _configure_exploration(parser: argparse.ArgumentParser) -> None:
         metavar='NAME',
         help='exploration strategy; may be repeated (default: default and nearest)',
     )
+    parser.add_argument(
+        '--scenario', type=Path, metavar='FILE', help='events of the runs: doors, people, failures'
+    )
     add_seeds_option(parser, range(10))
     _add_workers(parser)
     parser.add_argument('--output', type=Path, help='folder for table, runs and plots')
@@ -66,6 +73,7 @@ def _run_exploration(arguments: argparse.Namespace) -> int:
         arguments.strategy or ['default', 'nearest'],
         arguments.seeds,
         arguments.set,
+        arguments.scenario,
     )
     total = sum(1 for _ in study.tasks())
     runs = []
@@ -74,7 +82,8 @@ def _run_exploration(arguments: argparse.Namespace) -> int:
         print(
             f'[{len(runs)}/{total}] {done.strategy}, {done.vehicles} vehicles, seed {done.seed}: '
             f'{done.status} after {done.duration:.0f} s, 99 % after '
-            f'{done.curve.time_to(0.99):.0f} s, {done.real_time_factor:.0f} x real time',
+            f'{done.curve.time_to(0.99):.0f} s, {done.real_time_factor:.0f} x real time'
+            f'{_unreached(done)}',
             file=sys.stderr,
             flush=True,
         )
@@ -83,6 +92,15 @@ def _run_exploration(arguments: argparse.Namespace) -> int:
         for path in save_study(runs, arguments.output):
             print(f'written: {path}', file=sys.stderr)
     return 0
+
+
+def _unreached(run: 'ExplorationRun') -> str:
+    """Return what a run has left, '' if nothing."""
+    from explore_slam.exploration import unreached_text
+
+    if not run.unreached_frontiers:
+        return ''
+    return f', {unreached_text(run.unreached_frontiers, run.unreached_m2)} out of reach'
 
 
 def _add_world(parser: argparse.ArgumentParser, duration: float) -> None:

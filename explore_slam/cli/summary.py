@@ -10,6 +10,8 @@ if TYPE_CHECKING:
 
 def print_summary(data: 'RunData') -> None:
     """Print the errors of each vehicle beside those of odometry alone, coverage and timing."""
+    from explore_slam.exploration.records import unreached_text
+
     for note in data.notes:
         print(f'note: {note}', file=sys.stderr)
     vehicles = data.metrics.get('vehicles', {})
@@ -29,6 +31,9 @@ def print_summary(data: 'RunData') -> None:
         share = data.coverage_unit == '%'
         value = data.metrics['coverage'] * (100.0 if share else 1.0)
         print(f'{"explored" if share else "known area"} {value:.1f} {data.coverage_unit}')
+    if data.metrics.get('unreached_frontiers'):
+        left = unreached_text(data.metrics['unreached_frontiers'], data.metrics['unreached_m2'])
+        print(f'{left} out of reach')
     if 'landmarks' in data.metrics:
         print(f'landmarks {data.metrics["landmarks"]}')
     timing = data.metrics.get('timing')

@@ -21,6 +21,7 @@ from explore_slam.exploration.records import (
     PlanningMode,
     PlanningResult,
     VehicleSnapshot,
+    unreached_text,
 )
 from explore_slam.exploration.strategies import STRATEGIES
 from explore_slam.exploration.value_iteration import travel_cost
@@ -47,6 +48,7 @@ __all__ = [
     'plan_path',
     'shortcut',
     'travel_cost',
+    'unreached_text',
     'utilities',
     'warm_up',
 ]

@@ -1,4 +1,8 @@
-"""Blacklist of targets that failed: retried after a while, given up until the map changes."""
+"""Blacklist of targets that failed: retried after a while, given up until the map changes.
+
+A target that one vehicle could not get to is left to the others; a place that was looked at from
+close by has failed for all.
+"""
 
 import math
 from dataclasses import dataclass
@@ -15,9 +19,13 @@ _CHANGED_FRACTION = 0.02  # of the cells around a failure
 
 @dataclass
 class _Failure:
-    """A place (m) that failed: attempts, time (s) of the next one, free cells around it then."""
+    """A place (m) that failed: attempts, time (s) of the next one, free cells around it then.
+
+    vehicle: for which it failed; None: for all.
+    """
 
     place: Point
+    vehicle: str | None
     attempts: int
     until: float
     free: int
@@ -29,14 +37,17 @@ class Blacklist:
     def __init__(self, config: BlacklistConfig) -> None:
         self.config = config
         self._failures: list[_Failure] = []
-        self._reported: list[tuple[Point, bool]] = []
+        self._reported: list[tuple[Point, str | None, bool]] = []
 
     def __len__(self) -> int:
         return len(self._failures)
 
-    def report(self, place: Point, *, final: bool = False) -> None:
-        """Report a failed target (m), to be added by the next update; a final one is given up."""
-        self._reported.append((place, final))
+    def report(self, place: Point, vehicle: str | None = None, *, final: bool = False) -> None:
+        """Report a failed target (m), to be added by the next update; a final one is given up.
+
+        vehicle: for which it failed; None: for all.
+        """
+        self._reported.append((place, vehicle, final))
 
     def update(self, now: float, grid: Grid, free: NDArray[np.bool_]) -> None:
         """Forget failures where the map has changed, and add those reported since.
@@ -49,8 +60,8 @@ class Blacklist:
             for failure in self._failures
             if abs(self._free_around(failure.place, grid, free) - failure.free) <= largest
         ]
-        for place, final in self._reported:
-            self._add(place, now, self._free_around(place, grid, free), final)
+        for place, vehicle, final in self._reported:
+            self._add(place, vehicle, now, self._free_around(place, grid, free), final)
         self._reported.clear()
 
     def clear(self, place: Point) -> None:
@@ -58,32 +69,38 @@ class Blacklist:
         radius = self.config.blacklist_radius
         self._failures = [f for f in self._failures if math.dist(f.place, place) > radius]
 
-    def blocks(self, place: Point, now: float) -> bool:
-        """Return whether a target (m) is blacklisted at a time (s)."""
-        entry = self._entry_at(place)
+    def blocks(self, place: Point, now: float, vehicle: str | None = None) -> bool:
+        """Return whether a target (m) is blacklisted for a vehicle at a time (s).
+
+        By default for any vehicle.
+        """
+        entry = self._entry_at(place, vehicle)
         if entry is None:
             return False
         return now < entry.until or entry.attempts >= self.config.maximum_attempts
 
-    def gave_up(self, place: Point) -> bool:
-        """Return whether a target (m) has failed too often."""
-        entry = self._entry_at(place)
+    def gave_up(self, place: Point, vehicle: str | None = None) -> bool:
+        """Return whether a target (m) has failed too often for a vehicle; by default for any."""
+        entry = self._entry_at(place, vehicle)
         return entry is not None and entry.attempts >= self.config.maximum_attempts
 
-    def _add(self, place: Point, now: float, free: int, final: bool) -> None:
-        entry = self._entry_at(place)
+    def _add(self, place: Point, vehicle: str | None, now: float, free: int, final: bool) -> None:
+        entry = self._nearest([f for f in self._failures if f.vehicle == vehicle], place)
         if entry is None:
-            entry = _Failure(place, 0, now, free)
+            entry = _Failure(place, vehicle, 0, now, free)
             self._failures.append(entry)
         entry.attempts = self.config.maximum_attempts if final else entry.attempts + 1
         entry.free = free
         entry.until = now + self.config.blacklist_expiry * 2.0 ** (entry.attempts - 1)
 
-    def _entry_at(self, place: Point) -> _Failure | None:
+    def _entry_at(self, place: Point, vehicle: str | None) -> _Failure | None:
+        """Return the failure at a place that counts for a vehicle, or None."""
+        known = [f for f in self._failures if vehicle is None or f.vehicle in (None, vehicle)]
+        return self._nearest(known, place)
+
+    def _nearest(self, failures: list[_Failure], place: Point) -> _Failure | None:
         """Return the failure of most attempts, then the nearest, within the radius of a place."""
-        near = [
-            f for f in self._failures if math.dist(f.place, place) <= self.config.blacklist_radius
-        ]
+        near = [f for f in failures if math.dist(f.place, place) <= self.config.blacklist_radius]
         return min(near, key=lambda f: (-f.attempts, math.dist(f.place, place)), default=None)
 
     def _half_window(self, grid: Grid) -> int:

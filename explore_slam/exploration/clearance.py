@@ -26,6 +26,7 @@ class CostMap(NamedTuple):
     free: known cells (H, W) that are not obstacles, whether or not a vehicle fits there.
     unknown: cells (H, W) that have never been observed.
     squared: squared distance (H, W) in cells to the nearest obstacle.
+    roomy: from this squared distance (cells) on, there is room for the errors of a vehicle.
     """
 
     cost: NDArray[np.float32]
@@ -33,6 +34,7 @@ class CostMap(NamedTuple):
     free: NDArray[np.bool_]
     unknown: NDArray[np.bool_]
     squared: NDArray[np.int32]
+    roomy: int = 0
 
 
 @kernel
@@ -136,14 +138,19 @@ def make_cost_map(grid: Grid, config: PathConfig, *, probability_costs: bool = F
     floor = 0.0 if probability_costs else config.cost_floor
     scale = 1.0 if probability_costs else 1.0 / config.cost_floor
     cost, tight_cost = _charge(probability, free, squared, factors, tight, floor, scale)
-    return CostMap(cost, tight_cost, free, unknown, squared)
+    with_room = (config.planning_radius + config.planning_margin) / grid.resolution
+    return CostMap(cost, tight_cost, free, unknown, squared, int(with_room * with_room) + 1)
 
 
 def paths_of(config: PathConfig, body: VehicleBody) -> PathConfig:
-    """Return the settings with the planning radii of a body: its clearance stays the same."""
+    """Return the settings with the planning radii of a body: its clearance stays the same.
+
+    The minimum is never below what the path follower of the vehicle keeps free.
+    """
     largest = LARGEST_PLANNING_RADIUS
     radii = (config.planning_radius, config.minimum_planning_radius)
     radius, smallest = (min(max(one + body.extra_radius, 0.0), largest) for one in radii)
+    smallest = max(smallest, min(body.envelope, largest))
     return replace(config, planning_radius=radius, minimum_planning_radius=smallest)
 
 
@@ -161,10 +168,12 @@ def clearance_factors(
     The first array is inf up to planning_radius, the second up to minimum_planning_radius.
     """
     radius = config.planning_radius / resolution
-    reach = radius + (config.clearance_distance / resolution if soft else 0.0)
+    beyond = max(config.clearance_distance if soft else 0.0, config.planning_margin)
+    reach = radius + beyond / resolution
     distances = np.sqrt(np.arange(int(reach * reach) + 2))
     factors = np.ones(distances.size, np.float32)
-    if soft and reach > radius:
+    if soft and config.clearance_distance > 0.0:
+        reach = radius + config.clearance_distance / resolution
         nearness = np.clip((reach - distances) / (reach - radius), 0.0, 1.0)
         factors += np.float32(config.clearance_weight) * nearness.astype(np.float32) ** 2
     tight = factors.copy()

@@ -34,6 +34,14 @@ class ExplorationConfig(Section):
         low=1,
         high=1000,
     )
+    obstruction_patience: float = setting(
+        120.0,
+        'Time for which a vehicle waits, before exploration ends, where a way to what is left has '
+        'become blocked',
+        unit='s',
+        low=0.0,
+        high=3600.0,
+    )
     return_to_init: bool = setting(
         False, 'Drive home when nothing is left to explore', tier='basic'
     )

@@ -27,6 +27,10 @@ from explore_slam.geometry import Array
 
 # Chosen by hand; `explore_slam benchmark exploration` measures what another value does
 _RAYS = 40  # by which the unknown area in sight of a viewpoint is estimated
+_NEAR_RANGE = 3.0  # m from a viewpoint within which the unknown area in sight decides on a visit
+_NEAR_RAYS = 120  # for that area, of which specks are a part
+_WIDE = 1.5  # m; a frontier as long as this shows all that is in sight behind it
+_DOORWAY = 0.9  # m; a frontier that a vehicle can pass, with a room behind, counts as this long
 _NARROW_FACTOR = 0.6  # on the gain of a frontier through which no vehicle fits
 _POCKET_AREA = 6.0  # m²; smaller unknown areas are measured instead of estimated
 
@@ -43,6 +47,18 @@ def expected_area(unknown: float, reach: float) -> float:
     view = math.pi * reach * reach
     fraction = unknown / view
     return view * min(0.44 * fraction * fraction, 0.15 * fraction)
+
+
+def expected_showing(unknown: float, size: float) -> float:
+    """Return the area (m²) that a visit to a frontier is expected to show at least.
+
+    unknown: unknown area (m²) in sight within a few metres. size: length of the frontier (m).
+    What remains at the end of a run are gaps between beams and the inside of furniture: the
+    shorter a frontier, the smaller the share of the unknown area that proves free. Of 1500
+    frontiers late in runs on three maps, those shorter than 0.65 m showed 0.05 m² on average,
+    those between 0.85 and 1.2 m 0.5 m²; the square fits both.
+    """
+    return unknown * min(1.0, size / _WIDE) ** 2
 
 
 def find_frontiers(
@@ -65,12 +81,16 @@ def find_frontiers(
 
 
 class _Candidate(NamedTuple):
-    """A piece of a cluster: cells (N, 2), viewpoint, centre of what is behind it, gain (m²)."""
+    """A piece of a cluster: cells (N, 2), viewpoint, centre of what is behind it.
+
+    gain, showing: see Frontier (m²).
+    """
 
     cells: NDArray[np.int64]
     viewpoint: Cell
     behind: tuple[float, float]
     gain: float
+    showing: float
 
 
 def _frontiers_of(
@@ -81,6 +101,7 @@ def _frontiers_of(
     smallest = max(1, round(config.min_frontier_size / scale))
     largest = max(1, round(config.max_frontier_size / scale))
     marks = np.zeros(costs.free.shape, np.int32)
+    roomy = viewpoints & (costs.squared >= costs.roomy)
     candidates: list[_Candidate] = []
     end, mark = 0, 1
     for length in lengths.tolist():
@@ -88,8 +109,8 @@ def _frontiers_of(
         if length < smallest:
             continue
         for part in _split(cells[start:end], largest):
-            mark += 2  # one for each of the two searches
-            candidate = _candidate(part, scale, config, costs, viewpoints, marks, mark)
+            mark += 3  # one for each of the three searches
+            candidate = _candidate(part, scale, config, costs, (roomy, viewpoints), marks, mark)
             if candidate is not None:
                 candidates.append(candidate)
     return _records(grid, candidates)
@@ -100,23 +121,33 @@ def _candidate(
     scale: float,
     config: FrontierConfig,
     costs: CostMap,
-    viewpoints: NDArray[np.bool_],
+    viewpoints: tuple[NDArray[np.bool_], NDArray[np.bool_]],
     marks: NDArray[np.int32],
     mark: int,
 ) -> _Candidate | None:
     """Return viewpoint and gain of a piece of a cluster (N, 2), None if it is not worth a visit.
 
-    scale: side of a cell (m). marks (H, W): scratch, without the values mark and mark + 1.
+    scale: side of a cell (m). viewpoints: cells (H, W) with room for errors, and all that will
+    do. marks (H, W): scratch, without the values from mark to mark + 2.
     """
     area = scale * scale
     reach = round(config.viewpoint_distance / scale)
-    row, col = find_viewpoint(costs.free, viewpoints, marks, mark, part, reach)
+    roomy, possible = viewpoints
+    row, col = find_viewpoint(costs.free, roomy, marks, mark, part, reach)
+    if row < 0:
+        row, col = find_viewpoint(costs.free, possible, marks, mark + 1, part, reach)
     if row < 0:
         return None
     limit = round(_POCKET_AREA / area)
-    pocket, *behind = pocket_size(costs.unknown, marks, mark + 1, part, limit)
+    pocket, *behind = pocket_size(costs.unknown, marks, mark + 2, part, limit)
     gain = area * pocket
-    if gain < config.min_frontier_gain:
+    close = int(min(_NEAR_RANGE, config.sensor_range) / scale)
+    near = area * visible_unknown(costs.free, costs.unknown, row, col, close, _NEAR_RAYS)
+    size, leads_on = len(part) * scale, bool(possible[part[:, 0], part[:, 1]].any())
+    if leads_on and pocket >= limit:
+        size = max(size, _DOORWAY)
+    showing = expected_showing(min(gain, near), size)
+    if showing < config.min_frontier_gain:
         return None
     if pocket >= limit:
         # The area in sight of the viewpoint is a rough estimate: it ranks frontiers, and drops
@@ -124,12 +155,12 @@ def _candidate(
         sensor = int(config.sensor_range / scale)
         seen = visible_unknown(costs.free, costs.unknown, row, col, sensor, _RAYS)
         gain = expected_area(area * seen, config.sensor_range)
-        if not viewpoints[part[:, 0], part[:, 1]].any():
+        if not leads_on:
             gain *= _NARROW_FACTOR
             if gain < config.min_frontier_gain:
                 return None
         gain = max(gain, config.min_frontier_gain)
-    return _Candidate(part, (row, col), (behind[0], behind[1]), gain)
+    return _Candidate(part, (row, col), (behind[0], behind[1]), gain, showing)
 
 
 def _records(grid: Grid, candidates: list[_Candidate]) -> list[Frontier]:
@@ -151,7 +182,9 @@ def _records(grid: Grid, candidates: list[_Candidate]) -> list[Frontier]:
         viewpoint = (int(item.viewpoint[0]), int(item.viewpoint[1]))
         size = len(item.cells) * scale
         frontiers.append(
-            Frontier(item.cells, centroid, (px, py), viewpoint, size, item.gain, look_at)
+            Frontier(
+                item.cells, centroid, (px, py), viewpoint, size, item.gain, look_at, item.showing
+            )
         )
     return frontiers
 

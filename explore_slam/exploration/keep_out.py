@@ -17,7 +17,7 @@ from explore_slam.exploration.records import Point
 # `explore_slam benchmark exploration` measures what another value does.
 _DURATION = 60.0  # s until a zone expires
 _SAME_PLACE = 0.5  # m; a blockage this near to an earlier one is at the same place
-_TRAFFIC_DISTANCE = 1.5  # m; with another vehicle this near, that vehicle is the obstacle
+TRAFFIC_DISTANCE = 1.5  # m; with another vehicle this near, that vehicle is the obstacle
 _WALL_LENGTH = 1.0  # m; permanent zones this near to each other are parts of one wall
 _WALL_SPACING = 0.3  # m between the zones that fill a wall
 _RELEASE_RADIUS = 2.0  # m around a trapped vehicle in which zones are released
@@ -52,7 +52,7 @@ class KeepOutZones:
 
         others: positions (m) of the other vehicles.
         """
-        if any(math.dist(other, place) < _TRAFFIC_DISTANCE for other in others):
+        if any(math.dist(other, place) < TRAFFIC_DISTANCE for other in others):
             return
         earlier = [zone.place for zone in self._zones] + self._expired
         again = any(math.dist(other, place) < _SAME_PLACE for other in earlier)

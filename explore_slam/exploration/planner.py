@@ -7,11 +7,15 @@ One cycle of exploration, as `Planner.plan` runs it:
 3. Compute the travel costs, and assign frontiers to vehicles by the strategy that is set.
 4. Continue the present path of each vehicle if it still leads there, or plan a new one.
 5. Grant rights of way, and turn paths into plans (Traffic, plan_for).
+
+Without any target, a vehicle may pass through a tight place if that is worth it, then looks again
+where a way to what is left has become blocked (SecondLook). Only then exploration ends.
 """
 
 import logging
 import math
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +24,8 @@ from explore_slam.data import Plan
 from explore_slam.exploration.blacklist import Blacklist
 from explore_slam.exploration.config import ExplorationConfig
 from explore_slam.exploration.frontiers import find_frontiers
-from explore_slam.exploration.keep_out import KeepOutZones
+from explore_slam.exploration.keep_out import TRAFFIC_DISTANCE, KeepOutZones
+from explore_slam.exploration.known_ways import KnownWays
 from explore_slam.exploration.progress import BlockageCounter, Progress
 from explore_slam.exploration.records import (
     Cell,
@@ -31,8 +36,11 @@ from explore_slam.exploration.records import (
     PlanningResult,
     Point,
     VehicleSnapshot,
+    unreached_text,
 )
 from explore_slam.exploration.scene import Scene
+from explore_slam.exploration.second_look import SecondLook
+from explore_slam.exploration.standstill import Standstill
 from explore_slam.exploration.strategies import STRATEGIES, Situation
 from explore_slam.exploration.tasks import Orders, Task, plan_for
 from explore_slam.exploration.traffic import RightOfWay, Traffic, Traveler
@@ -47,6 +55,13 @@ _SAME_FRONTIER = 2.0  # m; a frontier whose target has moved by no more is the s
 _NEAR_TARGET = 2.0  # m; a vehicle that is blocked this near to its target has failed to reach it
 _FACING_DISTANCE = 100.0  # m from a goal to the point that a vehicle faces there: a direction
 _KEEP_OUT_AHEAD = 0.5  # m along the path from where a vehicle is blocked to its keep-out zone
+_LOOKED_AT = 1.0  # m; a vehicle that is blocked this near to its target has seen what is there
+_SQUEEZE_GAIN = 4.0  # m²; a tight place is passed for a small room, not for specks
+_LONGEST_TRIP = 10.0  # m; a longer way to a frontier asks no more of it
+_TRAPPED_AREA = 5.0  # m², of passable cells; keep-out zones may not hold a vehicle in less
+_UNSEEN_ROOM = 2.0  # m²; what remains unknown beside a vehicle that is blocked, and is no speck
+_LITTLE = 0.5  # of the free area; a warning is given if less can be reached
+_NOTABLE_GAIN = 1.0  # m²; frontiers out of reach that would show less are not reported as left
 
 
 class Planner:
@@ -62,28 +77,55 @@ class Planner:
         self._keep_out = KeepOutZones()
         self._blockages = BlockageCounter()
         self._history = VehicleHistory()
+        self._ways = KnownWays()
+        self._second_look = SecondLook(self.config.obstruction_patience)
+        self._standstill = Standstill(self.config.blacklist.progress_timeout)
+        self._squeezing: str | None = None  # the vehicle that passes through a tight place
+        self._looked_at: list[Point] = []  # targets (m) reached that show nothing more
+        self._plans: dict[str, Plan] = {}  # in force, by name
         self._tasks: dict[str, Task] = {}
         self._retreats: dict[str, Plan] = {}  # plans of vehicles that retreat, by name
+        self._warning, self._warned = '', False
         self._searches = 0
         self._empty_searches = 0  # without a target, since the last one with a target
 
     def report_blocked(self, vehicle: str, goal: Pose2 | Point, now: float) -> None:
         """Report that a vehicle cannot proceed towards its goal (m) at a time (s).
 
-        Near the target, or after several blockages on the way, the target has failed. In any case
-        the place just ahead becomes a keep-out zone, so that another path is tried.
+        Near the target, or after several blockages on the way, the target has failed: for all if
+        the vehicle has seen from close by what is there, and no other vehicle was in the way, and
+        for this vehicle otherwise. In any case the place just ahead becomes a keep-out zone, so
+        that another path is tried.
         """
         logger.info('%s is blocked on its way to (%.2f, %.2f) at %.1f s', vehicle, *goal[:2], now)
-        task, pose = self._tasks.pop(vehicle, None), self._history.poses.get(vehicle)
+        task, pose = self._tasks.get(vehicle), self._history.poses.get(vehicle)
         target = task.target if task else (float(goal[0]), float(goal[1]))
         near = task is None or pose is None or math.dist(pose[:2], target) <= _NEAR_TARGET
+        others = self._others_ahead(vehicle, target)
+        self._tasks.pop(vehicle, None)
         if self._blockages.add(vehicle, near_target=near):
-            self._blacklist.report(target)
+            looked = pose is None or math.dist(pose[:2], target) <= _LOOKED_AT
+            if looked and all(math.dist(other, target) > TRAFFIC_DISTANCE for other in others):
+                self._blacklist.report(target, final=True)
+            else:
+                self._blacklist.report(target, vehicle)
         if task is not None and pose is not None:
             ahead = remaining_path(np.array(pose[:2]), task.path)
             x, y = points_at(ahead, arc_lengths(ahead), np.array([_KEEP_OUT_AHEAD]))[0].tolist()
-            others = [self._history.position(n) for n in self._history.poses if n != vehicle]
             self._keep_out.add((x, y), now, others)
+
+    def _others_ahead(self, vehicle: str, target: Point) -> list[Point]:
+        """Return the positions (m) of the other vehicles that may be in the way of one."""
+        others = [self._history.position(n) for n in self._history.poses if n != vehicle]
+        task, pose = self._tasks.get(vehicle), self._history.poses.get(vehicle)
+        if pose is None:
+            return others
+        here = np.array(pose[:2])
+        towards = np.array(target) - here
+        if task is not None:
+            ahead = remaining_path(here, task.path)
+            towards = points_at(ahead, arc_lengths(ahead), np.array([_KEEP_OUT_AHEAD]))[0] - here
+        return [other for other in others if (np.array(other) - here) @ towards > 0.0]
 
     def plan(
         self,
@@ -104,11 +146,12 @@ class Planner:
             return PlanningResult(ExplorationStatus.PAUSED, 'paused', searched=False)
         if 0 in grid.shape:
             return self._cannot_search('the map is empty')
+        moving = self._without_stuck(vehicles, now)
         scene = Scene(
             grid,
             now,
             self.config,
-            vehicles,
+            moving,
             self._history.trails,
             self._keep_out.places(),
             forbidden,
@@ -119,9 +162,52 @@ class Planner:
             return self._cannot_search('no vehicle is on or near a free cell of the map')
         self._searches += 1
         self._blacklist.update(now, grid, scene.costs.free)
+        self._ways.update(grid, scene.costs)
+        self._warn_of_little_reach(scene)
         if wanted is PlanningMode.RETURN_HOME:
-            return self._go_home(scene, (), Orders())
-        return self._explore(scene)
+            result = self._go_home(scene, (), Orders())
+        else:
+            result = self._explore(scene)
+        stuck = [name for name, one in vehicles.items() if one.active and not moving[name].active]
+        for name in stuck:
+            result.waiting[name] = 'does not move although it has a plan'
+            if name in self._plans:
+                result.plans[name] = self._plans[name]
+        self._plans = dict(result.plans)
+        return result
+
+    def _warn_of_little_reach(self, scene: Scene) -> None:
+        """Update the warning that little of the free area can be reached; log what is new."""
+        area, reached = scene.free_area()
+        text = ''
+        if reached < _LITTLE * area:
+            text = (
+                f'only {reached:.0f} of {area:.0f} m² of free space can be reached at '
+                f'planning_radius {self.config.paths.planning_radius:g} m'
+            )
+        if text and not self._warned:
+            logger.warning('%s', text)
+        self._warning, self._warned = text, self._warned or bool(text)
+
+    def _without_stuck(
+        self, vehicles: Mapping[str, VehicleSnapshot], now: float
+    ) -> Mapping[str, VehicleSnapshot]:
+        """Return the vehicles; those that do not move are obstacles, unless all of them are."""
+        arrival = self.config.paths.arrival_distance
+        driving = {
+            name: name in vehicles and math.dist(plan.goal[:2], vehicles[name].pose[:2]) > arrival
+            for name, plan in self._plans.items()
+        }
+        active = {name: one for name, one in vehicles.items() if one.active}
+        stuck = self._standstill.update(now, active, driving)
+        if stuck >= active.keys():
+            return vehicles
+        for name in stuck:
+            self._tasks.pop(name, None)
+        return {
+            name: one._replace(active=False) if name in stuck else one
+            for name, one in vehicles.items()
+        }
 
     def _cannot_search(self, reason: str) -> PlanningResult:
         """Withdraw all plans; this is neither an empty search nor the end.
@@ -134,17 +220,15 @@ class Planner:
         return PlanningResult(ExplorationStatus.PAUSED, text, searched=False)
 
     def _explore(self, scene: Scene) -> PlanningResult:
-        """Assign frontiers; without any, retry what is blocked before exploration is complete.
+        """Assign frontiers; without any, look again at what is blocked before exploration ends.
 
         Vehicles that were sent to a goal drive there meanwhile.
         """
         guided = self._guide(scene)
-        found = find_frontiers(scene.grid, self.config, scene.costs, scene.reachable())
-        if self._release_trapped(scene, found):
-            found = find_frontiers(scene.grid, self.config, scene.costs, scene.reachable())
-        candidates = [f for f in found if not self._blacklist.blocks(f.target, scene.now)]
-        if not candidates:
-            candidates = [f for f in found if not self._blacklist.gave_up(f.target)]
+        found = find_frontiers(scene.grid, self.config, scene.costs, scene.viewpoints())
+        if self._release_shut_in(scene, found):
+            found = find_frontiers(scene.grid, self.config, scene.costs, scene.viewpoints())
+        candidates = self._worthwhile(scene, self._open(scene, found)) or self._squeeze(scene)
         if candidates:
             self._empty_searches = 0
             return self._assign(scene, candidates, guided)
@@ -153,17 +237,130 @@ class Planner:
             # a keep-out zone may close the only way to the rest
             reason = 'no target outside keep-out zones, which are released'
             return self._conclude(scene, ExplorationStatus.IN_PROGRESS, reason, frontiers, guided)
-        if not found and self._release_keep_out(list(scene.starts)):
+        if not found and self._release_keep_out(scene, list(scene.starts)):
             reason = 'no target outside permanent keep-out zones; those near by are released'
             return self._conclude(scene, ExplorationStatus.IN_PROGRESS, reason, frontiers, guided)
+        return self._finish(scene, guided)
+
+    def _open(self, scene: Scene, frontiers: list[Frontier]) -> list[Frontier]:
+        """Return the frontiers that may be tried, or else those that have not failed for good."""
+        names = list(scene.starts)
+        for fails in (partial(self._blacklist.blocks, now=scene.now), self._blacklist.gave_up):
+            left = [
+                frontier
+                for frontier in frontiers
+                if not all(fails(frontier.target, vehicle=name) for name in names)
+            ]
+            if left:
+                return left
+        return []
+
+    def _worthwhile(self, scene: Scene, frontiers: list[Frontier]) -> list[Frontier]:
+        """Return the frontiers that are worth the way of the nearest vehicle."""
+        if not frontiers:
+            return []
+        costs = scene.costs_to(tuple(scene.starts), frontiers).min(axis=0)
+        asked = self.config.frontiers.min_gain_per_travel * np.minimum(costs, _LONGEST_TRIP)
+        return [f for f, least in zip(frontiers, asked, strict=True) if f.showing >= least]
+
+    def _release_shut_in(self, scene: Scene, frontiers: list[Frontier]) -> bool:
+        """Let vehicles that are shut in use tight passages; return whether any gets further.
+
+        A vehicle is shut in if it can reach no frontier, and not even half of what is passable.
+        """
+        cells = [f.target_cell for f in frontiers if not self._blacklist.gave_up(f.target)]
+        shut_in = [
+            name
+            for name, mask in scene.reach.items()
+            if not any(mask[cell] for cell in cells) and scene.is_shut_in(name)
+        ]
+        released = [scene.allow_tight(name) for name in shut_in]
+        return any(released)
+
+    def _squeeze(self, scene: Scene) -> list[Frontier]:
+        """Let one vehicle pass through a tight place if a room lies behind it.
+
+        Return the frontiers that are worth it. The same vehicle goes on as long as there are any.
+        """
+        names = sorted(scene.starts, key=lambda name: name != self._squeezing)
+        for name in names:
+            if not scene.allow_tight(name):
+                continue
+            found = find_frontiers(scene.grid, self.config, scene.costs, scene.viewpoints())
+            worth = [f for f in self._open(scene, found) if f.gain >= _SQUEEZE_GAIN]
+            if worth:
+                self._squeezing = name
+                return worth
+            scene.forbid_tight(name)
+        self._squeezing = None
+        return []
+
+    def _left(self, scene: Scene) -> tuple[list[Frontier], list[Frontier]]:
+        """Return the frontiers out of reach, and those that have failed and were not reached."""
+        anywhere = np.isfinite(scene.costs.cost)
+        reach = scene.reachable()
+        every = find_frontiers(scene.grid, self.config, scene.costs, anywhere)
+        notable = [f for f in every if f.showing >= _NOTABLE_GAIN]
+        far = [f for f in notable if not reach[f.target_cell]]
+        radius = self.config.blacklist.blacklist_radius
+        failed = [
+            f
+            for f in notable
+            if f.showing >= _UNSEEN_ROOM
+            and reach[f.target_cell]
+            and all(self._blacklist.gave_up(f.target, name) for name in scene.starts)
+            and all(math.dist(f.target, place) > radius for place in self._looked_at)
+        ]
+        return far, failed
+
+    def _finish(self, scene: Scene, guided: Orders) -> PlanningResult:
+        """Look again where ways have become blocked, then end: complete, or say what is left."""
+        far, failed = self._left(scene)
+        frontiers = (*far, *failed)
+        if far:
+            looking = self._look_again(scene, far, guided)
+            if looking:
+                self._empty_searches = 0
+                status = ExplorationStatus.IN_PROGRESS
+                return self._conclude(scene, status, looking, frontiers, guided)
         self._empty_searches += 1
         if self._empty_searches < self.config.empty_searches:
+            status = ExplorationStatus.IN_PROGRESS
             reason = f'no target in search {self._empty_searches} of {self.config.empty_searches}'
-            return self._conclude(scene, ExplorationStatus.IN_PROGRESS, reason, frontiers, guided)
+            return self._conclude(scene, status, reason, frontiers, guided)
         if self.config.return_to_init:
             return self._go_home(scene, frontiers, guided)
-        reason = f'nothing left to explore, {len(found)} frontiers given up'
-        return self._conclude(scene, ExplorationStatus.COMPLETE, reason, frontiers, guided)
+        status, reason = ExplorationStatus.COMPLETE, 'nothing left to explore'
+        if frontiers:
+            status = ExplorationStatus.INCOMPLETE
+            left = unreached_text(len(frontiers), sum(f.gain for f in frontiers))
+            reason = f'nothing left to explore but {left} out of reach'
+        return self._conclude(scene, status, reason, frontiers, guided)
+
+    def _look_again(self, scene: Scene, frontiers: list[Frontier], guided: Orders) -> str:
+        """Send a vehicle to where the way to frontiers has become blocked; return the reason.
+
+        It is '' if there is no such way, or it has been looked at for long enough.
+        """
+        self._second_look.forget_expired(scene.now)
+        radius = self.config.paths.planning_radius
+        look = None
+        for people in (False, True):
+            if look is None:
+                blocked = self._ways.blocked(scene.costs, radius, scene.forbidden, people=people)
+                look = self._second_look.choose(scene, blocked, frontiers)
+        if look is None:
+            return ''
+        name, position = look.vehicle, scene.vehicles[look.vehicle].pose[:2]
+        if self._second_look.note(look, scene.now, position):
+            self._keep_out.release_around(name, look.blocked)
+        if name not in guided.tasks and name not in guided.waiting:
+            task = self._task_for(
+                scene, name, look.place, look.cell, look.blocked, [], patient=True
+            )
+            if task is not None:
+                guided.tasks[name] = task
+        return f'the way to {look.frontiers} frontiers is blocked; {name} looks again'
 
     def _guide(self, scene: Scene) -> Orders:
         """Plan the paths of the vehicles that were sent to a goal; each faces as its goal says."""
@@ -189,20 +386,15 @@ class Planner:
                 orders.tasks[name] = task
         return orders
 
-    def _release_trapped(self, scene: Scene, frontiers: list[Frontier]) -> bool:
-        """Let trapped vehicles use tight passages; return whether any gets further by that.
+    def _release_keep_out(self, scene: Scene, names: list[str]) -> bool:
+        """Release the keep-out zones that hold vehicles in; return whether there were any.
 
-        A vehicle is trapped if it can reach none of the frontiers that are not given up.
+        Where a vehicle can still move about, it looks again before zones are released.
         """
-        cells = [f.target_cell for f in frontiers if not self._blacklist.gave_up(f.target)]
-        trapped = [n for n, mask in scene.reach.items() if not any(mask[cell] for cell in cells)]
-        released = [scene.allow_tight(name) for name in trapped]
-        return any(released)
-
-    def _release_keep_out(self, names: list[str]) -> bool:
-        """Release keep-out zones around trapped vehicles; return whether there were any."""
         released = [
-            self._keep_out.release_around(name, self._history.position(name)) for name in names
+            self._keep_out.release_around(name, self._history.position(name))
+            for name in names
+            if scene.reached_area(name) < _TRAPPED_AREA
         ]
         return any(released)
 
@@ -214,10 +406,14 @@ class Planner:
             status = ExplorationStatus.IN_PROGRESS
             return self._conclude(scene, status, reason, tuple(frontiers), guided)
         costs = scene.costs_to(names, frontiers)
+        for name, row in zip(names, costs, strict=True):
+            failed = [self._blacklist.gave_up(f.target, name) for f in frontiers]
+            row[np.array(failed)] = np.inf
         current = self._current_frontiers(names, frontiers)
         self._clear_blacklist(scene, names, current)
         reachable = np.isfinite(costs).any(axis=1)
-        self._release_keep_out([n for n, ok in zip(names, reachable, strict=True) if not ok])
+        lost = [n for n, ok in zip(names, reachable, strict=True) if not ok]
+        self._release_keep_out(scene, lost)
         switches = [
             self._tasks[name].switches if index >= 0 else 0
             for name, index in zip(names, current, strict=True)
@@ -281,14 +477,16 @@ class Planner:
         cell: Cell,
         look_at: Point | None,
         standing: list[str],
+        *,
+        patient: bool = False,
     ) -> Task | None:
         """Return a task that leads a vehicle to a target, or None if there is no path.
 
         The present task continues while its path is free and the vehicle makes progress.
-        standing: names of vehicles that paths should avoid.
+        standing: names of vehicles that paths should avoid. patient: see Task.
         """
         task = self._tasks.get(name)
-        if task is not None and not task.leads_to(target):
+        if task is not None and (not task.leads_to(target) or task.patient is not patient):
             task = None
         if task is not None and self._continues(scene, name, task, target):
             return task
@@ -298,13 +496,15 @@ class Planner:
             return None
         if task is not None:
             return task.along(path, target, look_at)
-        return Task(target, path, look_at, Progress(scene.now))
+        return Task(target, path, look_at, Progress(scene.now), patient=patient)
 
     def _continues(self, scene: Scene, name: str, task: Task, target: Point) -> bool:
         """Record the progress of a task, report its failure; return whether its path is valid."""
         position = scene.vehicles[name].pose[:2]
         ahead = remaining_path(np.array(position), task.path)
         arrived = math.dist(position, task.target) <= self.config.paths.arrival_distance
+        if task.patient:
+            return task.right is RightOfWay.GO and scene.is_passable(name, ahead)
         task.progress.update(
             float(arc_lengths(ahead)[-1]),
             scene.now,
@@ -312,8 +512,12 @@ class Planner:
             waiting=task.right is not RightOfWay.GO,
         )
         late = scene.now - task.progress.since > self.config.blacklist.progress_timeout
-        if task.progress.exhausted or late:
-            self._blacklist.report(target, final=task.progress.exhausted)
+        if task.progress.exhausted:
+            self._blacklist.report(target, final=True)
+            self._looked_at.append(target)
+            return False
+        if late:
+            self._blacklist.report(target, name)
             return False
         return task.right is RightOfWay.GO and not arrived and scene.is_passable(name, ahead)
 
@@ -354,10 +558,19 @@ class Planner:
         self._tasks, self._retreats = tasks, retreats
         names = tuple(scene.starts) if explorers is None else explorers
         matrix = np.empty((len(names), 0)) if costs is None else costs
-        unreachable = 0 if costs is not None else len(frontiers)
-        refused = tuple(orders.refused)
+        left = frontiers if costs is None else ()
         return PlanningResult(
-            status, reason, plans, waiting, frontiers, names, matrix, True, unreachable, refused
+            status,
+            reason,
+            plans,
+            waiting,
+            frontiers,
+            names,
+            matrix,
+            unreachable=len(left),
+            refused=tuple(orders.refused),
+            unreached_m2=sum(frontier.gain for frontier in left),
+            warning=self._warning,
         )
 
     def _go_home(

@@ -1,5 +1,6 @@
 """Input and output of the planner."""
 
+import math
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import NamedTuple, Protocol
@@ -43,14 +44,24 @@ class Grid(Protocol):
 
 
 class ExplorationStatus(Enum):
-    """State of the exploration; the values are those of the topic explore/status."""
+    """State of the exploration; the values are those of the topic explore/status.
+
+    Exploration ends as complete if nothing is left, and otherwise as incomplete: frontiers remain
+    that no vehicle can reach.
+    """
 
     STARTED = 'exploration_started'
     IN_PROGRESS = 'exploration_in_progress'
     PAUSED = 'exploration_paused'
     COMPLETE = 'exploration_complete'
+    INCOMPLETE = 'exploration_incomplete'
     RETURNING = 'returning_to_origin'
     RETURNED = 'returned_to_origin'
+
+    @property
+    def explored(self) -> bool:
+        """Whether exploration has ended: nothing is left, or nothing that can be reached."""
+        return self in (ExplorationStatus.COMPLETE, ExplorationStatus.INCOMPLETE)
 
 
 class PlanningMode(Enum):
@@ -84,6 +95,7 @@ class Frontier:
     size: length (m).
     gain: unknown area (m²) that is expected to be seen from the target.
     look_at: centre (m) of the unknown cells behind the frontier.
+    showing: area (m²) that a visit is expected to show at least; see expected_showing.
     """
 
     cells: NDArray[np.int64]
@@ -93,6 +105,7 @@ class Frontier:
     size: float
     gain: float = 0.0
     look_at: Point | None = None
+    showing: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -105,7 +118,9 @@ class PlanningResult:
     waiting: why vehicles have no plan, by name.
     costs (V, F): travel cost (m) of each vehicle, in the order of `vehicles`, to each frontier.
     searched: False if frontiers could not be searched, see reason.
-    unreachable: number of frontiers that are left, but given up or out of reach.
+    unreachable: number of frontiers that are left, but given up or out of reach; they are known
+    once no target is left. unreached_m2: area that is expected behind them (m²).
+    warning: what the operator should know of the map, '' if nothing.
     refused: vehicles whose goal cannot be reached.
     """
 
@@ -119,3 +134,10 @@ class PlanningResult:
     searched: bool = True
     unreachable: int = 0
     refused: tuple[str, ...] = ()
+    unreached_m2: float = 0.0
+    warning: str = ''
+
+
+def unreached_text(frontiers: int, area: float) -> str:
+    """Return number and area (m²) of what is left, such as '3 frontiers (81 m²)'."""
+    return f'{frontiers} {"frontier" if frontiers == 1 else "frontiers"} ({area:.0f} m²)'

@@ -11,6 +11,7 @@ from explore_slam.exploration.clearance import (
     CostMap,
     make_cost_map,
     paths_of,
+    squared_distance,
     tight_factor,
 )
 from explore_slam.exploration.config import ExplorationConfig
@@ -46,6 +47,7 @@ class Scene:
     starts: cell from which each vehicle starts; a vehicle without one cannot move.
     reach: cells (H, W) that each vehicle can get to.
     tight: vehicles that may use tight passages because they are trapped otherwise.
+    forbidden: cells (H, W) that no vehicle may enter, or None.
     """
 
     def __init__(
@@ -70,21 +72,22 @@ class Scene:
         self._probability_costs = STRATEGIES[config.strategy].probability_costs
         self._trails = trails or {}
         self._keep_out = list(keep_out)
-        self._forbidden = forbidden
+        self.forbidden = forbidden
         self._bodies = {name: vehicle.body for name, vehicle in vehicles.items()}
         self._others = {
             name: vehicle
             for name, vehicle in vehicles.items()
             if name not in self.vehicles and vehicle.pose.is_finite()
         }
-        self._maps: dict[float, CostMap] = {}  # by the radius of a body
-        narrowest = min(self._bodies.values(), default=VehicleBody())
+        self._maps: dict[float, CostMap] = {}  # by the envelope (m) of a body
+        narrowest = min(self._bodies.values(), key=_envelope, default=VehicleBody())
         self.costs: CostMap = self._map_for(narrowest)
         # the same in all cycles, so that costs between blocks can be kept
         self._route_radius = self._paths(narrowest).planning_radius
         self.starts: dict[str, Cell] = {}
         self.reach: dict[str, NDArray[np.bool_]] = {}
         self.tight: set[str] = set()
+        self._reach_before: dict[str, NDArray[np.bool_]] = {}  # without tight passages
         self._routes: dict[float, RouteGrid] = {}
         self._fields: dict[str, Field] = {}
         self._padded: dict[tuple[float, bool], Costs] = {}
@@ -98,7 +101,7 @@ class Scene:
 
     def _map_for(self, body: VehicleBody) -> CostMap:
         """Return the costs for a body, with all that a vehicle of this size must respect."""
-        found = self._maps.get(body.radius)
+        found = self._maps.get(body.envelope)
         if found is not None:
             return found
         paths = self._paths(body)
@@ -109,10 +112,10 @@ class Scene:
             for cost in both:
                 self._block_disc(cost, other.pose, theirs + paths.planning_radius)
         for name, trail in self._trails.items():
-            if self._bodies.get(name, body).radius >= body.radius:  # else it may not fit there
+            if self._bodies.get(name, body).envelope >= body.envelope:  # else it may not fit there
                 self._open_trail(trail, made, made.free, both, paths.planning_radius)
         self._block_keep_out_zones(both)
-        self._maps[body.radius] = made
+        self._maps[body.envelope] = made
         return made
 
     def _map_of(self, name: str) -> CostMap:
@@ -136,7 +139,7 @@ class Scene:
 
     def _key(self, name: str) -> tuple[float, bool]:
         """Return what the costs of a vehicle depend on: its size, and whether it is trapped."""
-        return self._bodies[name].radius, name in self.tight
+        return self._bodies[name].envelope, name in self.tight
 
     def _open_trail(
         self,
@@ -181,18 +184,26 @@ class Scene:
             tight = (made.tight_cost,)
             radius = self._paths(self._bodies[name]).planning_radius
             allowed = ~made.unknown
-            if self._forbidden is not None:
-                allowed &= ~self._forbidden
+            if self.forbidden is not None:
+                allowed &= ~self.forbidden
             self._open_trail(self._trails.get(name, []), made, allowed, tight, radius)
             self._block_keep_out_zones(tight)
             mask = connected_region(made.tight_cost, *self.starts[name])
             if not self._leads_further(mask, name):
                 return False
         self.tight.add(name)
+        self._reach_before[name] = self.reach[name]
         self.reach[name] = mask
         self._routes.clear()
         self._fields.clear()
         return True
+
+    def forbid_tight(self, name: str) -> None:
+        """Undo allow_tight."""
+        self.tight.remove(name)
+        self.reach[name] = self._reach_before.pop(name)
+        self._routes.clear()
+        self._fields.clear()
 
     def _leads_further(self, mask: NDArray[np.bool_], name: str) -> bool:
         """Return whether cells (H, W) hold more passable ones than a vehicle reaches now."""
@@ -215,6 +226,43 @@ class Scene:
         """Return the cells (H, W) that some vehicle can get to."""
         return _union(self.reach.values())
 
+    def reachable_costs(self) -> Costs:
+        """Return the costs (H, W) of all cells, at which those of `reachable` can be entered."""
+        return self.costs.tight_cost if self.tight else self.costs.cost
+
+    def viewpoints(self) -> NDArray[np.bool_]:
+        """Return the cells (H, W) from which a vehicle may look: it gets there, and has room."""
+        reach = self.reachable()
+        return reach & np.isfinite(self.costs.cost) if self.tight else reach
+
+    def free_area(self) -> tuple[float, float]:
+        """Return the known free area, and the part of it that vehicles can cover (m²).
+
+        Vehicles cover what lies within the planning radius of cells that they can get to. Only
+        the part counts in which a vehicle would fit. While most of the passable cells can be
+        reached, those are counted instead, which is less work.
+        """
+        passable, reach = np.isfinite(self.costs.cost), self.reachable()
+        centres = np.count_nonzero(passable), np.count_nonzero(reach & passable)
+        if 2 * centres[1] >= centres[0]:
+            cell = self.grid.resolution**2
+            return float(centres[0]) * cell, float(centres[1]) * cell
+        radius = math.floor(self._route_radius / self.grid.resolution)
+        covered = [squared_distance(mask, radius) <= radius * radius for mask in (passable, reach)]
+        cell = self.grid.resolution**2
+        whole, part = (float(np.count_nonzero(mask & self.costs.free)) for mask in covered)
+        return whole * cell, part * cell
+
+    def reached_area(self, name: str) -> float:
+        """Return the area (m²) of the cells that a vehicle can get to."""
+        return float(np.count_nonzero(self.reach[name])) * self.grid.resolution**2
+
+    def is_shut_in(self, name: str) -> bool:
+        """Return whether a vehicle gets to less than half of the cells that are passable."""
+        own = self._map_of(name).cost
+        passable = np.count_nonzero(np.isfinite(own))
+        return bool(2 * np.count_nonzero(self.reach[name] & np.isfinite(own)) < passable)
+
     def cell_of(self, place: Point | Pose2) -> Cell:
         """Return the cell of a point (m), which may lie outside of the grid."""
         row, col = self.grid.to_cell([(place[0], place[1])])[0].tolist()
@@ -235,16 +283,16 @@ class Scene:
 
     def routes(self) -> RouteGrid:
         """Return the coarse grid over all cells that some vehicle can get to."""
-        narrowest = min(self._bodies[name].radius for name in self.reach)
+        narrowest = min(self._bodies[name].envelope for name in self.reach)
         return self._routes_from(narrowest)
 
     def _routes_from(self, radius: float) -> RouteGrid:
-        """Return the coarse grid of the vehicles whose radius (m) is this one or larger."""
+        """Return the coarse grid of the vehicles whose envelope (m) is this one or larger."""
         if radius not in self._routes:
             paths, scale, (x, y) = self.config.paths, self.grid.resolution, self.grid.origin
             first = round(y / scale), round(x / scale)
             block = block_size(paths.route_resolution, self._route_radius, scale)
-            names = [name for name in self.reach if self._bodies[name].radius >= radius]
+            names = [name for name in self.reach if self._bodies[name].envelope >= radius]
             made = self._maps[radius]
             cost = made.tight_cost if self.tight.intersection(names) else made.cost
             reach = _union(self.reach[name] for name in names)
@@ -257,7 +305,7 @@ class Scene:
             values = self._spread(self.padded_of(name), self.starts[name])
             costs = values[cells[:, 0], cells[:, 1]].astype(np.float64)
         else:
-            routes = self._routes_from(self._bodies[name].radius)
+            routes = self._routes_from(self._bodies[name].envelope)
             if name not in self._fields:
                 start = np.array([self.starts[name]])
                 self._fields[name] = routes.values_from(routes.blocks(start)[0])
@@ -356,3 +404,7 @@ def _union(masks: Iterable[NDArray[np.bool_]]) -> NDArray[np.bool_]:
     """Return where any of the masks (H, W) holds."""
     different = list({id(mask): mask for mask in masks}.values())
     return different[0] if len(different) == 1 else np.logical_or.reduce(different)
+
+
+def _envelope(body: VehicleBody) -> float:
+    return body.envelope

@@ -21,11 +21,20 @@ class PathConfig(Section):
         tier='basic',
     )
     minimum_planning_radius: float = setting(
-        0.2,
-        'Distance kept instead by a vehicle that is trapped at the planning radius',
+        0.27,
+        'Distance kept instead by a vehicle that is shut in at the planning radius; never less '
+        'than its vehicle_radius and side_clearance',
         unit='m',
         low=0.0,
         high=LARGEST_PLANNING_RADIUS,
+    )
+    planning_margin: float = setting(
+        0.05,
+        'Distance beyond the planning radius that targets keep where there is room, for the '
+        'errors of pose, tracking and cells',
+        unit='m',
+        low=0.0,
+        high=1.0,
     )
     occ_max: float = setting(
         0.6,
@@ -100,6 +109,14 @@ class FrontierConfig(Section):
         unit='m²',
         low=0.0,
         high=100.0,
+    )
+    min_gain_per_travel: float = setting(
+        0.08,
+        'Frontiers are left alone while they are expected to show less than this per metre of '
+        'the way there; ways beyond 10 m count as 10 m',
+        unit='m² per m',
+        low=0.0,
+        high=10.0,
     )
     sensor_range: float = setting(
         8.0,

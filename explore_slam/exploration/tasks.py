@@ -9,13 +9,12 @@ from explore_slam.data import Plan
 from explore_slam.exploration.progress import Progress
 from explore_slam.exploration.records import Point
 from explore_slam.exploration.scene import Scene
-from explore_slam.exploration.traffic import Grant, RightOfWay, Traveler
+from explore_slam.exploration.traffic import SHORTEST_DRIVE, Grant, RightOfWay, Traveler
 from explore_slam.geometry import Array, Pose2
 from explore_slam.polyline import arc_lengths, truncated
 
 # Chosen by hand; test_tasks shows what they decide.
 SAME_TARGET = 0.5  # m; targets this near to each other are the same
-_MINIMUM_PATH = 0.3  # m; a path that ends earlier, at a stop, is not worth driving
 
 
 @dataclass
@@ -27,6 +26,7 @@ class Task:
     sent: the plan in force, which may lead along a part of the path only.
     right: its right of way when the plan was made.
     switches: how often the vehicle has switched targets since it last reached one.
+    patient: the vehicle is to wait at the target, which cannot fail.
     """
 
     target: Point
@@ -36,6 +36,7 @@ class Task:
     sent: Plan | None = None
     right: RightOfWay = RightOfWay.GO
     switches: int = 0
+    patient: bool = False
 
     def leads_to(self, target: Point) -> bool:
         """Return whether a target (m) is that of the task."""
@@ -45,7 +46,8 @@ class Task:
         """Return the task of reaching practically the same target along another path."""
         sent = None if self.right is RightOfWay.GO else self.sent
         progress = self.progress.restart()
-        return Task(target, path, look_at, progress, sent, self.right, self.switches)
+        right, switches = self.right, self.switches
+        return Task(target, path, look_at, progress, sent, right, switches, self.patient)
 
 
 @dataclass
@@ -84,7 +86,7 @@ def plan_for(
             task.sent = make_plan(scene, name, traveler.points, task.look_at)
         return task.sent
     part = truncated(traveler.points, grant.limit)
-    if arc_lengths(part)[-1] < _MINIMUM_PATH:
+    if arc_lengths(part)[-1] < SHORTEST_DRIVE:
         task.right, task.sent = RightOfWay.STOP, None
         return None
     unchanged = (

@@ -3,7 +3,8 @@
 Vehicles have an order of priority. Each path is predicted in time. Where a vehicle would come too
 near to one of higher priority, it stops at the last place of its path that is off the other's
 path; if it stands on that path already, it retreats to the nearest place that is not. If
-retreating is easier for the other one, the two change places in the order and stay so.
+retreating is easier for the other one, the two change places in the order and stay so. Of vehicles
+that all wait for each other, the first goes.
 """
 
 import math
@@ -26,6 +27,7 @@ _GOAL_TIME = 3.0  # s for which a vehicle is expected to stay at its goal, until
 _RETREAT_ADVANTAGE = 2.0  # m by which a retreat must be shorter to exchange the priorities
 _SPACING = 0.1  # m between the positions of a path that are checked for conflicts
 _CLOSER = 0.95  # of the present distance of two vehicles that are nearer than the separation
+SHORTEST_DRIVE = 0.3  # m; a path that ends earlier, at a stop, is not worth driving
 _ROUNDING = 1e-9  # so that the last step of a range is included
 
 
@@ -112,6 +114,7 @@ class Traffic:
             self.order.remove(demoted)
             self.order.insert(self.order.index(promoted) + 1, demoted)
         self._wait_for_others(order, now, grants)
+        self._break_deadlocks(order, now, grants)
         return grants
 
     def _try(
@@ -233,6 +236,30 @@ class Traffic:
                     limit = float(at[max(0, hits[0] - 1)])
                     if limit < grants[name].limit:
                         grants[name] = Grant(RightOfWay.STOP, limit, other_name)
+
+    @staticmethod
+    def _break_deadlocks(
+        order: list[str], now: dict[str, Traveler], grants: dict[str, Grant]
+    ) -> None:
+        """Let the first go of vehicles that stand and wait for each other in a circle.
+
+        Its follower keeps it from touching the others; if it cannot pass, it gets another target.
+        """
+        standing = {
+            name: grant.yields_to
+            for name, grant in grants.items()
+            if grant.right is RightOfWay.STOP and grant.limit < SHORTEST_DRIVE
+        }
+        for name in order:
+            if now[name].path is None or name not in standing:
+                continue
+            seen, waits_for = {name}, standing[name]
+            while waits_for in standing and waits_for not in seen:
+                seen.add(waits_for)
+                waits_for = standing[waits_for]
+            if waits_for == name:
+                grants[name] = Grant()
+                del standing[name]
 
 
 @kernel

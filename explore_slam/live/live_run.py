@@ -38,7 +38,7 @@ from explore_slam.settings import load_settings, save_settings, values_of, with_
 from explore_slam.simulation import SimulationConfig, load_world, world_path
 from explore_slam.slam import OdometryCalibration
 
-ENDS = ('exploration_complete', 'returned_to_origin')
+ENDS = ('exploration_complete', 'exploration_incomplete', 'returned_to_origin')
 SETTLE = 3.0  # wall s to wait for the last results
 # diagnostics of the agent that become metrics
 AGENT_METRICS = (
@@ -315,6 +315,8 @@ class LiveRun:
             'status': self._last_status or state.status or 'not started',
             'complete': self.complete,
             'duration': state.stamp,
+            'unreached_frontiers': int(agent.get('unreached_frontiers', 0)),
+            'unreached_m2': float(agent.get('unreached_m2', 0.0)),
             'area_left_out': left_out,
             'real_time_factor': float(clock.get('real_time_factor', 'nan')),
             'collisions': collisions,

@@ -118,6 +118,8 @@ class AgentStatistics:
             'status': planning.status.value,
             'reason': planning.reason,
             'frontiers': len(planning.frontiers),
+            'unreached_frontiers': planning.unreachable,
+            'unreached_m2': planning.unreached_m2,
             'waiting': len(inbox),
             'delay_s': inbox.delay,
             'dropped': sum(inbox.dropped.values()),
@@ -130,8 +132,10 @@ class AgentStatistics:
             values[f'{kind}_mean_ms'] = 1e3 * self._busy[kind] / count
             values[f'{kind}_count'] = count
         behind = explain_delay(inbox)
-        level = WARN if behind or not planning.searched else OK
-        return level, behind or planning.reason or planning.status.value, values
+        level = WARN if behind or planning.warning or not planning.searched else OK
+        reason = planning.reason or planning.status.value
+        text = '; '.join(filter(None, (reason, planning.warning)))
+        return level, behind or text, values
 
     def _vehicle(
         self, status: VehicleStatus, inputs: VehicleInputs, inbox: Inbox

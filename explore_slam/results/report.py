@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from explore_slam.exploration import unreached_text
 from explore_slam.results.plots import color_of, figures
 from explore_slam.results.run_data import RunData
 from explore_slam.settings import settings_of
@@ -122,6 +123,9 @@ def _tiles(data: RunData) -> list[Tile]:
         value = metrics['coverage'] * (100.0 if relative else 1.0)
         text = f'{value:.{1 if relative else 0}f}\u202f{data.coverage_unit}'
         tiles.append(Tile(text, 'explored'))
+    if metrics.get('unreached_frontiers'):
+        left = unreached_text(metrics['unreached_frontiers'], metrics['unreached_m2'])
+        tiles.append(Tile(left, 'out of reach'))
     for name in ('landmarks', 'collisions'):
         count = total(metrics.get(name))
         if count is not None:

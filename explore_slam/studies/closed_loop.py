@@ -32,7 +32,6 @@ from explore_slam.vision import FeatureExtractor, KeyframeSelector
 
 _NO_WAYPOINTS = np.empty((0, 2))
 FIRST_PLANNING = 1.0  # s; by then every vehicle has delivered scans and frames
-ENDED = (ExplorationStatus.COMPLETE, ExplorationStatus.RETURNED)
 
 
 class TeamGuide(Protocol):
@@ -116,7 +115,8 @@ class ClosedLoop:
     def ended(self) -> bool:
         """Whether exploration is complete or the time limit is reached."""
         status = self.planner.result.status
-        return status in ENDED or self.simulator.time >= self.config.time_limit
+        ended = status.explored or status is ExplorationStatus.RETURNED
+        return ended or self.simulator.time >= self.config.time_limit
 
     def step(self) -> PlanningResult | None:
         """Advance by one tick; return the result of planning in a tick that plans."""
@@ -148,6 +148,8 @@ class ClosedLoop:
                 'duration': self.simulator.time,
                 'collisions': self.simulator.collisions,
                 'status': self.planner.result.status.value,
+                'unreached_frontiers': self.planner.result.unreachable,
+                'unreached_m2': self.planner.result.unreached_m2,
                 'counts': self.agent.summary(),
                 'odometry_calibration': {
                     name: found._asdict() for name, found in calibrations.items()

@@ -17,7 +17,7 @@ import numpy as np
 from explore_slam.errors import EvaluationError
 from explore_slam.files import write_text
 from explore_slam.settings import with_values
-from explore_slam.studies.closed_loop import ENDED, ClosedLoop, ClosedLoopConfig
+from explore_slam.studies.closed_loop import ClosedLoop, ClosedLoopConfig
 from explore_slam.studies.figures import new_figure
 from explore_slam.studies.patrol import Patrol
 
@@ -72,7 +72,7 @@ def run_study(study: EnduranceStudy, output: Path) -> Iterator[Sample]:
         while loop.simulator.time < study.duration:
             loop.step()
             now = loop.simulator.time
-            if patrol is None and loop.planner.result.status in ENDED:
+            if patrol is None and loop.planner.result.status.explored:
                 patrol = Patrol(loop.agent, loop.area.cells, study.seed)
                 loop.planner, explored = patrol, now
             if now >= study.period * (len(samples) + 1) - 1e-6:

@@ -27,10 +27,12 @@ from explore_slam.mapping import GridConfig, OccupancyGrid
 from explore_slam.results.coverage import CoverageCurve, GoalCounter
 from explore_slam.settings import Section, setting, with_values
 from explore_slam.simulation.grid.grid_simulator import GridSimulator, GridSimulatorConfig
+from explore_slam.simulation.grid.scenario import Scenario
 from explore_slam.simulation.records import WALL
 from explore_slam.simulation.worlds.grid_world import GridWorld
 
 TIME_LIMIT = 'time_limit'
+SILENT = 3.0  # s without anything from a vehicle, after which it gets no target; as silent_timeout
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,8 @@ class ExplorationRun:
     plannings: int
     planning_seconds: float
     wall_seconds: float
+    unreached_frontiers: int = 0
+    unreached_m2: float = 0.0
 
     @property
     def longest_path(self) -> float:
@@ -123,6 +127,9 @@ class _Team:
     stalls: int = 0
     plannings: int = 0
     planning_seconds: float = 0.0
+    result: PlanningResult | None = None  # of the last cycle
+    poses: dict[str, Pose2] = field(default_factory=dict)  # last ones that arrived
+    heard: dict[str, float] = field(default_factory=dict)  # times (s) of them
 
 
 def explore(
@@ -133,6 +140,7 @@ def explore(
     config: StudyConfig | None = None,
     planner_settings: Mapping[str, Any] | None = None,
     vehicle_config: GridSimulatorConfig | None = None,
+    scenario: Scenario | None = None,
 ) -> ExplorationRun:
     """Explore a world with one team from its start poses until it is complete, stuck or late.
 
@@ -140,7 +148,7 @@ def explore(
     """
     config = config or StudyConfig()
     team = _make_team(
-        world, starts, strategy, seed, config, planner_settings or {}, vehicle_config
+        world, starts, strategy, seed, config, planner_settings or {}, vehicle_config, scenario
     )
     simulator, curve = team.simulator, CoverageCurve()
     begun = time.perf_counter()
@@ -159,7 +167,7 @@ def explore(
             result = _plan(team, config)
             own = (simulator.own_coverage(vehicle) for vehicle in simulator.vehicles)
             curve.add(now, simulator.team_coverage(), own)
-            if any(result.plans.values()):
+            if any(result.plans.values()) or any(map(simulator.is_silent, simulator.vehicles)):
                 last_active = now
             if _is_over(result.status, config.home_at_end) or (
                 now - last_active >= config.stuck_time
@@ -171,9 +179,7 @@ def explore(
 
 
 def _is_over(status: ExplorationStatus, home_at_end: bool) -> bool:
-    return status is ExplorationStatus.RETURNED or (
-        status is ExplorationStatus.COMPLETE and not home_at_end
-    )
+    return status is ExplorationStatus.RETURNED or (status.explored and not home_at_end)
 
 
 def _make_team(
@@ -184,10 +190,11 @@ def _make_team(
     config: StudyConfig,
     planner_settings: Mapping[str, Any],
     vehicle_config: GridSimulatorConfig | None,
+    scenario: Scenario | None,
 ) -> _Team:
     noise = {'position_noise': config.position_error, 'heading_noise': config.heading_error}
     simulator_config = with_values(vehicle_config or GridSimulatorConfig(), noise)
-    simulator = GridSimulator(world, starts, simulator_config, seed)
+    simulator = GridSimulator(world, starts, simulator_config, seed, scenario)
     settings = {
         'strategy': strategy,
         'exploration_seed': seed,
@@ -216,6 +223,8 @@ def _scan(team: _Team) -> None:
     poses = {vehicle: simulator.known_pose(vehicle) for vehicle in simulator.vehicles}
     radius = simulator.config.disc_radius
     for vehicle, pose in poses.items():
+        if simulator.is_silent(vehicle):
+            continue
         bodies = [(p.x, p.y, radius) for other, p in poses.items() if other != vehicle]
         team.grid.insert_scan(pose, simulator.scan(vehicle), np.reshape(bodies, (-1, 3)))
 
@@ -225,20 +234,28 @@ def _plan(team: _Team, config: StudyConfig) -> PlanningResult:
     simulator, now = team.simulator, team.simulator.time
     for vehicle in simulator.vehicles:
         plan = team.plans.get(vehicle)
+        if not simulator.is_silent(vehicle):
+            team.poses[vehicle], team.heard[vehicle] = simulator.known_pose(vehicle), now
+        elif plan is not None:  # nothing arrives there either, so that its follower stops
+            simulator.set_plan(vehicle, None)
+            team.plans[vehicle] = plan = None
         if plan is not None and simulator.stalled_for(vehicle) >= config.stall_time:
             team.planner.report_blocked(vehicle, plan.goal, now)
             simulator.set_plan(vehicle, None)
             team.plans[vehicle] = None
             team.stalls += 1
     snapshots = {
-        vehicle: VehicleSnapshot(simulator.known_pose(vehicle), True, team.homes[vehicle])
-        for vehicle in simulator.vehicles
+        vehicle: VehicleSnapshot(pose, now - team.heard[vehicle] <= SILENT, team.homes[vehicle])
+        for vehicle, pose in team.poses.items()
     }
     begun = time.perf_counter()
     result = team.planner.plan(team.grid, now, snapshots, PlanningMode.EXPLORE)
     team.planning_seconds += time.perf_counter() - begun
     team.plannings += 1
+    team.result = result
     for vehicle in simulator.vehicles:
+        if simulator.is_silent(vehicle):
+            continue
         plan = result.plans.get(vehicle)
         pose = simulator.known_pose(vehicle)
         if plan is None or simulator.is_idle(vehicle):
@@ -270,7 +287,7 @@ def _summarize(
     curve: CoverageCurve,
     wall_seconds: float,
 ) -> ExplorationRun:
-    simulator = team.simulator
+    simulator, result = team.simulator, team.result
     contacts = [contact.obstacle != WALL for contact in simulator.collisions]
     return ExplorationRun(
         strategy=strategy,
@@ -290,4 +307,6 @@ def _summarize(
         plannings=team.plannings,
         planning_seconds=team.planning_seconds,
         wall_seconds=wall_seconds,
+        unreached_frontiers=result.unreachable if result is not None else 0,
+        unreached_m2=result.unreached_m2 if result is not None else 0.0,
     )

@@ -15,6 +15,7 @@ from explore_slam.errors import EvaluationError
 from explore_slam.exploration import ExplorationConfig
 from explore_slam.settings import values_of, with_values
 from explore_slam.simulation.grid.grid_simulator import GridSimulatorConfig
+from explore_slam.simulation.grid.scenario import Scenario, load_scenario
 from explore_slam.simulation.worlds.grid_world import GridWorld
 from explore_slam.simulation.worlds.loading import load_grid_world
 from explore_slam.studies.exploration_run import (
@@ -36,6 +37,13 @@ class Study:
     seeds: Sequence[int]
     config: StudyConfig = field(default_factory=StudyConfig)
     planner_settings: Mapping[str, Any] = field(default_factory=dict)
+    scenario_path: Path | None = None
+
+    def scenario(self, size: int) -> Scenario:
+        """Read the scenario for a team; SimulationError if it does not fit world and vehicles."""
+        if self.scenario_path is None:
+            return Scenario()
+        return load_scenario(self.scenario_path, _world(self.map_path), vehicle_names(size))
 
     def tasks(self) -> Iterator[tuple[str, int, int]]:
         """Yield strategy, team size and seed of every run."""
@@ -49,8 +57,10 @@ class Study:
         world = _world(self.map_path)
         radius = GridSimulatorConfig().reach_clearance
         poses = world.start_poses(size, seed, radius)
-        starts = {f'robot{index + 1}': pose for index, pose in enumerate(poses)}
-        run = explore(world, starts, strategy, seed, self.config, self.planner_settings)
+        starts = dict(zip(vehicle_names(size), poses, strict=True))
+        scenario = self.scenario(size)
+        settings = self.planner_settings
+        run = explore(world, starts, strategy, seed, self.config, settings, scenario=scenario)
         logger.info(
             '%s, %d vehicles, seed %d: %s after %.0f s, 99 %% after %.0f s, %.0f x real time',
             strategy, size, seed, run.status, run.duration, run.curve.time_to(0.99),
@@ -59,14 +69,23 @@ class Study:
         return run
 
 
+def vehicle_names(size: int) -> list[str]:
+    """Return the names of the vehicles of a team."""
+    return [f'robot{index + 1}' for index in range(size)]
+
+
 def make_study(
     map_path: Path,
     team_sizes: Sequence[int],
     strategies: Sequence[str],
     seeds: Sequence[int],
     changes: Sequence[str] = (),
+    scenario: Path | None = None,
 ) -> Study:
-    """Make a study of plain values; changes: 'name=value' of study and planner settings."""
+    """Make a study of plain values.
+
+    changes: 'name=value' of study and planner settings. scenario: file with events.
+    """
     for name, values in (('vehicles', team_sizes), ('strategies', strategies), ('seeds', seeds)):
         if not values:
             raise EvaluationError(f'study: no {name}, expected at least one')
@@ -82,7 +101,7 @@ def make_study(
     for strategy in strategies:  # refuse a wrong setting or strategy at once
         with_values(ExplorationConfig(), planner | {'strategy': strategy})
     config = with_values(StudyConfig(), own)
-    return Study(map_path, team_sizes, strategies, seeds, config, planner)
+    return Study(map_path, team_sizes, strategies, seeds, config, planner, scenario)
 
 
 _WORLDS: dict[Path, GridWorld] = {}
@@ -108,7 +127,9 @@ def _run_task(task: tuple[Study, str, int, int]) -> ExplorationRun:
 
 def run_study(study: Study, workers: int = 2) -> Iterator[ExplorationRun]:
     """Yield the runs of a study in order; workers: number of processes."""
-    _world(study.map_path)  # refuse a file that cannot be read at once
+    for size in study.team_sizes:  # refuse files that cannot be read, or do not fit, at once
+        _world(study.map_path)
+        study.scenario(size)
     tasks: Iterable[tuple[Study, str, int, int]] = [(study, *task) for task in study.tasks()]
     if workers <= 1:
         warm_up()

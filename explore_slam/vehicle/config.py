@@ -45,12 +45,9 @@ class PathFollowerConfig(Section):
     obstacle_stop: bool = setting(
         True, 'Require scans, and stop for obstacles they show on the path', tier='basic'
     )
-    side_clearance: float = setting(
-        0.02, 'Clearance required beside the body', unit='m', low=0.0, high=1.0
-    )
     stop_distance: float = setting(
-        0.2, 'Clearance kept between body and obstacle ahead', unit='m', low=0.02, high=2.0,
-        tier='basic',
+        0.2, 'Clearance kept between body and obstacle ahead, unless the plan ends before it',
+        unit='m', low=0.02, high=2.0, tier='basic',
     )  # fmt: skip
     reaction_time: float = setting(
         0.35, 'Delay between the appearance of an obstacle and braking', unit='s',

@@ -30,6 +30,7 @@ _TURN_GAIN = 2.0  # 1/s, turn rate per bearing when turning on the spot
 _TURN_HYSTERESIS = 0.35  # of turn_in_place_angle: turning on the spot ends at this bearing
 _GENTLE_CURVATURE = 0.5  # 1/m; below it the straight line ahead must be free too
 _BRAKING_SHARE = 0.6  # of follow_acceleration, relied upon for braking before obstacles
+_END_GAP = 0.05  # m between body and obstacle where a plan ends, less than the stop distance
 _RESTART_ROOM = 0.05  # m more than the stop distance to start again after an obstacle
 
 
@@ -258,21 +259,26 @@ class PathFollower:
     ) -> tuple[float, bool]:
         """Return the speed from which the vehicle can stop before obstacles, and whether to stop.
 
-        Obstacles on the arc count, and on a gentle arc those straight ahead too.
+        Obstacles on the arc count, and on a gentle arc those straight ahead too. Where the plan
+        ends before an obstacle, as at a viewpoint beside a wall, the vehicle may drive to the end.
         """
         c = self.config
         if not c.obstacle_stop:
             return speed, False
         points = self._view.points(now)
-        body = c.body.vehicle_radius + c.side_clearance
+        body = c.body.record.envelope
         free = free_distance(points, curvature, body)
         straight = free
         if abs(curvature) < _GENTLE_CURVATURE:
             straight = free_distance(points, 0.0, body)
-        self.progress.free = free = min(free, straight) + c.side_clearance
+        self.progress.free = free = min(free, straight) + c.body.side_clearance
         room = free - c.stop_distance
+        ends_before = free - _END_GAP >= self.progress.remaining
+        if ends_before:
+            room = max(room, self.progress.remaining)
         # hysteresis: the vehicle does not creep after an obstacle that moves away slowly
-        if room <= (_RESTART_ROOM if self._times.obstacle is not None else 0.0):
+        needed = _RESTART_ROOM if self._times.obstacle is not None else 0.0
+        if room <= needed and not ends_before:
             if self._times.obstacle is None:
                 self._times.obstacle = now
             return 0.0, True

@@ -1,11 +1,13 @@
 """The command `explore_slam benchmark exploration`, and lists of numbers as options."""
 
 import argparse
+import csv
 
 import pytest
 
 from explore_slam.cli import benchmark
 from explore_slam.cli.arguments import whole_numbers
+from explore_slam.errors import ExploreSlamError
 
 
 def parse(*words):
@@ -24,6 +26,28 @@ def test_numbers_come_as_ranges_and_lists():
 def test_other_numbers_are_refused(text):
     with pytest.raises(argparse.ArgumentTypeError, match='expected'):
         whole_numbers(text)
+
+
+def test_a_scenario_changes_the_runs_and_its_mistakes_are_named(tmp_path, capsys):
+    world, events = tmp_path / 'room.yaml', tmp_path / 'events.yaml'
+    world.write_text('size: [6.0, 4.0]\n')
+    words = [
+        '--map', str(world), '--vehicles', '1', '--strategy', 'nearest', '--seeds', '0',
+        '--workers', '1', '--output', str(tmp_path / 'out'), '--scenario', str(events),
+    ]  # fmt: skip
+    events.write_text('events:\n  - {type: slow, start: 0, vehicle: robot1, factor: 0.3}\n')
+    assert benchmark.run(parse(*words)) == 0
+    capsys.readouterr()
+    with (tmp_path / 'out' / 'runs.csv').open() as stream:
+        (row,) = csv.DictReader(stream)
+    assert {'coverage', 'status', 'unreached_m2', 't90', 't99', 'end'} <= row.keys()
+    assert not {'time_to_90', 'time_to_99', 'duration', 'seen'} & row.keys()
+    assert float(row['coverage']) > 0.99
+    assert float(row['t90']) <= float(row['t99']) <= float(row['end'])
+    assert (row['status'], float(row['unreached_m2'])) == ('exploration_complete', 0.0)
+    events.write_text('events:\n  - {type: slow, start: 0, vehicle: robot2}\n')
+    with pytest.raises(ExploreSlamError, match=r"events\.yaml: events\[0\]\.vehicle is 'robot2'"):
+        benchmark.run(parse(*words))
 
 
 def test_a_small_study_prints_its_table_and_writes_its_files(tmp_path, capsys):

@@ -110,3 +110,14 @@ def test_a_small_change_of_the_map_is_no_forgiveness_and_the_area_grows_with_the
         window[tuple(np.argwhere(~window)[:cells].T)] = True
         entries.update(1.0, grid, free)
         assert (len(entries) == 1) is kept
+
+
+def test_what_one_vehicle_cannot_reach_is_left_to_the_others():
+    entries, grid = blacklist(maximum_attempts=1), grid_with(1.0)
+    fail(entries, 0.0, grid, vehicle='a')
+    assert entries.gave_up(PLACE, 'a')
+    assert not entries.gave_up(PLACE, 'b')
+    assert not entries.blocks(PLACE, 1.0, 'b')
+    assert entries.blocks(PLACE, 1.0)  # for some vehicle
+    fail(entries, 1.0, grid, final=True)
+    assert entries.gave_up(PLACE, 'b')

@@ -7,7 +7,13 @@ import pytest
 from exploration_maps import grid_of, point_of
 
 from explore_slam.data import VehicleBody
-from explore_slam.exploration import ExplorationConfig, Planner, PlanningMode, VehicleSnapshot
+from explore_slam.exploration import (
+    ExplorationConfig,
+    ExplorationStatus,
+    Planner,
+    PlanningMode,
+    VehicleSnapshot,
+)
 from explore_slam.exploration.traffic import RightOfWay, Traffic, Traveler
 from explore_slam.geometry import Pose2
 from explore_slam.polyline import remaining_path, sample, truncated
@@ -70,8 +76,8 @@ def test_only_the_narrow_vehicle_is_sent_through_a_door(text, names):
 
 def test_a_wide_vehicle_alone_gets_no_target_behind_a_door():
     farthest, result = explore({'a': at(5, 5, WIDE)}, BEYOND, cycles=5)
-    assert farthest['a'] == -math.inf
-    assert 'nothing left to explore' in result.reason
+    assert farthest['a'] < DOOR_X - 0.4  # it looks whether the way is really blocked
+    assert result.status is not ExplorationStatus.COMPLETE
     farthest, _ = explore({'a': at(5, 5, NARROW)}, BEYOND, cycles=5)
     assert farthest['a'] > DOOR_X
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from exploration_maps import grid_of, point_of
 
+from explore_slam.data import VehicleBody
 from explore_slam.exploration import ExplorationConfig, VehicleSnapshot
 from explore_slam.exploration.scene import Scene
 from explore_slam.exploration.traffic import Traveler
@@ -89,7 +90,9 @@ def test_rooms_without_a_way_between_them_are_reached_apart():
 
 
 def test_a_trapped_vehicle_may_use_the_tight_door():
-    made = scene({'a': at(3, 3, ROOMS), 'b': at(3, 15, ROOMS)}, ROOMS)
+    slim = VehicleBody(radius=0.25 - 0.125)
+    vehicles = {name: at(3, col, ROOMS)._replace(body=slim) for name, col in (('a', 3), ('b', 15))}
+    made = scene(vehicles, ROOMS, config(planning_radius=0.5, minimum_planning_radius=0.25))
     assert not (made.reach['a'] & made.reach['b']).any()
     before = made.cost_to('a', np.array([made.starts['b']]))[0]
     assert made.allow_tight('a')
@@ -102,6 +105,14 @@ def test_a_trapped_vehicle_may_use_the_tight_door():
     assert path[0].tolist() == list(place(3, 3, ROOMS))
     np.testing.assert_allclose(path[-1], place(3, 15, ROOMS), atol=CELL)
     assert gap(path, place(3, 10, ROOMS)) < 0.1
+    made.forbid_tight('a')
+    assert made.tight == set()
+    assert math.isinf(made.cost_to('a', np.array([made.starts['b']]))[0])
+
+
+def test_no_vehicle_passes_a_gap_that_its_follower_refuses():
+    made = scene({'a': at(3, 3, ROOMS), 'b': at(3, 15, ROOMS)}, ROOMS)
+    assert not made.allow_tight('a')  # 0.125 m are asked for, 0.27 m are its own
 
 
 def test_a_vehicle_that_takes_no_part_is_an_obstacle_of_twice_its_radius():

@@ -235,6 +235,29 @@ def searches_until_complete(config):
     return [planner.plan(grid, float(k), team).status for k in range(4)]
 
 
+def cycles_until_the_end_of_waiting(config):
+    """A way that was free becomes blocked; the vehicle drives as it is told."""
+    corridor = """
+    ####################?
+    #.....########.....??
+    #..................??
+    #..................??
+    #.....########.....??
+    ####################?
+    """
+    planner, pose = Planner(config), Pose2(*place(2, 2, corridor), 0.0)
+    closed = corridor.replace('#..................', '#........##........')
+    for cycle in range(120):
+        text = corridor if cycle == 0 else closed
+        grid = grid_of(text, resolution=0.125, cells_per_letter=LETTER)
+        result = planner.plan(grid, 2.0 * cycle, {'a': VehicleSnapshot(pose)})
+        if result.status.explored:
+            return cycle, result.status, result.unreachable
+        if cycle and 'a' in result.plans:
+            pose = result.plans['a'].goal
+    return 120
+
+
 def straight(name, y, x0, x1):
     path = np.array([[x0, y], [x1, y]])
     return Traveler(name, path[0], path)
@@ -267,6 +290,7 @@ EFFECTS = {
     'strategy': ('nearest', plans_of_a_team),
     'planning_radius': (0.5, cost_map),
     'minimum_planning_radius': (0.1, cost_map),
+    'planning_margin': (1.0, frontiers),
     'occ_max': (0.99, cost_map),
     'cost_floor': (0.1, cost_map_of_unsure_cells),
     'clearance_distance': (0.0, cost_map),
@@ -278,6 +302,7 @@ EFFECTS = {
     'max_frontier_size': (0.6, frontiers),
     'viewpoint_distance': (2.5, frontiers_behind_a_gap),
     'min_frontier_gain': (50.0, frontiers),
+    'min_gain_per_travel': (10.0, plans_of_a_team),
     'sensor_range': (2.0, frontiers),
     'travel_weight': (10.0, paper_choice),
     'hysteresis': (0.5, kept_choice),
@@ -297,6 +322,7 @@ EFFECTS = {
     'traffic_margin': (0.0, crossing_traffic),
     'traffic_horizon': (3.0, opposite_traffic(0.2)),
     'empty_searches': (1, searches_until_complete),
+    'obstruction_patience': (10.0, cycles_until_the_end_of_waiting),
     'return_to_init': (True, searches_until_complete),
 }
 

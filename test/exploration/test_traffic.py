@@ -155,3 +155,26 @@ def test_what_lies_beyond_the_horizon_does_not_matter(distance, right):
     """Within 40 s at 0.5 m/s a vehicle drives 20 m."""
     found = grants(traveler('a', (0, 0), (40, 0)), traveler('b', (distance, 0.3)))
     assert found['a'].right is right
+
+
+def test_of_two_that_wait_for_each_other_and_cannot_retreat_the_first_goes():
+    one = traveler('a', (0.0, 0.0), (5.0, 0.0))
+    other = traveler('b', (0.96, 0.0), (-5.0, 0.0))
+    found = grants(one, other)
+    assert found['a'].right is RightOfWay.GO
+    assert found['b'].right is RightOfWay.STOP
+    assert found['b'].yields_to == 'a'
+
+
+def test_an_idle_vehicle_in_the_way_that_cannot_retreat_holds_nobody_for_ever():
+    found = grants(traveler('a', (0.0, 0.0), (5.0, 0.0)), traveler('b', (0.96, 0.0)))
+    assert found['a'].right is RightOfWay.GO
+
+
+def test_in_a_circle_of_three_one_goes():
+    found = grants(
+        traveler('a', (0.0, 0.0), (3.0, 0.0)),
+        traveler('b', (0.9, 0.0), (-1.0, 2.0)),
+        traveler('c', (0.4, 0.8), (0.6, -4.0)),
+    )
+    assert RightOfWay.GO in {grant.right for grant in found.values()}

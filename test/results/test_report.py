@@ -86,6 +86,14 @@ def test_a_run_without_truth_grid_and_coverage_still_has_a_page():
     assert 'Errors' not in render_report(data)
 
 
+def test_the_page_says_what_was_left_out_of_reach():
+    left = RunData('office', (), {'unreached_frontiers': 3, 'unreached_m2': 81.3})
+    assert '3 frontiers (81 m²)' in render_report(left)
+    assert 'out of reach' in render_report(left)
+    nothing = RunData('office', (), {'unreached_frontiers': 0, 'unreached_m2': 0.0})
+    assert 'out of reach' not in render_report(nothing)
+
+
 def test_an_empty_run_has_a_page():
     data = RunData('empty', (), {})
     assert map_figure(data) is None

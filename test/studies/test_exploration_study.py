@@ -7,6 +7,7 @@ from grid_worlds import drawn_world
 
 from explore_slam.errors import ConfigError, EvaluationError, ExploreSlamError
 from explore_slam.geometry import Pose2
+from explore_slam.simulation.grid.scenario import Event, Scenario
 from explore_slam.studies.exploration_run import StudyConfig, explore
 from explore_slam.studies.exploration_study import make_study, run_study
 from explore_slam.studies.exploration_tables import (
@@ -75,7 +76,9 @@ def test_a_team_shares_the_work_without_contact():
 def test_a_room_behind_a_door_that_is_too_narrow_does_not_keep_the_team():
     world = narrow(TWO_ROOMS, 0.4)
     done = run(world, (1.5, 1.5, 0.0))
-    assert done.status == 'exploration_complete'
+    assert done.status == 'exploration_incomplete'
+    assert done.unreached_frontiers > 0
+    assert done.unreached_m2 > 1.0
     assert done.curve.team[-1] > 0.99  # of what can be reached
     assert done.duration < 300.0
     assert done.wall_collisions == 0
@@ -93,7 +96,7 @@ def test_glass_without_returns_ends_too():
     rows = [row[:12] + 'g' + row[13:] if row[12] == '#' else row for row in TWO_ROOMS]
     rows = [rows[0].replace('g', '#'), *rows[1:-1], rows[-1].replace('g', '#')]
     done = run(drawn_world(rows), (1.5, 1.5, 0.0), limit=1800.0)
-    assert done.status == 'exploration_complete'
+    assert done.status == 'exploration_incomplete'  # beams without return pass walls behind glass
     assert done.curve.team[-1] > 0.99
     assert done.wall_collisions == 0
 
@@ -101,9 +104,69 @@ def test_glass_without_returns_ends_too():
 def test_a_glass_wall_without_a_way_round_ends_too():
     rows = ['#########################', *['#...........g...........#'] * 8, '#' * 25]
     done = run(drawn_world(rows), (1.5, 1.5, 0.0), limit=1800.0)
+    assert done.status == 'exploration_incomplete'
+    assert 'out of reach' in done.reason
+    assert done.curve.team[-1] > 0.99
+    assert done.duration < 600.0
+    assert done.wall_collisions == 0
+
+
+FLOOR = [
+    '########################################',
+    *['#..............########................#'] * 5,
+    *['#......................................#'] * 2,
+    *['#..............########................#'] * 5,
+    '########################################',
+]  # 20 x 6.5 m, with a corridor of 1 m
+
+
+def disturbed(*events, starts=((2.0, 2.0, 0.0), (2.0, 4.5, 0.0))):
+    poses = {f'robot{index + 1}': Pose2(*start) for index, start in enumerate(starts)}
+    config, scenario = StudyConfig(time_limit=900.0), Scenario(events)
+    return explore(drawn_world(FLOOR), poses, 'default', 1, config, scenario=scenario)
+
+
+PERSON = ((9.0, 3.25),)
+
+
+@pytest.mark.parametrize('size', [1, 2])
+def test_a_person_in_the_corridor_is_waited_for(size):
+    starts = ((2.0, 2.0, 0.0), (2.0, 4.5, 0.0))[:size]
+    done = disturbed(Event('person', 3.0, 60.0, PERSON), starts=starts)
     assert done.status == 'exploration_complete'
     assert done.curve.team[-1] > 0.99
-    assert done.wall_collisions == 0
+    assert 60.0 < done.duration < 150.0
+    assert done.unreached_frontiers == 0
+
+
+def test_one_who_stays_is_waited_for_in_vain_and_the_end_says_what_is_left():
+    done = disturbed(Event('person', 3.0, math.inf, PERSON))
+    assert done.status == 'exploration_incomplete'
+    assert done.unreached_m2 > 10.0
+    assert f'{done.unreached_frontiers} frontier' in done.reason
+    assert done.duration < 300.0
+
+
+def test_a_door_that_opens_late_is_driven_through():
+    door = Event('door', 0.0, 6.0, ((9.0, 2.7), (9.0, 3.8)))
+    done = disturbed(door, starts=((1.0, 1.0, 3.0),))
+    assert done.status == 'exploration_complete'
+    assert done.curve.team[-1] > 0.99
+
+
+def test_the_goal_of_a_vehicle_that_does_not_move_is_taken_by_the_other():
+    done = disturbed(Event('stuck', 0.0, vehicle='robot1', factor=0.0))
+    assert done.status == 'exploration_complete'
+    assert done.curve.team[-1] > 0.99
+    assert done.paths[0] == 0.0
+    assert done.duration < 250.0
+
+
+def test_a_vehicle_that_is_silent_for_a_while_takes_part_again():
+    done = disturbed(Event('silent', 5.0, 30.0, vehicle='robot1', factor=0.0))
+    assert done.status == 'exploration_complete'
+    assert done.curve.team[-1] > 0.99
+    assert done.paths[0] > 0.5
 
 
 @pytest.mark.parametrize('size', [1, 2])

@@ -295,6 +295,20 @@ def test_a_vehicle_stopped_by_an_obstacle_starts_again_with_5_cm_to_spare():
         assert (made.command(0.0).state is FollowerState.DRIVING) == drives
 
 
+@pytest.mark.parametrize(('end', 'drives'), [(0.10, True), (0.13, True), (0.18, False)])
+def test_a_plan_that_ends_beside_a_wall_is_driven_to_its_end(end, drives):
+    made = follower([[-1, 0], [end, 0]], points=[(0.44, 0.0)], arrival_tolerance=0.01)
+    command = steady(made, speed=0.02)  # 0.19 m are free
+    assert (command.linear > 0.0) is drives
+    assert (command.state is FollowerState.DRIVING) is drives
+
+
+def test_a_plan_that_ends_behind_an_obstacle_stops_at_the_usual_distance(make_track):
+    track = make_track([[0, 0], [3, 0]], obstacles=[(2.9, 0.0, 0.1)], latency=0.05).run(20)
+    assert track.last.state is FollowerState.BLOCKED
+    assert track.clearance() >= 0.15
+
+
 def test_before_an_obstacle_that_leaves_hardly_any_room_it_creeps():
     made = follower([[0, 0], [20, 0]], points=[(0.4505, 0.0)])
     assert steady(made, speed=0.02).linear == pytest.approx(0.02)

@@ -2,6 +2,7 @@
 
 Vehicles are discs that follow plans with the speeds and accelerations of a Pioneer 3-DX and stop
 in front of obstacles and of each other. Their pose is known exactly, or with an error that drifts.
+A scenario lets doors close, people stand in the way, and vehicles fail.
 """
 
 import math
@@ -17,6 +18,7 @@ from explore_slam.errors import SimulationError
 from explore_slam.geometry import Array, Pose2, wrap_angle
 from explore_slam.settings import Section, setting
 from explore_slam.simulation.grid import kernels
+from explore_slam.simulation.grid.scenario import Changes, Scenario
 from explore_slam.simulation.records import WALL, Collision
 from explore_slam.simulation.worlds.grid_world import FREE, GridWorld
 from explore_slam.sweeps import LONGEST_SWEEP
@@ -118,13 +120,16 @@ class GridSimulator:
         starts: Mapping[str, Pose2],
         config: GridSimulatorConfig | None = None,
         seed: int = 0,
+        scenario: Scenario | None = None,
     ) -> None:
         """Place vehicles at their start poses.
 
-        Raises SimulationError for too many vehicles, and for poses outside, in obstacles or closer
-        to each other than two radii.
+        Raises SimulationError for too many vehicles, for poses outside, in obstacles or closer
+        to each other than two radii, and for a scenario that does not fit the world.
         """
         self.world = world
+        self.scenario = scenario or Scenario()
+        self.scenario.check(world, starts)
         self.config = config or GridSimulatorConfig()
         self.vehicles = tuple(starts)
         if not 1 <= len(starts) <= MAX_VEHICLES:
@@ -140,21 +145,29 @@ class GridSimulator:
         self._poses = np.array([tuple(pose) for pose in starts.values()], dtype=np.float64)
         self._past = deque([(0.0, self._poses.copy())])  # times (s) and poses in the last sweep
         origin = np.array(world.origin, dtype=np.float64)
-        self._cells = kernels.Cells(world.cells, world.resolution, origin)
-        self._clearance = kernels.ClearanceField(world.clearance, world.resolution, origin)
+        self._origin = origin
+        self._changes = Changes(world, self.scenario)
+        self._changes.update(0.0, self._poses[:, :2])
+        self._use(self._changes.world)
         self._drives = [_Drive(progress_place=(pose.x, pose.y)) for pose in starts.values()]
         self._index = {name: index for index, name in enumerate(self.vehicles)}
         half = 0.5 * self.config.field_of_view
         self._angles = np.linspace(-half, half, self.config.beams)
         self._ranges = np.zeros(self.config.beams)
         self._check_apart()
-        self.reachable = world.reachable(self._poses[:, :2], self.config.reach_clearance)
+        final = self.scenario.final_world(world)
+        self.reachable = final.reachable(self._poses[:, :2], self.config.reach_clearance)
         self.reachable_cells = max(1, int(np.count_nonzero(self.reachable)))
         self._seen = np.zeros(world.shape, np.uint32)
         self._own_cells = [0] * len(self.vehicles)
         self._team_cells = 0
         for index in range(len(self.vehicles)):
             self._drift(index, stationary=True)
+
+    def _use(self, world: GridWorld) -> None:
+        """Let beams and bodies meet the cells of a world."""
+        self._cells = kernels.Cells(world.cells, world.resolution, self._origin)
+        self._clearance = kernels.ClearanceField(world.clearance, world.resolution, self._origin)
 
     def _check_start(self, name: str, pose: Pose2) -> None:
         if not pose.is_finite() or not self.world.is_inside(pose):
@@ -205,6 +218,10 @@ class GridSimulator:
         """
         drive = self._drives[self._index[vehicle]]
         return 0.0 if self.is_idle(vehicle) else self.time - drive.progress_time
+
+    def is_silent(self, vehicle: str) -> bool:
+        """Return whether nothing arrives from a vehicle now."""
+        return self.scenario.conditions(vehicle, self.time).silent
 
     def team_coverage(self) -> float:
         """Return the fraction of the reachable cells that any vehicle's beams have crossed."""
@@ -282,6 +299,8 @@ class GridSimulator:
         """Advance by one time step: each vehicle in turn steers, brakes and moves."""
         self._ticks += 1
         self.time = self._ticks * self.config.time_step
+        if self._changes.update(self.time, self._poses[:, :2]):
+            self._use(self._changes.world)
         for index in range(len(self.vehicles)):
             self._drift(index)
             self._steer(index)
@@ -311,6 +330,8 @@ class GridSimulator:
             drive.motion_time, drive.backing = self.time, BACKING_DISTANCE
         if drive.backing > 0.0:
             self._back_off(index)
+            factor = self.scenario.conditions(self.vehicles[index], self.time).speed_factor
+            drive.speed *= factor
             return
         if driving and drive.plan is not None:
             pursuit = kernels.Pursuit(
@@ -336,6 +357,10 @@ class GridSimulator:
         wanted_speed = min(wanted_speed, self._safe_speed(index)) if wanted_speed > 0.0 else 0.0
         rise, fall = config.acceleration * config.time_step, config.braking * config.time_step
         drive.speed = min(max(wanted_speed, drive.speed - fall), drive.speed + rise)
+        factor = self.scenario.conditions(self.vehicles[index], self.time).speed_factor
+        if factor < 1.0:
+            drive.speed = min(drive.speed, factor * config.cruise_speed)
+            drive.turn *= factor
 
     def _lookahead(self, index: int) -> float:
         """Return the lookahead (m), short in narrow places, where corners must not be cut."""
