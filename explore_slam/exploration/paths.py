@@ -18,6 +18,7 @@ from explore_slam.heap import push, remove_first
 # fewer corners. Chosen by hand; test_value_iteration shows what it decides.
 _STRAIGHT_FACTOR = 1.02
 _ROUNDING = 1e-6
+_LARGEST_MARK = 2**31 - 4  # then the marks begin anew
 _INITIAL_CAPACITY = 1024  # entries of the open list
 
 
@@ -43,13 +44,51 @@ def plan_path(
     return np.stack([rows - 1, cols - 1], axis=1), cost * resolution
 
 
+class SearchMemory:
+    """Working memory of searches: a search costs what it visits, not what the grid is large.
+
+    What a cell holds counts only if its mark is that of the present search.
+    """
+
+    def __init__(self) -> None:
+        self._values = np.empty(0)
+        self._moves = np.empty(0, np.int8)
+        self._marks = np.zeros(0, np.int32)
+        self._mark = 0
+
+    def begin(
+        self, size: int
+    ) -> tuple[NDArray[np.float64], NDArray[np.int8], NDArray[np.int32], int]:
+        """Return values, moves and marks (size,), and the mark of cells that are open."""
+        if size > self._marks.size or self._mark > _LARGEST_MARK:
+            self._values, self._moves = np.empty(size), np.empty(size, np.int8)
+            self._marks, self._mark = np.zeros(size, np.int32), 0
+        self._mark += 2
+        return self._values[:size], self._moves[:size], self._marks[:size], self._mark
+
+
 def search_path(
-    padded: NDArray[np.float32], start: int, goal: int
+    padded: NDArray[np.float32],
+    start: int,
+    goal: int,
+    memory: SearchMemory | None = None,
+    lowest: float | None = None,
 ) -> tuple[NDArray[np.int64], float]:
-    """Search over padded costs between flat indices; see plan_path."""
-    lowest = _lowest(padded.ravel())
-    cells, cost = _a_star(padded.ravel(), padded.shape[1], start, goal, lowest)
+    """Search over padded costs between flat indices; see plan_path.
+
+    memory: to be used again by the next search. lowest: smallest cost, or less; by default it is
+    determined.
+    """
+    flat = padded.ravel()
+    least = lowest_cost(padded) if lowest is None else lowest
+    work = (memory or SearchMemory()).begin(flat.size)
+    cells, cost = _a_star(flat, padded.shape[1], start, goal, least, *work)
     return cells, float(cost)
+
+
+def lowest_cost(padded: NDArray[np.float32]) -> float:
+    """Return the smallest of padded costs."""
+    return float(_lowest(padded.ravel()))
 
 
 @kernel
@@ -71,38 +110,47 @@ def _bound(cell: int, goal_row: int, goal_col: int, stride: int, lowest: float) 
 
 @kernel
 def _a_star(
-    cost: NDArray[np.float32], stride: int, start: int, goal: int, lowest: float
+    cost: NDArray[np.float32],
+    stride: int,
+    start: int,
+    goal: int,
+    lowest: float,
+    values: NDArray[np.float64],
+    came: NDArray[np.int8],
+    marks: NDArray[np.int32],
+    opened: int,
 ) -> tuple[NDArray[np.int64], float]:
-    """Return the flat indices of the cells from start to goal, and the cost; see plan_path."""
+    """Return the flat indices of the cells from start to goal, and the cost; see plan_path.
+
+    values, came: valid where the mark is `opened`, or opened + 1 for cells that are closed.
+    """
+    closed = opened + 1
     offsets = np.array(
         [-1, 1, -stride, stride, -stride - 1, -stride + 1, stride - 1, stride + 1], np.int64
     )
     root = math.sqrt(2.0)
     goal_row, goal_col = goal // stride, goal % stride
-    values = np.full(cost.size, np.inf)
-    came = np.full(cost.size, -1, np.int8)
-    closed = np.zeros(cost.size, np.bool_)
     keys, items = np.empty(_INITIAL_CAPACITY), np.empty(_INITIAL_CAPACITY, np.int64)
     size = 1
     keys[0], items[0] = 0.0, start
-    values[start] = 0.0
+    values[start], marks[start] = 0.0, opened
     while size > 0:
         cell = items[0]
         size -= 1
         remove_first(keys, items, size)
-        if closed[cell]:
+        if marks[cell] == closed:
             continue
-        closed[cell] = True
+        marks[cell] = closed
         if cell == goal:
             break
         for k in range(8):
             other = cell + offsets[k]
             entered = cost[other]
-            if entered == np.inf or closed[other]:
+            if entered == np.inf or marks[other] == closed:
                 continue
             reached = values[cell] + (entered if k < 4 else entered * root)
-            if reached < values[other]:
-                values[other] = reached
+            if marks[other] != opened or reached < values[other]:
+                values[other], marks[other] = reached, opened
                 came[other] = k
                 if size == keys.size:
                     keys = np.concatenate((keys, np.empty(keys.size)))
@@ -110,7 +158,7 @@ def _a_star(
                 key = reached + _bound(other, goal_row, goal_col, stride, lowest)
                 push(keys, items, size, key, other)
                 size += 1
-    if values[goal] == np.inf:
+    if marks[goal] < opened:
         return np.empty(0, np.int64), np.inf
     return _trace(came, offsets, start, goal), values[goal]
 

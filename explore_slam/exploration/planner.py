@@ -26,6 +26,7 @@ from explore_slam.exploration.config import ExplorationConfig
 from explore_slam.exploration.frontiers import find_frontiers
 from explore_slam.exploration.keep_out import TRAFFIC_DISTANCE, KeepOutZones
 from explore_slam.exploration.known_ways import KnownWays
+from explore_slam.exploration.paths import SearchMemory
 from explore_slam.exploration.progress import BlockageCounter, Progress
 from explore_slam.exploration.records import (
     Cell,
@@ -78,6 +79,7 @@ class Planner:
         self._blockages = BlockageCounter()
         self._history = VehicleHistory()
         self._ways = KnownWays()
+        self._search_memory = SearchMemory()
         self._second_look = SecondLook(self.config.obstruction_patience)
         self._standstill = Standstill(self.config.blacklist.progress_timeout)
         self._squeezing: str | None = None  # the vehicle that passes through a tight place
@@ -155,6 +157,7 @@ class Planner:
             self._history.trails,
             self._keep_out.places(),
             forbidden,
+            self._search_memory,
         )
         if not scene.vehicles:
             return self._cannot_search('no vehicle with a valid pose')

@@ -15,7 +15,7 @@ from explore_slam.exploration.clearance import (
     tight_factor,
 )
 from explore_slam.exploration.config import ExplorationConfig
-from explore_slam.exploration.paths import search_path, shortcut
+from explore_slam.exploration.paths import SearchMemory, lowest_cost, search_path, shortcut
 from explore_slam.exploration.records import Cell, Frontier, Grid, Point, VehicleSnapshot
 from explore_slam.exploration.regions import (
     connected_region,
@@ -59,6 +59,7 @@ class Scene:
         trails: Mapping[str, list[Point]] | None = None,
         keep_out: Iterable[Point] = (),
         forbidden: NDArray[np.bool_] | None = None,
+        memory: SearchMemory | None = None,
     ) -> None:
         """Prepare a grid for planning.
 
@@ -66,7 +67,10 @@ class Scene:
         keep_out: places (m) where vehicles were blocked.
         forbidden: cells (H, W), occupied in the grid, that no vehicle may enter: unlike an
         obstacle on a trail, they are not looked at again.
+        memory: of the searches for paths, kept from cycle to cycle.
         """
+        self._memory = memory or SearchMemory()
+        self._lowest: float | None = None
         self.grid, self.now, self.config = grid, now, config
         self.vehicles = {n: v for n, v in vehicles.items() if v.active and v.pose.is_finite()}
         self._probability_costs = STRATEGIES[config.strategy].probability_costs
@@ -336,7 +340,11 @@ class Scene:
         stride = over.shape[1]
         row, col = self.starts[name]
         start, end = (row + 1) * stride + col + 1, (goal[0] + 1) * stride + goal[1] + 1
-        flat, _ = search_path(over, start, end)
+        if self._lowest is None:
+            # that of the narrowest vehicle in tight passages: others pay as much or more
+            lowest = lowest_cost(self.costs.tight_cost)
+            self._lowest = lowest if math.isfinite(lowest) else 0.0
+        flat, _ = search_path(over, start, end, self._memory, self._lowest)
         if flat.size == 0:
             return None
         rows, cols = np.divmod(flat, stride)

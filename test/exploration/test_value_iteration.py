@@ -10,6 +10,8 @@ from scipy.sparse.csgraph import dijkstra
 
 from explore_slam.errors import ExplorationError
 from explore_slam.exploration import plan_path, shortcut, travel_cost
+from explore_slam.exploration.paths import SearchMemory, search_path
+from explore_slam.exploration.value_iteration import padded_costs
 
 OCC_MAX = 0.6
 
@@ -178,3 +180,19 @@ def test_other_bad_input_is_refused():
         travel_cost(grid, (0, 0), resolution=0.0)
     with pytest.raises(ExplorationError, match='charged'):
         travel_cost(grid, (0, 0), charged='both')
+
+
+def test_a_search_that_uses_its_memory_again_finds_the_same_paths():
+    generator = np.random.default_rng(3)
+    memory = SearchMemory()
+    for size in (20, 40, 30):
+        cost = generator.uniform(0.1, 1.0, (size, size)).astype(np.float32)
+        cost[generator.random((size, size)) < 0.2] = np.inf
+        padded = padded_costs(cost, math.inf)
+        free = np.flatnonzero(np.isfinite(padded))
+        for start, goal in generator.choice(free, (5, 2)).tolist():
+            fresh, expected = search_path(padded, start, goal)
+            again, found = search_path(padded, start, goal, memory, 0.1)
+            assert found == pytest.approx(expected, rel=1e-12)
+            assert len(fresh) == 0 or (again[0], again[-1]) == (start, goal)
+            assert math.isinf(expected) == (len(again) == 0)
