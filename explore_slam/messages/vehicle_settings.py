@@ -43,7 +43,6 @@ class VehicleConfig(Section):
     clouds: tuple[str, ...] = setting(
         _NONE,
         'Topics of its 3-D lidars (PointCloud2), below its namespace; a single empty name: none',
-        tier='basic',
     )
     cloud_lowest: float = setting(
         0.1,
@@ -52,7 +51,6 @@ class VehicleConfig(Section):
         unit='m',
         low=-10.0,
         high=10.0,
-        tier='basic',
     )
     cloud_highest: float = setting(
         1.0,
@@ -60,7 +58,6 @@ class VehicleConfig(Section):
         unit='m',
         low=-10.0,
         high=10.0,
-        tier='basic',
     )
     cameras: tuple[str, ...] = setting(
         ('camera',),
