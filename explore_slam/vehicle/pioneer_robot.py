@@ -18,6 +18,7 @@ from explore_slam.errors import VehicleError
 from explore_slam.geometry import IDENTITY
 from explore_slam.settings import Section, setting
 from explore_slam.vehicle.arcos_handshake import (
+    FAST_LASER_RATE,
     LASER_RATES,
     ask_for_laser,
     diagnose_port,
@@ -251,7 +252,21 @@ class PioneerRobot:
                 collected += ask_for_laser(self._port)
             if is_laser(collected):
                 break
+        else:
+            collected = self._look_for_fast_laser() or collected
         raise VehicleError(f'{self.config.base_port}: {diagnose_port(collected, tried)}')
+
+    def _look_for_fast_laser(self) -> bytes:
+        """Return what a laser at its fastest rate replies at this port; b'' if there is none."""
+        assert self._port is not None
+        if self._port.is_network:
+            return b''
+        try:
+            self._port.set_baud(FAST_LASER_RATE)
+        except BaudRateError:
+            return b''
+        received = ask_for_laser(self._port)
+        return received if is_laser(received) else b''
 
     def _open_session(self) -> None:
         """Open a session with motors off, and set limits and accelerations."""

@@ -227,9 +227,10 @@ def test_each_wrong_port_has_its_message(rig, tmp_path):
     _, line, robot = rig()
     robot.connect()
     assert 'busy' in refusal(line.path)
-    scanner = Lms200Scanner(lambda: None, streaming=True)
-    with SerialLine(scanner, tmp_path / 'laser') as laser:
-        assert 'a SICK laser is at this port' in refusal(laser.path, base_baud=9600)
+    for name, baud, streaming in (('laser', 9600, True), ('fast', 500000, False)):
+        scanner = Lms200Scanner(lambda: None, baud=baud, streaming=streaming)
+        with SerialLine(scanner, tmp_path / name) as laser:
+            assert 'a SICK laser is at this port' in refusal(laser.path, base_baud=9600)
 
 
 def test_velocities_are_kept_within_the_maximum(rig):
