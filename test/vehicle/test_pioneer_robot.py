@@ -345,7 +345,7 @@ def test_a_network_address_without_port_is_that_of_a_robot():
         pytest.skip('TCP port 8101 is in use')
     server.close()
     with SerialLine(ArcosRobot(KinematicBody()), tcp_port=8101):
-        robot = driver('tcp://127.0.0.1')
+        robot = driver('TCP://127.0.0.1')
         assert robot.connect().subclass == 'p3dx-sh'
         robot.close()
     for bad in ('tcp://', 'tcp://:8101', 'tcp://host:x', 'tcp://host:99999', 'tcp://h/p'):
