@@ -40,7 +40,8 @@ class ScaleFactors(NamedTuple):
 class RobotModel(NamedTuple):
     """A kind of robot.
 
-    bumpers: segments of the front and of the rear ring, which is an accessory of most robots.
+    bumpers: segments of the front and of the rear ring, which is an accessory of most robots;
+    further bits of a status packet are not those of bumpers.
     laser: x, y (m) of the laser in the vehicle frame as delivered; None: delivered without.
     sonar: poses of the transducers by index.
     """
@@ -136,6 +137,7 @@ MODELS = {
     'amigo-sh-tim5xx': _model(1.0, 0.011, (110, 0), _AMIGO_SH),
 }
 _DEFAULT = 'p3dx'  # whose other numbers an unknown robot gets
+_ALL_BUMPERS = (7, 7)  # bits of a status packet, all of which may be segments of an unknown robot
 
 
 def _plain(subclass: str) -> str:
@@ -180,7 +182,7 @@ def _substitute(subclass: str, distance: float) -> RobotModel:
             f"the robot has the unknown subclass '{subclass}', expected one of "
             f'{", ".join(MODELS)}: set distance_factor to its DistConvFactor (mm per count)'
         )
-    model = MODELS[alike]
+    model = MODELS[alike]._replace(bumpers=_ALL_BUMPERS)
     if in_millimetres:
         model = model._replace(factors=model.factors._replace(distance=1.0))
     _log.warning(

@@ -396,7 +396,12 @@ class PioneerRobot:
         self._report_resumption(self._odometry)
         self._remember()
         f = self._model.factors
-        self._front_bumpers, self._rear_bumpers = status.front_bumpers, status.rear_bumpers
+        self._front_bumpers, self._rear_bumpers = (
+            bits & ((1 << segments) - 1)
+            for bits, segments in zip(
+                (status.front_bumpers, status.rear_bumpers), self._model.bumpers, strict=True
+            )
+        )
         left, right = status.left_velocity, status.right_velocity
         sonar = {index: 0.001 * f.range * value for index, value in status.sonar.items()}
         turning = 0.5 * (right - left) * f.velocity * f.difference
@@ -410,8 +415,8 @@ class PioneerRobot:
             charging=status.charging,
             emergency_stop=status.emergency_stop,
             stalled=status.left_stall or status.right_stall,
-            front_bumpers=status.front_bumpers & ~self.own.ignored_front_bumpers,
-            rear_bumpers=status.rear_bumpers & ~self.own.ignored_rear_bumpers,
+            front_bumpers=self._front_bumpers & ~self.own.ignored_front_bumpers,
+            rear_bumpers=self._rear_bumpers & ~self.own.ignored_rear_bumpers,
             faults=status.faults,
             # boards that measure no state of charge report 0
             charge=status.state_of_charge / 100.0 if status.state_of_charge else None,
