@@ -1,6 +1,7 @@
 """README and doc are right to the letter: code blocks run, commands parse, links resolve."""
 
 import ast
+import itertools
 import os
 import re
 import shlex
@@ -31,7 +32,12 @@ README = DOCUMENTS[0].read_text(encoding='utf-8')
 # programs that a test must not run: they change the machine or need hardware
 NOT_RUN = {'sudo', 'git', 'pip', 'python3', 'cd', 'cp', 'mkdir', 'rosdep', 'udevadm'}
 # stand for a package of the reader's own
-PLACEHOLDERS = {'your_base', 'your_lidar', 'teleop_twist_joy', 'teleop_twist_keyboard'}
+PLACEHOLDERS = {'your_base', 'your_lidar'}
+# of other packages: package, launch file or executable -> launch arguments or parameters
+FOREIGN = {
+    ('teleop_twist_joy', 'teleop-launch.py'): {'joy_config', 'joy_dev', 'joy_vel'},
+    ('teleop_twist_keyboard', 'teleop_twist_keyboard'): {'stamped', 'frame_id'},
+}
 
 
 def blocks(path, language):
@@ -88,7 +94,14 @@ def test_shell_lines_name_what_exists(line, words):
 def check_ros2(words):
     """Check that launch files, their arguments, executables and parameters exist."""
     kind, package = words[1], words[2]
-    if kind == 'launch':
+    if tuple(words[2:4]) in FOREIGN:
+        given = [
+            word.partition(':=')[0]
+            for before, word in itertools.pairwise(words[3:])
+            if ':=' in word and before != '-r'
+        ]
+        assert set(given) <= FOREIGN[package, words[3]]
+    elif kind == 'launch':
         assert package == 'explore_slam'
         text = (REPOSITORY / 'launch' / words[3]).read_text(encoding='utf-8')
         for word in words[4:]:

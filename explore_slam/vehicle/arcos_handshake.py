@@ -19,6 +19,7 @@ _CLOSE_TIME = 0.1  # s, a status period: the robot has ended its session by then
 _LONGEST_ECHO = 80  # bytes: the reply to SYNC2 with name, class and subclass
 _LOST_COUNT = 255  # id of the reply with which the robot asks to start again at SYNC0
 LASER_RATES = (9600, 19200, 38400)  # Bd, of a laser at this port by mistake
+FAST_LASER_RATE = 500_000  # Bd, of a laser only
 _LASER_TIMEOUT = 0.2  # s; it acknowledges within 60 ms
 _KEPT = 4096  # bytes kept for the diagnosis
 

@@ -61,8 +61,10 @@ _FATAL = 3  # severity (0-4) from which measurements are invalid
 _NOISE = 2048  # bytes without a telegram, longer than two scans: of another baud rate
 _KEPT = 4096  # bytes kept for the diagnosis of a wrong device
 _ROBOT_TIMEOUT = 0.25  # s for the reply of a robot at this port
+_UNSTEADY = 3  # power-on telegrams in one connection that are more than those of a start
 _ALL_RATES_EVERY = 4  # rounds of searching, in between only the rate of a laser that has booted
 _BOOT_LISTENING = 2.0  # s between attempts to reach a laser that may be booting
+_SUPPLY = 'is its supply (24 V) steady, and the battery charged?'
 _LONGEST_READ = 0.2  # s after which an interruption is noticed
 
 
@@ -138,7 +140,12 @@ class Lms200:
         self._faulty = 0  # unusable scans since the last valid one
         self._telegrams = 0  # decoded while listening for a reply
         self._tried_for_robot = False
-        self._rounds = 0  # of searching for the scanner in this connection
+        # in this connection: rounds of searching for the scanner, rates tried, rates that the
+        # adapter lacks, power-on telegrams
+        self._rounds = 0
+        self._tried: list[int] = []
+        self._refused: list[int] = []
+        self._restarts = 0
         self.progress = Progress()
 
     @property
@@ -162,7 +169,8 @@ class Lms200:
                 self.config.laser_port, self._last_baud, tcp_port=LASER_TCP_PORT
             )
         self._tried_for_robot = False
-        self._rounds = 0
+        self._rounds = self._restarts = 0
+        self._tried, self._refused = [], []
         began = time.monotonic()
         try:
             while True:
@@ -198,12 +206,17 @@ class Lms200:
         port = self._port
         assert port is not None
         limit, waited = self.config.laser_startup_timeout, time.monotonic() - began
+        text, unsteady = str(cause), self._restarts >= _UNSTEADY
+        if unsteady:
+            text = f'{port.url}: the laser has restarted {self._restarts} times; {_SUPPLY}'
         if waited >= limit:
-            raise VehicleError(f'{cause} (waited {waited:.0f} s: laser_startup_timeout)')
+            raise VehicleError(f'{text} (waited {waited:.0f} s: laser_startup_timeout)')
         if cause.restarted:  # it is ready now
+            if unsteady:
+                self.progress.tell(text)
             return
         self.progress.tell(
-            f'{cause}; the port stays open for a laser that boots now (20 to 65 s): '
+            f'{text}; the port stays open for a laser that boots now (20 to 65 s): '
             f'{waited:.0f} of {limit:.0f} s'
         )
         if not port.is_network:
@@ -225,14 +238,14 @@ class Lms200:
         """Find the scanner's baud rate and stop its stream."""
         port = self._port
         assert port is not None
-        collected, refused = b'', []
-        rates = self._rates()
-        for rate in rates:
+        collected = b''
+        for rate in self._rates():
             try:
                 port.set_baud(rate)
             except BaudRateError:
-                refused.append(rate)
+                _add_new(self._refused, rate)
                 continue
+            _add_new(self._tried, rate)
             port.discard()
             self._decoder.clear()
             silent = True
@@ -253,14 +266,34 @@ class Lms200:
                     break
             if not self._tried_for_robot and rate in BAUD_CODES:
                 collected = (collected + self._ask_for_robot())[-_KEPT:]
-            if PacketDecoder().feed(collected):
-                raise VehicleError(
-                    f'{port.url}: a Pioneer robot is at this port, not an LMS-200; swap base_port '
-                    'and laser_port'
-                )
+            self._refuse_robot(collected)
+        if not self._tried_for_robot:
+            self._look_for_fast_robot()
         self._tried_for_robot = True
         self._rounds += 1
-        raise _NotReadyError(f'{port.url}: {_diagnose_port(collected, rates, refused)}')
+        text = _diagnose_port(collected, self._tried, self._refused)
+        raise _NotReadyError(f'{port.url}: {text}')
+
+    def _look_for_fast_robot(self) -> None:
+        """Raise VehicleError where a robot is at this port, at a rate that no laser has."""
+        assert self._port is not None
+        if self._port.is_network:
+            return
+        for rate in (rate for rate in BAUD_CODES if rate not in BAUD_MODES):
+            with contextlib.suppress(BaudRateError):
+                self._port.set_baud(rate)
+                self._port.discard()
+                self._decoder.clear()
+                self._refuse_robot(self._ask_for_robot())
+
+    def _refuse_robot(self, collected: bytes) -> None:
+        """Raise VehicleError if a packet of a robot is among the bytes received."""
+        assert self._port is not None
+        if PacketDecoder().feed(collected):
+            raise VehicleError(
+                f'{self._port.url}: a Pioneer robot is at this port, not an LMS-200; swap '
+                'base_port and laser_port'
+            )
 
     def _ask_for_robot(self) -> bytes:
         """Return what a Pioneer at this port, which a laser's requests leave silent, replies."""
@@ -291,6 +324,7 @@ class Lms200:
                 self._telegrams += 1
                 if telegram.command == Reply.POWER_ON:
                     self._last_baud = self._port.baud
+                    self._restarts += 1
                     raise _NotReadyError(
                         f'{self._port.url}: the laser has restarted', restarted=True
                     )
@@ -493,9 +527,18 @@ class Lms200:
         }
 
 
+def _add_new(rates: list[int], rate: int) -> None:
+    """Append a rate that is not in the list yet."""
+    if rate not in rates:
+        rates.append(rate)
+
+
 def _diagnose_port(collected: bytes, rates: list[int], refused: list[int]) -> str:
-    """Explain why no scanner was found, from the bytes received instead of its replies."""
-    tried = '/'.join(str(rate) for rate in rates if rate not in refused)
+    """Explain why no scanner was found, from the bytes received instead of its replies.
+
+    rates: those tried. refused: those that the adapter of the port lacks.
+    """
+    tried = '/'.join(str(rate) for rate in rates)
     lacking = ''.join(f'; this port cannot be set to {rate} Bd' for rate in refused)
     if collected:
         return (

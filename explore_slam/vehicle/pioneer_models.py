@@ -8,6 +8,7 @@ FrontBumpers, LaserX, LaserY, SonarUnit. AngleConvFactor is 0.00153 in all of th
 
 import logging
 import math
+import re
 from typing import NamedTuple
 
 from explore_slam.errors import VehicleError
@@ -39,7 +40,8 @@ class ScaleFactors(NamedTuple):
 class RobotModel(NamedTuple):
     """A kind of robot.
 
-    bumpers: segments of the front and of the rear ring, which is an accessory of most robots.
+    bumpers: segments of the front and of the rear ring, which is an accessory of most robots;
+    further bits of a status packet are not those of bumpers.
     laser: x, y (m) of the laser in the vehicle frame as delivered; None: delivered without.
     sonar: poses of the transducers by index.
     """
@@ -135,11 +137,21 @@ MODELS = {
     'amigo-sh-tim5xx': _model(1.0, 0.011, (110, 0), _AMIGO_SH),
 }
 _DEFAULT = 'p3dx'  # whose other numbers an unknown robot gets
+_ALL_BUMPERS = (7, 7)  # bits of a status packet, all of which may be segments of an unknown robot
+
+
+def _plain(subclass: str) -> str:
+    """Return a subclass without case, dashes and `bot`: AmigoBot-SH and amigo-sh are the same."""
+    return re.sub(r'[^a-z0-9+]|bot', '', subclass.lower())
+
+
+_BY_PLAIN_NAME = {_plain(name): name for name in MODELS}
 
 
 def known_model(subclass: str) -> RobotModel | None:
-    """Return the model of a subclass, None for an unknown one."""
-    return MODELS.get(subclass.strip().lower())
+    """Return the model of a subclass, however its name is written; None for an unknown one."""
+    name = _BY_PLAIN_NAME.get(_plain(subclass))
+    return None if name is None else MODELS[name]
 
 
 def robot_model(subclass: str, distance: float = 0.0) -> RobotModel:
@@ -147,32 +159,35 @@ def robot_model(subclass: str, distance: float = 0.0) -> RobotModel:
 
     An unknown subclass is a warning: it gets the numbers of the kind that its name begins with
     (p3at-sh-x: p3at-sh), of a p3dx otherwise; robots whose name has -sh report millimetres.
-    Raises VehicleError for an unknown one that does neither, without a distance factor.
+    Raises VehicleError for an unknown one whose distance factor neither its name nor the
+    setting gives.
     """
     model = known_model(subclass)
     if model is None:
-        model = _substitute(subclass.strip().lower(), subclass, distance)
+        model = _substitute(subclass, distance)
     if distance > 0.0:
         model = model._replace(factors=model.factors._replace(distance=distance))
     return model
 
 
-def _substitute(name: str, subclass: str, distance: float) -> RobotModel:
+def _substitute(subclass: str, distance: float) -> RobotModel:
     """Return the model for an unknown subclass, with a warning that says what was assumed."""
-    alike = max((known for known in MODELS if name.startswith(known + '-')), key=len, default='')
+    name, plain = subclass.strip().lower(), _plain(subclass)
+    similar = [known for known in _BY_PLAIN_NAME if plain.startswith(known)]
+    alike = _BY_PLAIN_NAME[max(similar, key=len)] if similar else _DEFAULT
     in_millimetres = '-sh' in name
-    if not alike and not in_millimetres and distance <= 0.0:
+    # p2at8x may be another board than p2at8, with other units; p2at8-x is a p2at8 with something
+    if not in_millimetres and not name.startswith(f'{alike}-') and distance <= 0.0:
         raise VehicleError(
             f"the robot has the unknown subclass '{subclass}', expected one of "
-            f'{sorted(MODELS)}: '
-            'set distance_factor to its DistConvFactor (mm per count)'
+            f'{", ".join(MODELS)}: set distance_factor to its DistConvFactor (mm per count)'
         )
-    model = MODELS[alike or _DEFAULT]
+    model = MODELS[alike]._replace(bumpers=_ALL_BUMPERS)
     if in_millimetres:
         model = model._replace(factors=model.factors._replace(distance=1.0))
     _log.warning(
         "the robot has the unknown subclass '%s': taken as %s with %.3f mm per count; drive it "
         'straight for some metres, and set distance_factor if odom says another distance',
-        subclass, alike or _DEFAULT, distance if distance > 0.0 else model.factors.distance,
+        subclass, alike, distance if distance > 0.0 else model.factors.distance,
     )  # fmt: skip
     return model

@@ -18,6 +18,7 @@ from explore_slam.errors import VehicleError
 from explore_slam.geometry import IDENTITY
 from explore_slam.settings import Section, setting
 from explore_slam.vehicle.arcos_handshake import (
+    FAST_LASER_RATE,
     LASER_RATES,
     ask_for_laser,
     diagnose_port,
@@ -251,7 +252,21 @@ class PioneerRobot:
                 collected += ask_for_laser(self._port)
             if is_laser(collected):
                 break
+        else:
+            collected = self._look_for_fast_laser() or collected
         raise VehicleError(f'{self.config.base_port}: {diagnose_port(collected, tried)}')
+
+    def _look_for_fast_laser(self) -> bytes:
+        """Return what a laser at its fastest rate replies at this port; b'' if there is none."""
+        assert self._port is not None
+        if self._port.is_network:
+            return b''
+        try:
+            self._port.set_baud(FAST_LASER_RATE)
+        except BaudRateError:
+            return b''
+        received = ask_for_laser(self._port)
+        return received if is_laser(received) else b''
 
     def _open_session(self) -> None:
         """Open a session with motors off, and set limits and accelerations."""
@@ -381,7 +396,12 @@ class PioneerRobot:
         self._report_resumption(self._odometry)
         self._remember()
         f = self._model.factors
-        self._front_bumpers, self._rear_bumpers = status.front_bumpers, status.rear_bumpers
+        self._front_bumpers, self._rear_bumpers = (
+            bits & ((1 << segments) - 1)
+            for bits, segments in zip(
+                (status.front_bumpers, status.rear_bumpers), self._model.bumpers, strict=True
+            )
+        )
         left, right = status.left_velocity, status.right_velocity
         sonar = {index: 0.001 * f.range * value for index, value in status.sonar.items()}
         turning = 0.5 * (right - left) * f.velocity * f.difference
@@ -395,8 +415,8 @@ class PioneerRobot:
             charging=status.charging,
             emergency_stop=status.emergency_stop,
             stalled=status.left_stall or status.right_stall,
-            front_bumpers=status.front_bumpers & ~self.own.ignored_front_bumpers,
-            rear_bumpers=status.rear_bumpers & ~self.own.ignored_rear_bumpers,
+            front_bumpers=self._front_bumpers & ~self.own.ignored_front_bumpers,
+            rear_bumpers=self._rear_bumpers & ~self.own.ignored_rear_bumpers,
             faults=status.faults,
             # boards that measure no state of charge report 0
             charge=status.state_of_charge / 100.0 if status.state_of_charge else None,

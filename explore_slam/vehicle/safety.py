@@ -124,15 +124,16 @@ class SafetyGate:
         if linear == 0.0 or not clouds:
             return linear, ''
         points, forward = np.concatenate(clouds), linear > 0.0
+        where = 'ahead' if forward else 'behind'
         free = free_in_lane(points, c.guard_half_width, c.guard_half_length, forward)
         room = free - c.guard_distance
         if room <= 0.0:
-            return 0.0, f'obstacle {max(free, 0.0):.2f} m ahead'
+            return 0.0, f'obstacle {max(free, 0.0):.2f} m {where}'
         # v with v t + v² / (2 a) = room: distance during the latency and while braking
         a, t = c.guard_deceleration, _LATENCY
         fastest = a * (math.sqrt(t * t + 2.0 * room / a) - t)
         if fastest < abs(linear):
-            return math.copysign(fastest, linear), f'slow: obstacle {free:.2f} m ahead'
+            return math.copysign(fastest, linear), f'slow: obstacle {free:.2f} m {where}'
         return linear, ''
 
     def _ramp(self, linear: float, angular: float, step: float) -> tuple[float, float]:

@@ -36,7 +36,7 @@ class SerialPort:
 
     def __init__(self, url: str, baud: int, tcp_port: int = ROBOT_TCP_PORT) -> None:
         self.url = url
-        self.is_network = url.startswith(TCP_SCHEME)
+        self.is_network = url.lower().startswith(TCP_SCHEME)
         if self.is_network:
             self.url = f'{TCP_SCHEME}{_address(url, tcp_port)}'
         self._port = self._open(baud)
@@ -127,7 +127,7 @@ def _advice(url: str, error: Exception) -> str:
     number = getattr(error, 'errno', None)
     text = str(error)
     if url.startswith(TCP_SCHEME):
-        return f'cannot connect ({text}); is the robot switched on and its address right?'
+        return f'cannot connect ({text}); is the device switched on and its address right?'
     if number == errno.ENOENT or not Path(url).exists():
         return 'no such port; is the cable plugged in? `ls /dev/serial/by-id` lists the ports'
     if number == errno.EACCES:

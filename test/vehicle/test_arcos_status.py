@@ -17,6 +17,7 @@ from explore_slam.vehicle.arcos_status import (
     parse_status,
     scale_factors,
 )
+from explore_slam.vehicle.pioneer_models import MODELS, robot_model
 
 
 def status(x=0, y=0, heading=0, payload_sonar=b'\x00', rest=b''):
@@ -131,6 +132,44 @@ def test_scale_factors_of_known_unknown_and_given():
     assert scale_factors('robo7', 0.47).distance == 0.47
     with pytest.raises(VehicleError, match=r"unknown subclass 'robo7'.*set distance_factor"):
         scale_factors('robo7')
+
+
+@pytest.mark.parametrize(
+    ('written', 'known'),
+    [
+        ('P3-DX', 'p3dx'),
+        ('p3-at-SH', 'p3at-sh'),
+        ('AmigoBot-sh', 'amigo-sh'),
+        ('AmigoBot', 'amigo'),
+        ('PeopleBot_sh', 'peoplebot-sh'),
+        (' p2at8+ ', 'p2at8+'),
+    ],
+)
+def test_a_known_subclass_may_be_written_in_other_ways(written, known, caplog):
+    assert robot_model(written) is MODELS[known]
+    assert not caplog.text
+
+
+@pytest.mark.parametrize(
+    ('unknown', 'taken', 'distance'),
+    [('AmigoBot-sh-x', 'amigo-sh', 1.0), ('p3at-x', 'p3at', 0.465), ('pion-sh', 'p3dx', 1.0)],
+)
+def test_an_unknown_subclass_is_taken_as_the_kind_that_it_begins_with(
+    unknown, taken, distance, caplog
+):
+    found = robot_model(unknown)
+    assert found.factors == MODELS[taken].factors._replace(distance=distance)
+    assert (found.sonar, found.laser) == (MODELS[taken].sonar, MODELS[taken].laser)
+    assert f'taken as {taken} with {distance:.3f} mm' in caplog.text
+
+
+@pytest.mark.parametrize('unknown', ['p2at8x', 'peoplebot', 'p3atiw', ''])
+def test_an_unknown_board_needs_a_distance_factor_and_keeps_the_rest_of_its_kind(unknown):
+    with pytest.raises(VehicleError, match=f"unknown subclass '{unknown}'.*set distance_factor"):
+        robot_model(unknown)
+    kind = {'p2at8x': 'p2at8', 'p3atiw': 'p3at'}.get(unknown, 'p3dx')
+    factors = MODELS[kind].factors._replace(distance=0.9)
+    assert robot_model(unknown, 0.9).factors == factors
 
 
 @given(st.integers(0, 65535), st.integers(-16383, 16383))

@@ -26,13 +26,24 @@ class CountingScanner(Lms200Scanner):
         super().set_power(on, now)
 
 
+class RestartingScanner(CountingScanner):
+    """An LMS-200 whose weak supply drops out whenever it has booted."""
+
+    def transmit(self, now):
+        waited = not self.booted
+        data = super().transmit(now)
+        if waited and self.booted:
+            self.reset(now)
+        return data
+
+
 class Rig:
     """A scanner at a powered line, and the supervisor of its driver."""
 
-    def __init__(self, folder, tcp=False, settings=None, **options):
+    def __init__(self, folder, tcp=False, settings=None, kind=CountingScanner, **options):
         body = KinematicBody()
         body.obstacles = [(2.0, 0.3, 0.4)]
-        self.scanner = CountingScanner(body.scan, **options)
+        self.scanner = kind(body.scan, **options)
         port = 0 if tcp else None
         self.line = SerialLine(self.scanner, folder / 'laser', tcp_port=port, powered=True).start()
         values = {'laser_port': self.line.path, **(settings or {})}
@@ -157,8 +168,28 @@ def test_the_wait_ends_with_laser_startup_timeout_and_releases_the_port(rig):
     assert until(lambda: not one.scanner._power)
 
 
-def test_a_silent_robot_at_the_port_is_named_at_once(tmp_path):
-    with SerialLine(ArcosRobot(KinematicBody()), tmp_path / 'base') as line:
+@pytest.mark.usefixtures('two_rates')
+def test_the_end_of_the_wait_names_all_rates_that_were_tried(rig, monkeypatch):
+    monkeypatch.setattr(lms200, '_BOOT_LISTENING', 0.1)
+    one = rig(boot_time=60.0, settings={'laser_startup_timeout': 2.5})
+    with pytest.raises(VehicleError, match=r'at 38400/9600 Bd.*laser_startup_timeout'):
+        one.laser.connect()
+    assert one.laser._rounds > 1  # the later ones try 9600 Bd only
+
+
+@pytest.mark.usefixtures('two_rates')
+def test_a_laser_that_restarts_again_and_again_is_named(rig):
+    one = rig(boot_time=0.2, kind=RestartingScanner, settings={'laser_startup_timeout': 2.5})
+    said = []
+    one.laser.progress.on_text = said.append
+    with pytest.raises(VehicleError, match=r'restarted \d+ times; is its supply .24 V. steady'):
+        one.laser.connect()
+    assert any('restarted 3 times' in text for text in said)
+
+
+@pytest.mark.parametrize('baud', [9600, 115200])
+def test_a_silent_robot_at_the_port_is_named_at_once(tmp_path, baud):
+    with SerialLine(ArcosRobot(KinematicBody(), baud=baud), tmp_path / 'base') as line:
         settings = with_values(DriverConfig(), {'laser_port': line.path})
         began = time.monotonic()
         with pytest.raises(VehicleError, match='a Pioneer robot is at this port'):

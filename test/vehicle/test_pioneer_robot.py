@@ -74,8 +74,9 @@ def test_drives_and_reports(rig, tcp):
     run(robot, 0.3, (0.4, 0.0))
     assert device.body.velocity() == (0.0, 0.0)  # nobody has enabled the motors
     robot.enable_motors(True)
+    sent = device.sent
     states = run(robot, 2.0, (0.4, 0.5))
-    assert 15 <= len(states) <= 22
+    assert len(states) == pytest.approx(device.sent - sent, abs=2)  # up to those on the line
     last, truth = states[-1], device.odometry()
     assert last.linear == pytest.approx(0.4, abs=0.005)
     assert last.angular == pytest.approx(0.5, abs=0.02)
@@ -227,9 +228,10 @@ def test_each_wrong_port_has_its_message(rig, tmp_path):
     _, line, robot = rig()
     robot.connect()
     assert 'busy' in refusal(line.path)
-    scanner = Lms200Scanner(lambda: None, streaming=True)
-    with SerialLine(scanner, tmp_path / 'laser') as laser:
-        assert 'a SICK laser is at this port' in refusal(laser.path, base_baud=9600)
+    for name, baud, streaming in (('laser', 9600, True), ('fast', 500000, False)):
+        scanner = Lms200Scanner(lambda: None, baud=baud, streaming=streaming)
+        with SerialLine(scanner, tmp_path / name) as laser:
+            assert 'a SICK laser is at this port' in refusal(laser.path, base_baud=9600)
 
 
 def test_velocities_are_kept_within_the_maximum(rig):
@@ -282,7 +284,8 @@ def test_old_packet_types_stuck_bumpers_and_a_battery_of_24_volts(rig):
     device, _, robot = rig(
         old_types=True, config={'ignored_front_bumpers': 0b101, 'bump_stall': 0}
     )
-    device.faults.front_bumpers, device.faults.rear_bumpers = 0b111, 0b1
+    # a P3-DX has five segments: the other two bits are not bumpers
+    device.faults.front_bumpers, device.faults.rear_bumpers = 0b1100111, 0b1000001
     device.battery = 27.1  # more than fits into the first byte
     robot.connect()
     state = run(robot, 2.0, until=lambda _: True)[-1]
@@ -344,7 +347,7 @@ def test_a_network_address_without_port_is_that_of_a_robot():
         pytest.skip('TCP port 8101 is in use')
     server.close()
     with SerialLine(ArcosRobot(KinematicBody()), tcp_port=8101):
-        robot = driver('tcp://127.0.0.1')
+        robot = driver('TCP://127.0.0.1')
         assert robot.connect().subclass == 'p3dx-sh'
         robot.close()
     for bad in ('tcp://', 'tcp://:8101', 'tcp://host:x', 'tcp://host:99999', 'tcp://h/p'):

@@ -160,11 +160,12 @@ def test_what_slows_or_stops_the_vehicle_is_named():
 def test_backing_is_stopped_by_what_lies_behind_and_only_by_that():
     behind = -points_at(0.1)
     result = drive(gate(), -0.3, laser_points=behind)
-    assert (result.linear, result.reason) == (0.0, 'obstacle 0.10 m ahead')
+    assert (result.linear, result.reason) == (0.0, 'obstacle 0.10 m behind')
     assert drive(gate(), 0.3, laser_points=behind).linear == 0.3
     slow = drive(gate(), -0.7, laser_points=-points_at(0.25))
     assert 0.2 * -slow.linear + slow.linear**2 / 1.2 == pytest.approx(0.1)
     assert slow.linear < 0.0
+    assert slow.reason == 'slow: obstacle 0.25 m behind'
 
 
 def test_bumpers_stop_their_own_direction_only():
