@@ -24,6 +24,9 @@ OPTICAL: Quaternion = (-0.5, 0.5, -0.5, 0.5)
 # rows and columns of x, y and yaw in a 6 x 6 covariance (x, y, z, roll, pitch, yaw)
 PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
 NANOSECONDS = 10**9  # in a second
+# Lengths of quaternions that are taken as rotations: wide enough for any rounding, and narrow
+# enough that the squares of what damaged messages hold do not overflow.
+_SHORTEST_ROTATION, _LONGEST_ROTATION = 1e-6, 1e6
 
 
 class MessageFactory(Protocol):
@@ -63,7 +66,7 @@ def planar_pose(pose: Any) -> Pose2:
     """
     q = pose.orientation
     values = (q.x, q.y, q.z, q.w)
-    if not all(map(math.isfinite, values)) or not any(values):
+    if not _SHORTEST_ROTATION < math.hypot(*values) < _LONGEST_ROTATION:  # nor NaN
         raise DataError(f'pose: orientation {values} is not a rotation')
     return Pose2(float(pose.position.x), float(pose.position.y), yaw_from_quaternion(*values))
 

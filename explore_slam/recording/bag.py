@@ -74,9 +74,12 @@ class BagReader:
 
     @property
     def rates(self) -> dict[str, float]:
-        """Messages per second on each topic."""
+        """Messages per second on each topic, also of those that are lost."""
         duration = max((self.end - self.start) * 1e-9, 1e-9)
-        return {topic: count / duration for topic, count in self.counts.items()}
+        return {
+            topic: max(count, self.expected.get(topic, 0)) / duration
+            for topic, count in self.counts.items()
+        }
 
     @property
     def warnings(self) -> list[str]:

@@ -188,7 +188,9 @@ class StampOrder:
             for topic, item in sorted(self.statistics.items())
             if item.ahead
         }
-        ahead |= {topic: 0.0 for topic, item in self.statistics.items() if item.zero}
+        ahead |= {
+            topic: 0.0 for topic, item in self.statistics.items() if 2 * item.zero > item.count
+        }
         if not ahead:
             return []
         common = float(np.median(list(ahead.values())))

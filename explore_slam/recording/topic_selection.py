@@ -25,6 +25,8 @@ _SENSORS = {TopicKind.ODOMETRY, TopicKind.SCAN, *COLOR_TOPICS, TopicKind.LANDMAR
 _TRUTH = ('truth', 'groundtruth', '/gt')
 _NO_COLOR = ('depth', 'disparity', 'infra', '/ir/', 'mask', 'label', 'confidence', 'thermal')
 _REGISTERED = ('registered', 'aligned')
+# types whose topics are named where they are declared and hold no message
+_NAMED_IF_SILENT = {TopicKind.ODOMETRY.message_type, TopicKind.SCAN.message_type}
 _COMPRESSED = ('compressed', 'compressedDepth')  # last parts of the names of compressed images
 
 
@@ -88,12 +90,18 @@ def vehicle_topics(
 
     vehicles: those asked for; all if empty.
     choices: what the user has chosen; it comes before names and types.
-    rates: messages per second by topic, for messages to the user.
+    rates: messages per second by topic; topics with 0 count only if they are chosen.
     RecordingError if a vehicle asked for has no topic, if two topics would do for odometry or
     scans, and for a recording without odometry or any sensor.
     """
-    selection = _Selection(topics, rates or {})
+    rates = rates or {}
     chosen = list(choices)
+    kept = {choice.name for choice in chosen}
+    silent = sorted(name for name in topics if rates.get(name) == 0.0 and name not in kept)
+    selection = _Selection({n: kind for n, kind in topics.items() if n not in silent}, rates)
+    selection.warnings += [
+        f'{name} holds no message' for name in silent if topics[name] in _NAMED_IF_SILENT
+    ]
     _take_choices(selection, chosen)
     _take_named(selection)
     _take_by_type(selection, [choice.vehicle for choice in chosen])
@@ -103,7 +111,8 @@ def vehicle_topics(
     found = [topic for topic in selection.found if topic.vehicle not in others]
     if others:
         selection.warnings.append(f'unknown vehicles {sorted(others)} in the recording: unused')
-    _check_needed(found, wanted, sorted({t.vehicle for t in selection.found}), topics)
+    known = sorted({topic.vehicle for topic in selection.found})
+    _check_needed(found, wanted, known, topics, silent)
     return sorted(found, key=lambda topic: topic.name), selection.warnings
 
 
@@ -203,16 +212,16 @@ def _namespaces(selection: _Selection, names: set[str]) -> dict[str, set[str]]:
 
 
 def _take_one(selection: _Selection, vehicle: str, kind: TopicKind, names: list[str]) -> None:
-    """Take the only topic of a type, or the one with the usual name; else refuse to choose."""
-    if kind in selection.kinds(vehicle) or not names:
+    """Take the only topic of a type; refuse to choose among several."""
+    if not names:
         return
-    usual = [name for name in names if name in (f'/{kind.value}', f'/{vehicle}/{kind.value}')]
-    if len(names) == 1:
+    if kind in selection.kinds(vehicle):  # by its name, or chosen by the user
+        selection.warnings.append(
+            f'{vehicle}.{kind.name.lower()}: also recorded: {selection.listed(names)}; --topic '
+            'chooses'
+        )
+    elif len(names) == 1:
         selection.add(names[0], vehicle, kind, 'found by its type')
-    elif usual:
-        rest = [name for name in names if name != usual[0]]
-        others = f'also recorded: {selection.listed(rest)}; --topic chooses'
-        selection.add(usual[0], vehicle, kind, others)
     else:
         example = f'--topic {vehicle}.{kind.name.lower()}={names[0]}'
         raise RecordingError(
@@ -295,7 +304,11 @@ def _by_base(names: Iterable[str]) -> dict[str, str]:
 
 
 def _check_needed(
-    found: list[RecordedTopic], wanted: list[str], known: list[str], topics: Mapping[str, str]
+    found: list[RecordedTopic],
+    wanted: list[str],
+    known: list[str],
+    topics: Mapping[str, str],
+    silent: list[str],
 ) -> None:
     seen = {topic.vehicle for topic in found}
     missing = [vehicle for vehicle in wanted if vehicle not in seen]
@@ -307,6 +320,7 @@ def _check_needed(
             f'<vehicle>/{TopicKind.SCAN.value}, <vehicle>/{TopicKind.COLOR.value} or '
             f'<vehicle>/{TopicKind.LANDMARKS.value}, or topics of their types; '
             f'the recording holds {sorted(topics) or "no topics"}'
+            + (f', and no message on {", ".join(silent)}' if silent else '')
         )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from explore_slam.agent.agent import Agent
 from explore_slam.agent.config import AgentConfig, explicit_mounts
-from explore_slam.data import OdometryReading
+from explore_slam.data import LaserScan, OdometryReading
 from explore_slam.errors import RecordingError
 from explore_slam.geometry import Pose2
 from explore_slam.mapping import OccupancyGrid
@@ -85,6 +85,7 @@ class _Collector:
         self._recorder = recorder
         self._next_coverage = self._next_pose = -np.inf
         self._scans = False
+        self._scan_counts: dict[str, tuple[int, int]] = {}
         self.first: float | None = None
         self.last = 0.0
 
@@ -92,8 +93,11 @@ class _Collector:
         """Record odometry and ground truth."""
         self.first = event.stamp if self.first is None else min(self.first, event.stamp)
         self.last = max(self.last, event.stamp)
-        if event.kind is TopicKind.SCAN:
+        if isinstance(event.record, LaserScan):
             self._scans = True
+            count, empty = self._scan_counts.get(event.vehicle, (0, 0))
+            empty += not _has_ranges(event.record)
+            self._scan_counts[event.vehicle] = count + 1, empty
         elif event.kind in _RECORDED and isinstance(event.record, OdometryReading):
             if event.kind is TopicKind.ODOMETRY:
                 self._recorder.add_odometry(event.vehicle, event.record)
@@ -114,6 +118,24 @@ class _Collector:
         if self._scans and stamp >= self._next_coverage:
             self._next_coverage = stamp + COVERAGE_PERIOD
             self._recorder.add_coverage(stamp, known_area(self._agent.grid))
+
+    def finish(self, stamp: float) -> None:
+        """Record what has come since the last call, and the mapped area at the end."""
+        self._next_coverage = -np.inf
+        self.tick(stamp)
+
+    def unusable(self) -> list[str]:
+        """Return the vehicles most of whose scans hold no range."""
+        return [
+            f'{empty} of {count} scans of {vehicle} hold no range, and no beam without return '
+            '(+inf): all values are NaN, 0 or below range_min'
+            for vehicle, (count, empty) in sorted(self._scan_counts.items())
+            if 2 * empty > count
+        ]
+
+
+def _has_ranges(scan: LaserScan) -> bool:
+    return bool(np.any((scan.ranges >= scan.range_min) & (scan.ranges > 0.0)))
 
 
 def _join_notes(
@@ -186,7 +208,7 @@ def replay_bag(
             agent, also=collector.add_event, tick=collector.tick, progress=progress, until=until
         )
         grid = agent.grid
-        collector.tick(agent.now)
+        collector.finish(agent.now)
         wall = time.perf_counter() - begin
     no_returns = agent.no_returns
     recorded = collector.last - (collector.first or collector.last)
@@ -222,7 +244,11 @@ def replay_bag(
             'no_return': {
                 name: {'share': share, 'free': free} for name, (share, free) in no_returns.items()
             },
-            'unusable': [*replay.unusable(), *_lost_in_agent(agent, tally)],
+            'unusable': [
+                *replay.unusable(),
+                *collector.unusable(),
+                *_lost_in_agent(agent, tally),
+            ],
             'timing': {
                 'wall_seconds': wall,
                 'recorded_seconds': recorded,
@@ -278,7 +304,7 @@ def _lost_in_agent(agent: Agent, tally: Tally) -> list[str]:
         kinds = (TopicKind.SCAN, TopicKind.COLOR, TopicKind.LANDMARKS)
         fed = sum(tally.fed.get(f'{vehicle}/{kind.value}', 0) for kind in kinds)
         lost = counts.get('dropped_without_odometry', 0) + counts.get('late_observations', 0)
-        if 2 * lost > fed > 0:
+        if odometry and 2 * lost > fed > 0:  # without odometry, that is the reason, and named
             found.append(
                 f'{lost} of {fed} measurements of {vehicle} lie outside its odometry: their '
                 'stamps do not fit together'

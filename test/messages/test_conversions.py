@@ -176,9 +176,10 @@ def test_an_inter_robot_observation_names_the_observed_vehicle():
     np.testing.assert_array_equal(back.covariance, observation.covariance)
 
 
-def test_a_pose_without_rotation_is_refused():
+@pytest.mark.parametrize('w', [0.0, 1e-200, 1e200, math.inf, math.nan])
+def test_a_pose_without_rotation_is_refused(w):
     message = messages.pose_message(MESSAGES, Pose2(0.0, 0.0, 0.0))
-    message.orientation.w = 0.0
+    message.orientation.w = w
     with pytest.raises(DataError, match='not a rotation'):
         messages.planar_pose(message)
 

@@ -9,6 +9,7 @@ import numpy as np
 import odd_bags
 import pytest
 import yaml
+from backports import zstd
 from odd_bags import COUNT, content, only_file, times
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
@@ -334,3 +335,20 @@ def test_a_file_that_may_not_be_read(copies):
     path.chmod(0)
     with pytest.raises(RecordingError, match='Permission denied'):
         BagReader(path)
+
+
+def test_a_database_whose_header_is_damaged_is_named(copies):
+    path = odd_bags.only_file(copies / 'db', '.db3')
+    data = bytearray(path.read_bytes())
+    data[28:32] = b'\xf0\x00\x00\x00'  # pages
+    data[16:18] = b'\x80\x00'  # bytes of each
+    path.write_bytes(bytes(data))
+    with pytest.raises(RecordingError, match=rf'{path.name} .*(damaged|cannot be read)'):
+        BagReader(path)
+
+
+def test_a_packed_file_that_ends_within_its_first_block_is_named_so(tmp_path):
+    packed = tmp_path / 'bag.mcap.zstd'
+    packed.write_bytes(zstd.compress(bytes(range(256)) * 40)[:12])
+    with pytest.raises(RecordingError, match='its zstd data end too early'):
+        BagReader(packed)

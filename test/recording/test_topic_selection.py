@@ -109,10 +109,27 @@ def test_candidates_are_listed_with_their_rates_instead_of_guessed():
     found, _ = vehicle_topics(names, choices=topic_choices(['robot1.scan=/rear_scan']))
     assert chosen(found)[('robot1', TopicKind.SCAN)] == '/rear_scan'
     assert chosen(found)[('robot1', TopicKind.ODOMETRY)] == '/odom'
-    # the usual name decides, and the others are named
-    found, warnings = vehicle_topics({**names, '/scan': SCAN}, rates={'/rear_scan': 5.0})
-    assert chosen(found)[('robot1', TopicKind.SCAN)] == '/scan'
-    assert any('also recorded: /front_scan, /rear_scan (5.0 Hz)' in text for text in warnings)
+    # a usual name is no reason to guess
+    with pytest.raises(RecordingError, match=r'2 topics may be robot1.scan: /scan, /scan_2;'):
+        vehicle_topics({'/odom': ODOMETRY, '/scan': SCAN, '/scan_2': SCAN})
+
+
+def test_beside_a_name_of_this_package_other_topics_of_its_type_are_named():
+    names = {'/a/odom': ODOMETRY, '/a/scan': SCAN, '/a/rear': SCAN, '/a/fused': ODOMETRY}
+    found, warnings = vehicle_topics(names, rates={'/a/rear': 5.0})
+    assert chosen(found)[('a', TopicKind.SCAN)] == '/a/scan'
+    assert chosen(found)[('a', TopicKind.ODOMETRY)] == '/a/odom'
+    assert 'a.scan: also recorded: /a/rear (5.0 Hz); --topic chooses' in warnings
+    assert 'a.odometry: also recorded: /a/fused; --topic chooses' in warnings
+
+
+def test_topics_without_messages_are_no_candidates():
+    names = {'/odom': ODOMETRY, '/scan': SCAN, '/scan_2': SCAN}
+    found, warnings = vehicle_topics(names, rates={'/odom': 10.0, '/scan': 0.0, '/scan_2': 5.0})
+    assert chosen(found)[('robot1', TopicKind.SCAN)] == '/scan_2'
+    assert '/scan holds no message' in warnings
+    with pytest.raises(RecordingError, match='and no message on /odom, /scan, /scan_2'):
+        vehicle_topics(names, rates=dict.fromkeys(names, 0.0))
 
 
 def test_the_user_names_the_vehicle_and_the_topic():

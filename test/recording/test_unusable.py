@@ -7,10 +7,12 @@ from odd_bags import content
 
 from explore_slam import messages
 from explore_slam.data import Intrinsics, RgbdFrame
+from explore_slam.errors import RecordingError
 from explore_slam.messages.frame_pairing import frame_messages
 from explore_slam.recording import BagReader, Replay, TopicKind
 from explore_slam.recording.bag import BagWriter
 from explore_slam.recording.rosbags_types import MESSAGES, serialize
+from explore_slam.results.replay_run import known_area, replay_bag
 
 
 def restamped(change):
@@ -55,6 +57,55 @@ def test_stamps_of_zero_later_in_a_recording_fall_back_to_the_log_time(tmp_path)
     assert found == []
     (note,) = [note for note in notes if '/scan' in note and 'zero' in note]
     assert note == '200 of 300 messages on /scan have the stamp zero: the log time is used'
+
+
+def test_a_first_stamp_of_zero_does_not_hide_another_clock(tmp_path):
+    records = restamped(lambda name, n, s: 0.05 * n if name == '/scan' else s)
+    _, notes = replayed(odd_bags.write_ros2(tmp_path / 'bag', records=records))
+    assert any('stamps on /' in note and '100.000 s' in note for note in notes)
+
+
+def test_a_message_with_huge_numbers_is_refused_alone(tmp_path):
+    def spoilt():
+        for number, (topic, kind, time, data) in enumerate(content()):
+            message = BagReader.decode(odd_bags.raw(topic, kind, time, data))
+            if number == 20:
+                message.pose.pose.orientation.w = 1e300
+            yield topic, kind, time, serialize(kind, message)
+
+    found, notes = replayed(odd_bags.write_ros2(tmp_path / 'bag', records=spoilt()))
+    assert found == []
+    assert any('1 messages on /odom refused' in note and '1e+300' in note for note in notes)
+
+
+def test_a_recording_of_topics_without_messages_is_refused(tmp_path):
+    with BagWriter(tmp_path / 'bag') as writer:
+        for topic, kind in odd_bags.TOPICS.items():
+            writer.add_topic(topic, kind)
+    with pytest.raises(RecordingError, match='and no message on /odom, /scan'):
+        replayed(tmp_path / 'bag')
+
+
+@pytest.mark.parametrize('value', [np.nan, 0.0, 0.01])
+def test_scans_without_any_range_are_unusable(tmp_path, value):
+    def blind():
+        for topic, kind, time, data in content(60):
+            message = BagReader.decode(odd_bags.raw(topic, kind, time, data))
+            if topic == '/scan':
+                message.ranges = np.full(90, value, np.float32)
+            yield topic, kind, time, serialize(kind, message)
+
+    bag = odd_bags.write_ros2(tmp_path / 'bag', records=blind())
+    data = replay_bag(bag, options={'particles': 10, 'resolution': 0.2})
+    assert any('60 of 60 scans of robot1 hold no range' in t for t in data.metrics['unusable'])
+
+
+def test_the_area_at_the_end_is_that_of_the_map(tmp_path):
+    bag = odd_bags.write_ros2(tmp_path / 'bag', records=content(60))
+    data = replay_bag(bag, options={'particles': 10, 'resolution': 0.2}, until=2.0)
+    assert data.grid is not None
+    assert known_area(data.grid) > 1.0
+    assert data.metrics['coverage'] == pytest.approx(known_area(data.grid))
 
 
 def test_messages_lost_with_their_file_make_a_topic_unusable(tmp_path):

@@ -73,6 +73,7 @@ class _Unpacked(Storage):
     def __init__(self, path: Path, compression: str) -> None:
         super().__init__(path)
         self._scratch = tempfile.TemporaryDirectory(prefix='explore_slam_')
+        reason = ''
         try:
             unpacked = Path(self._scratch.name) / path.with_suffix('').name
             reason = decompress_file(path, unpacked, compression)
@@ -82,7 +83,8 @@ class _Unpacked(Storage):
             raise RecordingError(f'{path} cannot be unpacked: {error}') from error
         except RecordingError as error:
             self._scratch.cleanup()
-            raise RecordingError(f'{path}, unpacked: {error}') from error
+            why = f'{reason}; ' if reason else ''
+            raise RecordingError(f'{path}, unpacked: {why}{error}') from error
         if reason:
             self.damage(f'is read in part: {reason}')
         inner = self._inner

@@ -275,7 +275,7 @@ class McapFile(ChunkedFile):
             content = records[at : at + length]
             at += length
             if at > len(records):
-                if not reason:
+                if not reason and len(records) == size:  # else it has been named
                     self.damage('is damaged: the chunk at byte {} is read in part', begin)
                 return
             if kind == _MESSAGE:

@@ -63,7 +63,13 @@ class SqliteFile(Storage):
         """Open a copy of a truncated file, as long as it was: sqlite refuses a shorter one."""
         self.damage('is truncated at byte {}', self.path.stat().st_size)
         copy = self._copy(())
-        os.truncate(copy, size)
+        try:
+            os.truncate(copy, size)  # without data, it takes no space
+        except (OSError, OverflowError) as error:
+            self.close()
+            raise RecordingError(
+                f'{self.path} is damaged: by its header it has {size} bytes'
+            ) from error
         return _opened(f'file:{quote(str(copy))}?mode=ro&immutable=1')
 
     def _copy(self, logs: Iterable[Path]) -> Path:
