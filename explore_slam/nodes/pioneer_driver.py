@@ -21,6 +21,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Twist
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -135,6 +136,8 @@ class DriverSession:
         self._motors_wanted: bool | None = None  # None before the first connection
         self._motors_asked = 0.0
         self._motor_request: MotorRequest | None = None
+        # a call that waits for the base must not hold up commands, reports and later calls
+        self._motor_calls = ReentrantCallbackGroup()
         self._teleoperation = Teleoperation()
         self._standing_since: float | None = None
         self._state: BaseState | None = None  # the newest one
@@ -174,7 +177,12 @@ class DriverSession:
         if self.base is not None:
             self._commands = VelocityInput(self._node, {'': self._on_velocity})
             subscribe(self._node, VehicleTopic.TELEOP_COMMAND, self._on_teleoperation)
-            self._node.create_service(SetBool, 'enable_motors', self._on_enable_motors)
+            self._node.create_service(
+                SetBool,
+                'enable_motors',
+                self._on_enable_motors,
+                callback_group=self._motor_calls,
+            )
         if self.laser is None and self.config.watch_scan_topic:
             name, laser = self._vehicle, self.config.driver.laser_mount
             base = self.config.frames(name).base if self.base is not None else ''

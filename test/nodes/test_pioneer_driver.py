@@ -272,6 +272,8 @@ def test_honest_answers_and_teleoperation_before_the_follower(rig):
     assert rig.body.velocity()[0] < 0.0
     assert rig.spin(4.0, lambda: rig.body.velocity()[0] > 0.25)  # the follower again
     assert rig.enable(on=False).message == 'the base reports motors off'
+    rig.emulator.base_line.faults.silent = True  # while the call waits
+    assert not rig.enable().success
     rig.emulator.base_line.unplug()
     assert rig.spin(5.0, lambda: rig.message('safety').startswith('base not connected: '))
     assert not rig.enable().success
