@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from explore_slam.data import LaserScan
 from explore_slam.errors import RegistrationError
@@ -26,14 +25,13 @@ from explore_slam.registration.local_map import LocalMap
 # `benchmarks/laser_graph_slam.py` shows what a change does.
 _MINIMUM_DEVIATIONS = np.array([1e-4, 1e-4, 1e-4])  # m, m, rad, of any motion
 _MINIMUM_POINTS = 15  # returns; five times the unknowns
-# Variance of the step of the window's frame when a scan is kept: a fraction of that of the scan's
-# own error, inversely proportional to the number of kept scans that share its surfaces. These are
-# 4 to 6 in the Intel and ACES logs, whose scans are far apart, and 12 to 16 in simulated worlds.
-# `benchmarks/scan_matching_noise.py --window-drift` chose it: the squared Mahalanobis distances of
-# the motion over 100 and 200 scans, expected 3, are 2.7 and 3.2 on Intel and 2.2 and 3.6 on ACES,
-# against the final paths of replays.
-WINDOW_DRIFT = 2.0
-_SHARED_CELL = 0.15  # m, side of the squares in which returns of two scans are of one surface
+# Variance of the step of the window's frame when a scan is kept, as a fraction of that of the
+# scan's own error. Were all kept scans equal, it would be (2 / (n + 1))², 0.004; but the last few
+# share most surfaces with the next one. `benchmarks/scan_matching_noise.py --window-drift` chose
+# it: on Intel, against the final path of a replay, the squared Mahalanobis distances over 100
+# scans are 6.5 with 0.2, 4.0 with 0.35 and 2.9 with 0.5; in the simulated office they are half as
+# large.
+WINDOW_DRIFT = 0.35
 # rad; half a step moves a return at 6 m by 0.08 m, which the alignment corrects.
 _ANGLE_STEP = math.radians(1.5)
 _SIGMAS = 3.0  # the window covers the odometry's error
@@ -105,9 +103,7 @@ class ScanMatcher:
         self.config = config
         self._kept: deque[PointCloud] = deque(maxlen=config.matching_window)  # placed
         self._last_kept = IDENTITY
-        # the occupied squares of each kept scan, by number
-        self._occupied: deque[NDArray[np.int64]] = deque(maxlen=config.matching_window)
-        self._window_drift = 0.0  # of the scans kept since the last match
+        self._window_moved = False  # since the last match
         self._refused: tuple[PointCloud, Pose2] | None = None
         self._refusals = 0
         self._map: LocalMap | None = None
@@ -121,7 +117,6 @@ class ScanMatcher:
     def reset(self) -> None:
         """Forget all scans: the vehicle has been lifted, or time has jumped."""
         self._kept.clear()
-        self._occupied.clear()
         self._refused, self._refusals, self._map = None, 0, None
 
     def match(
@@ -163,7 +158,7 @@ class ScanMatcher:
         if isinstance(found, RefusedScan):
             self._refuse(cloud, prior)
             return found
-        self._refused, self._refusals, self._window_drift = None, 0, 0.0
+        self._refused, self._refusals, self._window_moved = None, 0, False
         if self._moved_on(found.pose):
             self._keep(cloud, found.pose)
         return found
@@ -182,13 +177,8 @@ class ScanMatcher:
         self._keep(cloud, pose)
 
     def _keep(self, cloud: PointCloud, pose: Pose2) -> None:
-        placed = cloud.moved(pose)
-        squares = _squares(placed.points)
-        sharing = sum(float(np.isin(squares, known).mean()) for known in self._occupied)
-        self._window_drift += WINDOW_DRIFT / max(sharing, WINDOW_DRIFT)
-        self._kept.append(placed)
-        self._occupied.append(np.unique(squares))
-        self._last_kept, self._map = pose, None
+        self._kept.append(cloud.moved(pose))
+        self._last_kept, self._map, self._window_moved = pose, None, True
 
     def _moved_on(self, pose: Pose2) -> bool:
         moved = self._last_kept.between(pose)
@@ -224,7 +214,7 @@ class ScanMatcher:
             return RefusedScan(Refusal.LITTLE_OVERLAP, prior)
         if _is_ambiguous(local_map, cloud, window, found.pose):
             return RefusedScan(Refusal.AMBIGUOUS, prior)
-        return _scan_match(found, slipped, self._window_drift)
+        return _scan_match(found, slipped, self._window_moved)
 
     def _inflate_prior(
         self, local_map: LocalMap, cloud: PointCloud, found: Alignment, prior: Pose2, P: Array
@@ -240,7 +230,7 @@ class ScanMatcher:
             P = scale * P
             weaker = Prior(prior, np.linalg.inv(P))
             found = local_map.align(cloud, found.pose, _LAST_REACH, weaker) or found
-        return _scan_match(found, P, self._window_drift)
+        return _scan_match(found, P, self._window_moved)
 
 
 def _distance(pose: Pose2, prior: Pose2, covariance: Array) -> float:
@@ -297,29 +287,23 @@ def _is_ambiguous(
     return other is not None
 
 
-def _squares(points: Array) -> NDArray[np.int64]:
-    """Return the numbers (n,) of the squares that points (n, 2) of a window lie in."""
-    cells = np.floor(points / _SHARED_CELL).astype(np.int64)
-    numbers: NDArray[np.int64] = (cells[:, 0] << 32) + cells[:, 1]
-    return numbers
-
-
-def _scan_match(found: Alignment, covariance: Array, window_drift: float) -> ScanMatch:
+def _scan_match(found: Alignment, covariance: Array, window_moved: bool) -> ScanMatch:
     """Split the error of the pose into that of the scan and that of the odometry (Joseph form).
 
     With the scan's information A and the odometry's covariance P, the error after the match has
     covariance C = (A + P⁻¹)⁻¹ = C A C + C P⁻¹ C. The first term is the scan's own: white. The
     second is what is left of the odometry's: a random walk. So is the error of the window's
-    frame, which moves when a scan is kept: by window_drift, a fraction of the white error. A takes
-    the returns to be as noisy as their residuals: in the simulated office both parts then agree
-    with the true motion between scans 1 to 200 apart (benchmarks/scan_matching_noise.py).
+    frame, which moves when a scan is kept. A takes the returns to be as noisy as their residuals:
+    in the simulated office both parts then agree with the true motion between scans 1 to 200
+    apart (benchmarks/scan_matching_noise.py).
     """
     certainty = np.linalg.inv(covariance)
     information = found.information
     left = np.linalg.inv(information + certainty)
     white = _transformed(left, information)
     drift = _transformed(left, certainty)
-    drift = drift + window_drift * white
+    if window_moved:
+        drift = drift + WINDOW_DRIFT * white
     return ScanMatch(found.pose, white, drift, information, found.overlap, found.rms)
 
 

@@ -76,7 +76,7 @@ def test_along_a_corridor_the_error_of_the_wheels_stays_and_is_a_random_walk():
     assert drift[1] < 0.3 * 0.05
     assert white[0] < drift[0]
     matcher = started(ROOM)
-    for x in (0.25, 0.5, 0.75, 1.0, 0.75, 0.5, 0.25, 0.0):
+    for x in (0.25, 0.5, 0.75, 1.0):
         pose = Pose2(x, 0.0, 0.0)
         in_room = matcher.match(scan_of(ROOM, pose), IDENTITY, pose, WHEELS)
     assert (np.diag(in_room.drift) < 0.6 * np.diag(in_room.white)).all()
@@ -159,18 +159,6 @@ def test_a_drive_drifts_far_less_than_wheel_odometry_and_its_error_is_consistent
     assert matched < 0.015
     assert matched < 0.06 * dead_reckoned
     assert 0.3 < np.mean(distances) < 6.0
-
-
-def test_the_more_scans_share_the_surfaces_the_less_a_kept_scan_moves_the_window():
-    """Drift per kept scan, as a fraction of the scan's own error, is inverse to their number."""
-    matcher, random, fractions = started(ROOM), np.random.default_rng(3), []
-    for step in range(1, 21):
-        pose = Pose2(0.3 * (step % 2), 0.0, 0.0)
-        match = matcher.match(scan_of(ROOM, pose, 0.01, random), IDENTITY, pose, WHEELS)
-        fractions.append(float(np.trace(match.drift) / np.trace(match.white)))
-    few, many = np.mean(fractions[3:6]), np.mean(fractions[-3:])
-    assert few < 1.0
-    assert many == pytest.approx(few * 5.0 / 19.0, rel=0.3)
 
 
 def test_errors_of_a_match_are_covariances_whatever_the_rounding():
