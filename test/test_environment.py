@@ -26,6 +26,7 @@ from explore_slam.errors import MachineError
 from explore_slam.live.processes import config_folder
 
 REPOSITORY = Path(__file__).resolve().parents[1]
+DOMAIN = 'ROS_DOMAIN_ID'
 NOT_A_FOLDER = '/proc/none'  # root, too, can make nothing there
 FOREIGN = {
     'RMW_IMPLEMENTATION': 'rmw_cyclonedds_cpp',
@@ -37,7 +38,7 @@ FOREIGN = {
     'CYCLONEDDS_URI': 'file:///none.xml',
     'FASTRTPS_DEFAULT_PROFILES_FILE': '/none.xml',
     'FASTDDS_BUILTIN_TRANSPORTS': 'TCP',
-    'ROS_DOMAIN_ID': 'seven',
+    DOMAIN: 'seven',  # unusable, so that no domain is shared with another test
     'MUJOCO_GL': 'glfw',
     'HOME': NOT_A_FOLDER,
 }

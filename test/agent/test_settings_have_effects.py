@@ -57,7 +57,7 @@ def drive(config, seconds=6.0, landmarks=True, scans=True, step=None):
                 agent.add(name, vehicle.landmarks())
             if scans and tick % 3 == 0:
                 scan = vehicle.scan()
-                scan.ranges[85:96] = 1.53  # near the body of the other vehicle
+                scan.ranges[85:96] = 1.61  # near the body of the other vehicle
                 agent.add(name, scan)
     return outcome(agent)
 
