@@ -46,6 +46,10 @@ def atomic(path: Path) -> Iterator[Path]:
         shutil.rmtree(scratch, ignore_errors=True)
 
 
+#: What to say of a file that is none but stands for one in Git LFS.
+LFS_POINTER = 'a Git LFS pointer in place of the data; run `git lfs pull` in its repository'
+
+
 def _names_another(error: OSError, scratch: Path) -> bool:
     """Return whether an error names a file, and not one in the scratch folder."""
     return error.filename is not None and not Path(str(error.filename)).is_relative_to(scratch)
@@ -69,10 +73,18 @@ def replace_link(link: Path, target: str | Path) -> None:
         partial.symlink_to(target)
 
 
+def is_lfs_pointer(head: bytes) -> bool:
+    """Return whether a file with these first bytes stands for one that Git LFS has not fetched."""
+    return head.startswith(b'version https://git-lfs.github.com/spec/')
+
+
 def read_yaml(path: Path, error: type[ExploreSlamError]) -> Any:
     """Return the content of a YAML file; `error` if it cannot be read or is not YAML."""
     try:
-        return yaml.safe_load(path.read_text(encoding='utf-8'))
+        text = path.read_text(encoding='utf-8')
+        if is_lfs_pointer(text[:64].encode()):
+            raise error(f'{path} is {LFS_POINTER}')
+        return yaml.safe_load(text)
     except FileNotFoundError as cause:
         raise error(f'{path}: no such file') from cause
     except (OSError, UnicodeDecodeError) as cause:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.errors import MappingError
+from explore_slam.files import LFS_POINTER, is_lfs_pointer
 
 # Pixels of the largest image (10000 x 10000: 500 m at 0.05 m) and bytes of its decoded channels.
 # A larger one is refused before it is decoded.
@@ -70,6 +71,8 @@ def read_image(path: Path | str) -> GreyImage:
         _check_png(name, content)
     elif content.startswith(_BMP):
         _check_bmp(name, content)
+    elif is_lfs_pointer(content[:64]):
+        raise MappingError(f'image {name} is {LFS_POINTER}')
     else:
         raise MappingError(
             f'image {name} starts with {content[:8]!r}, expected a PGM (P2, P5), PNG or BMP image'

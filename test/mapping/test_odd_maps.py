@@ -112,6 +112,9 @@ IMAGES = {
 }
 
 
+LFS_POINTER = b'version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 900\n'
+
+
 def write_map(folder, content, **changes):
     """Write a map as map_saver of nav2 does; ... leaves an entry out. Return the YAML's path."""
     entries = {
@@ -284,7 +287,7 @@ BMP = encoded('.bmp', building())
         (BMP[:-1], {}, 'truncated BMP'),
         (BMP[:20], {}, 'truncated BMP'),
         (b'\xff\xd8\xff\xe0JFIF', {}, 'expected a PGM'),
-        (b'version https://git-lfs', {}, 'expected a PGM'),
+        (LFS_POINTER, {}, 'a Git LFS pointer in place of the data'),
         (b'', {}, 'expected a PGM'),
     ],
 )
@@ -294,6 +297,13 @@ def test_what_is_wrong_is_named(tmp_path, content, changes, words):
         load_map(path)
     with pytest.raises(SimulationError, match=words):
         load_world(path)
+
+
+def test_a_map_yaml_that_git_lfs_has_not_fetched_is_named(tmp_path):
+    path = tmp_path / 'm.yaml'
+    path.write_bytes(LFS_POINTER)
+    with pytest.raises(MappingError, match='a Git LFS pointer in place of the data'):
+        load_map(path)
 
 
 def test_who_starts_around_a_building_starts_in_it(tmp_path):

@@ -5,6 +5,7 @@ from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 
 from explore_slam.errors import RecordingError
+from explore_slam.files import LFS_POINTER, is_lfs_pointer
 from explore_slam.recording.storage import mcap_file, ros1_file, sqlite_file
 from explore_slam.recording.storage.compression import FORMAT_OF_MAGIC, decompress_file
 from explore_slam.recording.storage.storage import RawMessage, Storage
@@ -16,7 +17,6 @@ _OPENERS: dict[bytes, Callable[[Path], Storage]] = {
     sqlite_file.MAGIC: sqlite_file.SqliteFile,
     ros1_file.MAGIC: ros1_file.Ros1File,
 }
-_LFS_POINTER = b'version https://git-lfs.github.com/spec/'
 _LONGEST_MAGIC = 64  # bytes
 
 
@@ -41,11 +41,6 @@ def first_bytes(path: Path) -> bytes:
         raise RecordingError(f'{path} cannot be read: {error.strerror}') from error
 
 
-def is_lfs_pointer(head: bytes) -> bool:
-    """Return whether a file with these first bytes stands for one that Git LFS has not fetched."""
-    return head.startswith(_LFS_POINTER)
-
-
 def check_not_lfs_pointer(path: Path) -> None:
     """Raise RecordingError if a file has not been fetched by Git LFS."""
     if path.is_file() and is_lfs_pointer(first_bytes(path)):
@@ -56,7 +51,7 @@ def _what(head: bytes) -> str:
     if not head:
         return 'it is empty (0 bytes)'
     if is_lfs_pointer(head):
-        return 'a Git LFS pointer in place of the data; run `git lfs pull` in its repository'
+        return LFS_POINTER
     if head.startswith(b'#ROSBAG V1'):
         return 'a bag of ROS 1 in format 1.x, which predates 2010; convert it with `rosbag fix`'
     if not any(head):
