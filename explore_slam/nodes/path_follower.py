@@ -16,7 +16,7 @@ from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry, Path
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
@@ -67,7 +67,7 @@ from explore_slam.nodes.node_support import (
 from explore_slam.nodes.ros_types import MESSAGES
 from explore_slam.nodes.shared_parameters import LifecycleConfig, TeleoperationConfig
 from explore_slam.nodes.transform_listener import own_mounts
-from explore_slam.nodes.velocity_topic import VelocityOutput
+from explore_slam.nodes.velocity_topic import VelocityInput, VelocityOutput
 from explore_slam.settings import values_of
 from explore_slam.sweeps import SweepConfig
 from explore_slam.vehicle import PathFollower, PathFollowerConfig, VelocityCommand
@@ -153,7 +153,9 @@ class ActiveFollower:
         self._counts: dict[Topic, int] = dict.fromkeys((*_INPUTS, VehicleTopic.SWEEPS), 0)
         self._heartbeat: float | None = None  # monotonic s
         subscribe(node, VehicleTopic.AGENT_ALIVE, self._on_heartbeat)
-        subscribe(node, VehicleTopic.TELEOP_COMMAND, self._on_teleoperation)
+        self._by_hand = VelocityInput(
+            node, {'': self._on_teleoperation}, VehicleTopic.TELEOP_COMMAND
+        )
         # the agent's plans are latched, those of other planners and tools need not be; a plan that
         # arrives twice changes nothing
         LatchedOrNotSubscription(node, VehicleTopic.PLAN, self._on_plan)
@@ -174,6 +176,10 @@ class ActiveFollower:
         """Time between commands (s)."""
         return float(self._timer.timer_period_ns) * 1e-9
 
+    def close(self) -> None:
+        """Take no more commands by hand; the other subscriptions are the node's."""
+        self._by_hand.close()
+
     def configure(self, config: PathFollowerConfig) -> None:
         """Replace the settings."""
         self.follower.configure(self._effective(config))
@@ -183,9 +189,8 @@ class ActiveFollower:
         """Return the settings, without stops for scans that a vehicle without laser never has."""
         return config if self._has_laser else replace(config, obstacle_stop=False)
 
-    def _on_teleoperation(self, message: Twist) -> None:
+    def _on_teleoperation(self, linear: float, angular: float) -> None:
         self._teleop.command(time.monotonic())
-        linear, angular = float(message.linear.x), float(message.angular.z)
         finite = math.isfinite(linear) and math.isfinite(angular)
         self._outputs.velocity(*((linear, angular) if finite else (0.0, 0.0)))
 
@@ -340,6 +345,8 @@ class PathFollowerNode(ManagedNode):
     def deactivate(self) -> None:
         """Stop the vehicle."""
         assert self._outputs is not None
+        if self.active is not None:
+            self.active.close()
         self.active = None
         self._outputs.stop('path follower is inactive')
 

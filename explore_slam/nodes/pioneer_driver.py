@@ -19,7 +19,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import Twist
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
@@ -132,7 +131,7 @@ class DriverSession:
         self._safe = SafeVelocity(0.0, 0.0, 'base not connected')
         self._lock = threading.Lock()
         self._active = False
-        self._commands: VelocityInput | None = None
+        self._commands: list[VelocityInput] = []
         self._motors_wanted: bool | None = None  # None before the first connection
         self._motors_asked = 0.0
         self._motor_request: MotorRequest | None = None
@@ -175,8 +174,12 @@ class DriverSession:
         """Publish, and take velocities."""
         self.outputs.publish_mounts(self.config.driver)
         if self.base is not None:
-            self._commands = VelocityInput(self._node, {'': self._on_velocity})
-            subscribe(self._node, VehicleTopic.TELEOP_COMMAND, self._on_teleoperation)
+            self._commands = [
+                VelocityInput(self._node, {'': self._on_velocity}),
+                VelocityInput(
+                    self._node, {'': self._on_teleoperation}, VehicleTopic.TELEOP_COMMAND
+                ),
+            ]
             self._node.create_service(
                 SetBool,
                 'enable_motors',
@@ -200,9 +203,9 @@ class DriverSession:
 
     def deactivate(self) -> None:
         """Bring the vehicle to rest; the devices stay open."""
-        if self._commands is not None:
-            self._commands.close()
-            self._commands = None
+        for commands in self._commands:
+            commands.close()
+        self._commands = []
         with self._lock:
             self._active = False
             self._gate.command(0.0, 0.0, time.monotonic())
@@ -246,11 +249,11 @@ class DriverSession:
             if not self._teleoperation.is_active(now, self._teleop_timeout):
                 self._gate.command(linear, angular, now)
 
-    def _on_teleoperation(self, message: Twist) -> None:
+    def _on_teleoperation(self, linear: float, angular: float) -> None:
         now = time.monotonic()
         with self._lock:
             self._teleoperation.command(now)
-            self._gate.command(message.linear.x, message.angular.z, now)
+            self._gate.command(linear, angular, now)
 
     @property
     def _teleop_timeout(self) -> float:

@@ -18,7 +18,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 
 from explore_slam.messages.motion import stamped_twist_message, twist_message
-from explore_slam.messages.topics import STAMPED_VELOCITY, VehicleTopic
+from explore_slam.messages.topics import STAMPED_VELOCITY, Topic, VehicleTopic
 from explore_slam.nodes.endpoints import qos_profile, relative_name
 from explore_slam.nodes.node_support import SILENCE, now_seconds
 from explore_slam.nodes.ros_types import MESSAGES, message_class
@@ -38,11 +38,11 @@ Take = Callable[[float, float], None]
 class _SecondParticipant:
     """A node beside another one, in a context of its own; what it receives comes in a thread."""
 
-    def __init__(self, beside: Node) -> None:
+    def __init__(self, beside: Node, topic: Topic) -> None:
         self._context = Context()
         self._context.init(domain_id=beside.context.get_domain_id(), initialize_logging=False)
         self.node = Node(
-            f'{beside.get_name()}_cmd_vel',
+            f'{beside.get_name()}_{topic.value}',
             namespace=beside.get_namespace(),
             context=self._context,
             use_global_arguments=False,  # its topics are named as resolved by the other node
@@ -51,7 +51,7 @@ class _SecondParticipant:
         )
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
-        self._thread = threading.Thread(target=self._spin, name='cmd_vel', daemon=True)
+        self._thread = threading.Thread(target=self._spin, name=topic.value, daemon=True)
         self._thread.start()
 
     def _spin(self) -> None:
@@ -91,13 +91,18 @@ class VelocityInput:
     Twist is subscribed to from the beginning, TwistStamped from when somebody publishes it.
 
     takers: vehicle ('' in nodes that live in its namespace) -> takes m/s, rad/s; called in the
-    node's executor or in another thread.
+    node's executor or in another thread. topic: also that of commands by hand.
     """
 
-    def __init__(self, node: Node, takers: Mapping[str, Take]) -> None:
+    def __init__(
+        self,
+        node: Node,
+        takers: Mapping[str, Take],
+        topic: Topic = VehicleTopic.VELOCITY_COMMAND,
+    ) -> None:
         self._node = node
+        self._topic = topic
         self._second: _SecondParticipant | None = None
-        topic = VehicleTopic.VELOCITY_COMMAND
         self._stamped: dict[str, Take] = {}  # full name -> taker, until it is subscribed to
         self._qos = qos_profile(topic.requested)
         for vehicle, take in takers.items():
@@ -124,7 +129,7 @@ class VelocityInput:
             if not any(info.topic_type == _STAMPED for info in infos):
                 continue
             if self._second is None:
-                self._second = _SecondParticipant(self._node)
+                self._second = _SecondParticipant(self._node, self._topic)
             callback = partial(self._on_stamped, take)
             self._second.node.create_subscription(
                 message_class(_STAMPED), name, callback, self._qos
@@ -231,7 +236,7 @@ class VelocityOutput:
             if self._own is None:
                 self._own = message_type, self._publisher(self._node, message_type)
             elif message_type != self._own[0] and self._other is None:
-                self._second = _SecondParticipant(self._node)
+                self._second = _SecondParticipant(self._node, self._topic)
                 self._other = message_type, self._publisher(self._second.node, message_type)
 
     def _publisher(self, node: Node, message_type: str) -> Publisher:

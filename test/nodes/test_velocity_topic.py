@@ -13,6 +13,7 @@ from ros_domain import own_domain
 from std_msgs.msg import String
 
 from explore_slam.messages import seconds, stamped_twist_message, twist_message
+from explore_slam.messages.topics import VehicleTopic
 from explore_slam.nodes import velocity_topic
 from explore_slam.nodes.ros_types import MESSAGES
 from explore_slam.nodes.velocity_topic import VelocityInput, VelocityOutput
@@ -159,3 +160,22 @@ def test_commands_of_either_type_are_taken(participants):
     end = time.monotonic() + 0.5
     participants.wait_for(lambda: time.monotonic() > end, lambda: stamped.publish(message))
     assert got == []
+
+
+def test_commands_by_hand_of_either_type_are_taken(participants):
+    node, got = participants.node('driver'), []
+    inputs = VelocityInput(
+        node,
+        {'': lambda linear, angular: got.append((linear, angular))},
+        VehicleTopic.TELEOP_COMMAND,
+    )
+    keys = participants.node('keys').create_publisher(Twist, 'cmd_vel_teleop', 1)
+    stick = participants.node('stick').create_publisher(TwistStamped, 'cmd_vel_teleop', 1)
+    message = stamped_twist_message(MESSAGES, 3.0, 'base_link', 0.7, 0.2)
+
+    def both():
+        keys.publish(twist_message(MESSAGES, 0.5, 0.1))
+        stick.publish(message)
+
+    participants.wait_for(lambda: {(0.5, 0.1), (0.7, 0.2)} <= set(got), both)
+    inputs.close()
