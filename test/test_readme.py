@@ -23,6 +23,8 @@ from explore_slam.nodes.driver_parameters import DriverNodeConfig
 from explore_slam.recording.bag import BagWriter
 from explore_slam.recording.events import Event, odometry_event, start_event, write_event
 from explore_slam.settings import read_parameters, save_settings, values_of, with_values
+from explore_slam.simulation.grid.scenario import load_scenario
+from explore_slam.simulation.worlds.loading import load_grid_world
 from explore_slam.vehicle import PathFollowerConfig
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -171,8 +173,19 @@ def test_every_python_block_is_run_above():
             ast.parse(code)
 
 
+def test_every_scenario_is_one(tmp_path):
+    found = [text for path in DOCUMENTS for text in blocks(path, 'yaml')]
+    texts = [text for text in found if 'ros__parameters' not in text]
+    assert len(texts) == 1
+    (tmp_path / 'scenario.yaml').write_text(texts[0])
+    world = load_grid_world(REPOSITORY / 'config' / 'worlds' / 'office.yaml')
+    scenario = load_scenario(tmp_path / 'scenario.yaml', world, ('robot1', 'robot2'))
+    assert len(scenario.events) > 3
+
+
 def test_every_parameter_file_is_one(tmp_path):
-    texts = [text for path in DOCUMENTS for text in blocks(path, 'yaml')]
+    found = [text for path in DOCUMENTS for text in blocks(path, 'yaml')]
+    texts = [text for text in found if 'ros__parameters' in text]
     assert len(texts) == 2
     made = []
     for text in texts:
