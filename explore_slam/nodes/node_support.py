@@ -380,7 +380,9 @@ def run_node(make: Callable[[], StoppableNode], arguments: list[str] | None = No
     except ExploreSlamError as error:
         logging.getLogger(__name__).error('%s', error)
         return 1
+    interrupted = threading.Event()
     with contextlib.ExitStack() as ending:  # each step is taken, whatever another one raises
+        ending.callback(_end_at_once_if, interrupted)
         ending.callback(_end_in_time)
         ending.callback(rclpy.try_shutdown)
         # a node whose construction has failed is garbage, but with references in circles: left
@@ -389,6 +391,7 @@ def run_node(make: Callable[[], StoppableNode], arguments: list[str] | None = No
         try:
             node = make()
         except KeyboardInterrupt:  # of `interruptible`
+            interrupted.set()
             return 0
         except Exception as error:
             logging.getLogger(__name__).error('%s', _described(error))
@@ -424,6 +427,19 @@ def _described(error: Exception) -> str:
         return str(error)
     trace = save_trace(Path(sys.argv[0]).stem, error)
     return f'{cause(error)} (full trace: {trace})'
+
+
+def _end_at_once_if(interrupted: threading.Event) -> None:
+    """End this process without the interpreter's own clean-up if a compilation was interrupted.
+
+    The compiler, which calls back from C, does not always survive that clean-up then.
+    """
+    if interrupted.is_set():
+        logging.shutdown()
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(ValueError, OSError):
+                stream.flush()
+        os._exit(0)
 
 
 def _end_in_time() -> None:
