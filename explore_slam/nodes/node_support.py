@@ -42,7 +42,6 @@ from explore_slam.settings import (
     with_values,
 )
 
-_AGAIN = 0.05  # s until a signal that was lost is sent again; C code has returned by then, or soon
 _END_TIMEOUT = 20.0  # s from the end of a node to that of its process, which takes well below 1 s
 _NICENESS = -10  # granted to root, and where limits.conf allows it
 _MISSPELT = 0.85  # similarity (difflib) from which a name is a misspelling of another
@@ -271,12 +270,12 @@ def vehicle_name(node: Node) -> str:
 class _EndSignals:
     """SIGINT, SIGTERM and SIGHUP as a node takes them: they are noted, and it ends in its turn.
 
-    Within `interruptible`, the first of them raises KeyboardInterrupt.
+    Within `interruptible`, the first of them ends the process at once.
     """
 
     def __init__(self) -> None:
         self.received: list[int] = []
-        self._interrupting = False
+        self._at_once = False
 
     def install(self) -> None:
         """Take the signals of this process from now on."""
@@ -286,54 +285,41 @@ class _EndSignals:
 
     def _on_signal(self, number: int, _frame: Any) -> None:
         self.received.append(number)
-        # once: the second of two (terminal and launcher) must not interrupt the clean-up
-        if self._interrupting:
-            self._interrupting = False
-            raise KeyboardInterrupt
+        if self._at_once:
+            _end_at_once()
 
     @contextlib.contextmanager
     def interruptible(self) -> Iterator[None]:
-        """Let a signal that came, or comes within the block, raise KeyboardInterrupt."""
+        """Let a signal that came, or comes within the block, end this process at once."""
         if threading.current_thread() is not threading.main_thread():
             yield
             return
-        self._interrupting = True
-        usual_hook = sys.unraisablehook
-        sys.unraisablehook = lambda lost: self._try_again(lost, usual_hook)
+        self._at_once = True
         try:
-            self._raise_if_received()
+            if self.received:
+                _end_at_once()
             yield
-            self._raise_if_received()
-        except Exception:
-            self._raise_if_received()  # or may have become another one on its way
-            raise
         finally:
-            self._interrupting = False
-            sys.unraisablehook = usual_hook
+            self._at_once = False
 
-    def _try_again(self, lost: Any, usual_hook: Callable[[Any], object]) -> None:
-        """Send a signal again whose exception was lost, in a finalizer or a callback from C.
 
-        The compiler of the kernels calls back from C.
-        """
-        if not (self.received and issubclass(lost.exc_type, KeyboardInterrupt)):
-            usual_hook(lost)
-            return
-        self._interrupting = True
-        again = threading.Timer(_AGAIN, os.kill, (os.getpid(), self.received[0]))
-        again.daemon = True
-        again.start()
+def _end_at_once() -> None:
+    """End this process without any clean-up.
 
-    def _raise_if_received(self) -> None:
-        if self.received:
-            raise KeyboardInterrupt
+    The compiler of the kernels calls back from C: an exception in there is lost or, in one case of
+    ten, takes the process down.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(ValueError, OSError, RuntimeError):
+            stream.flush()
+    os._exit(0)
 
 
 _end_signals = _EndSignals()
 
 
 def interruptible() -> contextlib.AbstractContextManager[None]:
-    """Return a context in which a signal that ends the node raises KeyboardInterrupt.
+    """Return a context in which a signal ends the process at once.
 
     For long computations before anything is open that has to be closed in order.
     """
@@ -380,9 +366,7 @@ def run_node(make: Callable[[], StoppableNode], arguments: list[str] | None = No
     except ExploreSlamError as error:
         logging.getLogger(__name__).error('%s', error)
         return 1
-    interrupted = threading.Event()
     with contextlib.ExitStack() as ending:  # each step is taken, whatever another one raises
-        ending.callback(_end_at_once_if, interrupted)
         ending.callback(_end_in_time)
         ending.callback(rclpy.try_shutdown)
         # a node whose construction has failed is garbage, but with references in circles: left
@@ -390,9 +374,6 @@ def run_node(make: Callable[[], StoppableNode], arguments: list[str] | None = No
         ending.callback(gc.collect)
         try:
             node = make()
-        except KeyboardInterrupt:  # of `interruptible`
-            interrupted.set()
-            return 0
         except Exception as error:
             logging.getLogger(__name__).error('%s', _described(error))
             return 1
@@ -408,8 +389,6 @@ def _spin(node: StoppableNode) -> int:
         executor.add_node(node)
         while not _end_signals.received:
             executor.spin_once(timeout_sec=0.05)
-    except KeyboardInterrupt:  # of `interruptible`
-        return 0
     except ExploreSlamError as error:
         logging.getLogger(__name__).error('%s', error)
         return 1
@@ -427,19 +406,6 @@ def _described(error: Exception) -> str:
         return str(error)
     trace = save_trace(Path(sys.argv[0]).stem, error)
     return f'{cause(error)} (full trace: {trace})'
-
-
-def _end_at_once_if(interrupted: threading.Event) -> None:
-    """End this process without the interpreter's own clean-up if a compilation was interrupted.
-
-    The compiler, which calls back from C, does not always survive that clean-up then.
-    """
-    if interrupted.is_set():
-        logging.shutdown()
-        for stream in (sys.stdout, sys.stderr):
-            with contextlib.suppress(ValueError, OSError):
-                stream.flush()
-        os._exit(0)
 
 
 def _end_in_time() -> None:
