@@ -5,6 +5,7 @@ and the demo use what is in their virtual environment and talk on this machine a
 clear and set is named here, once. Nodes on a robot keep the variables of ROS of their shell.
 """
 
+import contextlib
 import ctypes
 import logging
 import os
@@ -12,6 +13,7 @@ import sys
 import sysconfig
 import tempfile
 from collections.abc import Mapping, MutableMapping
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from explore_slam.errors import MachineError
@@ -71,6 +73,7 @@ MIDDLEWARE = (
     'MPLBACKEND',
 )
 MIDDLEWARE_USED = 'rmw_fastrtps_cpp'  # of the wheels, and the default of a ROS installation
+_RENAMED = 9  # major version of rclpy since which Fast DDS 3 is used
 HIGHEST_DOMAIN = 232  # the ports of higher ones would lie above 65535
 _SET_APART = ('ROS_LOG_DIR', 'ROS_HOME', 'MPLBACKEND')  # not by `one_machine` alone
 _DRAWING = ('egl', 'osmesa')  # how MuJoCo draws without a window
@@ -82,6 +85,20 @@ def domain_of(environment: Mapping[str, str]) -> int | None:
     """Return the domain that ROS_DOMAIN_ID names; None without one, or for an unusable one."""
     text = environment.get('ROS_DOMAIN_ID', '').strip()
     return int(text) if text.isascii() and text.isdigit() and int(text) <= HIGHEST_DOMAIN else None
+
+
+def profile_variable() -> str:
+    """Return the variable that names the settings of Fast DDS.
+
+    It was renamed with Kilted (rclpy 9), which warns where the old name is set, whatever the new
+    one; Jazzy does not know the new one.
+    """
+    for name in ('rclpy', 'ros-rclpy'):  # of ROS itself, of the wheels
+        with contextlib.suppress(PackageNotFoundError):
+            if int(version(name).partition('.')[0]) >= _RENAMED:
+                return 'FASTDDS_DEFAULT_PROFILES_FILE'
+            break
+    return 'FASTRTPS_DEFAULT_PROFILES_FILE'
 
 
 def one_machine(
@@ -101,8 +118,7 @@ def one_machine(
         'ROS_DOMAIN_ID': str(1 + os.getpid() % 100 if domain is None else domain),
         'RMW_IMPLEMENTATION': MIDDLEWARE_USED,
         'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-        'FASTRTPS_DEFAULT_PROFILES_FILE': str(profile),
-        'FASTDDS_DEFAULT_PROFILES_FILE': str(profile),  # its name from Kilted on
+        profile_variable(): str(profile),
     }
     if given.get('MUJOCO_GL') not in _DRAWING:
         used['MUJOCO_GL'] = _DRAWING[0]

@@ -23,6 +23,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 from explore_slam import messages
 from explore_slam.data import OdometryReading, RgbdFrame
+from explore_slam.environment import profile_variable
 from explore_slam.geometry import Pose2
 from explore_slam.live.processes import NodeProcess, NodeProcesses, one_machine_environment
 from explore_slam.messages.base import camera_transform_message, header, time_message
@@ -205,7 +206,7 @@ def test_cameras_of_other_people_keep_the_poses_right_to_5_cm(tmp_path, monkeypa
         for own, theirs in REMAPPED.items():
             arguments += ['-r', f'/{name}/{own}:=/{name}/{theirs}']
     environment = {**one_machine_environment(), 'ROS_DOMAIN_ID': str(DOMAIN)}
-    profile = 'FASTRTPS_DEFAULT_PROFILES_FILE'  # without it, large images are lost
+    profile = profile_variable()  # without it, large images are lost
     monkeypatch.setenv(profile, environment[profile])
     node = NodeProcess('agent', 'agent_node', arguments)
     config = with_values(SimulationConfig(), SETTINGS)
