@@ -177,6 +177,9 @@ class Team:
         self.out[name, INFO].publish(
             camera_info_message(MESSAGES, frame.stamp, optical, frame.intrinsics)
         )
+        # two cameras never send at the very same moment: large images would be lost
+        for _ in range(5):
+            self.executor.spin_once(timeout_sec=0.02)
 
     def close(self):
         self.node.destroy_node()
