@@ -11,6 +11,7 @@ from pathlib import Path
 from launch.actions import SetEnvironmentVariable
 from launch_ros.actions import Node
 
+from explore_slam.environment import profile_variable
 from explore_slam.live import launch_arguments as read
 from explore_slam.live.launch_description import description, rviz, values
 
@@ -37,9 +38,7 @@ def start(context):
     parameters = [file, {**team, 'start_poses': poses, **simulated}]
     actions = [
         # without a large segment of shared memory images are lost
-        SetEnvironmentVariable(
-            'FASTRTPS_DEFAULT_PROFILES_FILE', str(CONFIG / 'fastdds_one_machine.xml')
-        ),
+        SetEnvironmentVariable(profile_variable(), str(CONFIG / 'fastdds_one_machine.xml')),
         Node(
             package='explore_slam',
             executable='simulator',

@@ -41,7 +41,7 @@ def without_lone_matches(
     age = np.where(exists, np.minimum(ages, _NEVER)[found.candidates], 0.0)
     returning = age > 1.0
     lone = returning & (found.distances > same)
-    if not lone.any():
+    if not support[lone].any():  # without one that a particle has chosen the proposal is the same
         return None
     needed = max(_MINIMUM_REACQUIRED, _MINIMUM_FRACTION * len(found))
     confirmed = _confirmed_ages(np.sort(age[returning & (support > MAJORITY)]), needed)
@@ -51,7 +51,7 @@ def without_lone_matches(
             np.abs(confirmed[place] - age), np.abs(confirmed[np.maximum(place - 1, 0)] - age)
         )
         lone &= nearest > 1.0
-        if not lone.any():
+        if not support[lone].any():
             return None
     withheld = (support * lone).sum(axis=1) > MAJORITY
     return replace(
