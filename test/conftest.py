@@ -16,9 +16,7 @@ os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 os.environ['ROS_DOMAIN_ID'] = str(default_domain())
 # Large images are lost without it. Fast DDS reads it once per process, for its first participant:
 # a test that set it for itself would come too late after any other test with a node.
-os.environ.setdefault(
-    profile_variable(), str(REPOSITORY / 'config' / 'fastdds_one_machine.xml')
-)
+os.environ.setdefault(profile_variable(), str(REPOSITORY / 'config' / 'fastdds_one_machine.xml'))
 
 # the same examples in every run (HYPOTHESIS_PROFILE=search looks for new ones), and results are
 # asserted, never seconds: a busy machine must not fail them
