@@ -85,13 +85,24 @@ def test_the_other_candidate_of_an_observation_remains():
 
 
 def test_an_old_landmark_out_of_the_gate_does_not_keep_an_observation_from_the_map():
-    candidates = [[0], [-1]]
-    ages = np.array([7.0])
+    """No particle has chosen that of the second observation; the first one's is left out."""
+    candidates = [[0], [1], [-1]]
+    support = np.array([[1.0], [0.0], [0.0]])
     fewer = without_lone_matches(
-        found(candidates, np.full((2, 1), 0.1)), np.zeros((2, 1)), ages, SAME
+        found(candidates, np.full((3, 1), 0.1)), support, np.array([7.0, 70.0]), SAME
     )
     assert (fewer.candidates < 0).all()
-    assert not fewer.withheld.any()
+    np.testing.assert_array_equal(fewer.withheld, [True, False, False])
+
+
+def test_lone_matches_that_no_particle_has_chosen_need_no_second_proposal():
+    candidates = [[0], [1], [-1]]
+    assert (
+        without_lone_matches(
+            found(candidates, np.full((3, 1), 0.1)), np.zeros((3, 1)), np.array([7.0, 70.0]), SAME
+        )
+        is None
+    )
 
 
 def test_landmarks_of_a_later_visit_do_not_confirm_those_of_an_earlier_one():
