@@ -78,11 +78,14 @@ def align(
     surface: SurfaceMap,
     points: Array,
     normals: Array,
+    weights: Array,
     start: Pose2,
     reach: float,
     prior: Prior | None = None,
 ) -> Alignment | None:
     """Return the pose of points (n, 2) with normals (n, 2) at which they lie on the surfaces.
+
+    weights (n,): of the points, from 0 to 1.
 
     reach (m): farthest surface of a return at first; it shrinks to 0.15 m. With a prior, what
     the geometry leaves open stays as the prior has it. None if fewer than 15 returns match.
@@ -100,6 +103,7 @@ def align(
         surface,
         points,
         normals,
+        weights,
         (start.x, start.y, start.theta),
         reach,
         (at.x, at.y, at.theta),
@@ -115,6 +119,7 @@ def _iterate(
     surface: SurfaceMap,
     points: Array,
     normals: Array,
+    weights: Array,
     start: tuple[float, float, float],
     reach: float,
     prior: tuple[float, float, float],
@@ -124,7 +129,7 @@ def _iterate(
     pose = np.array(start)
     information, matched, rms = np.zeros((3, 3)), 0, 0.0
     for _ in range(_ITERATIONS):
-        A, b, rms, residuals = _normal_equations(surface, points, normals, pose, reach)
+        A, b, rms, residuals = _normal_equations(surface, points, normals, weights, pose, reach)
         matched = len(residuals)
         if matched < _MINIMUM_RETURNS:
             break
@@ -192,7 +197,12 @@ def _noise(residuals: Array) -> tuple[float, float]:
 
 @kernel
 def _normal_equations(
-    surface: SurfaceMap, points: Array, normals: Array, pose: Array, reach: float
+    surface: SurfaceMap,
+    points: Array,
+    normals: Array,
+    weights: Array,
+    pose: Array,
+    reach: float,
 ) -> tuple[Array, Array, float, Array]:
     """Return A (3, 3), b (3,) of A δ = b for independent returns with a variance of 1 m².
 
@@ -215,6 +225,7 @@ def _normal_equations(
         weight = 1.0 / (1.0 + (residual / _CAUCHY) ** 2)
         residuals[matched] = math.sqrt(weight) * residual
         matched += 1
+        weight *= weights[n]
         jx, jy = c * nx + s * ny, c * ny - s * nx
         jt = jy * px - jx * py
         A[0, 0] += weight * jx * jx

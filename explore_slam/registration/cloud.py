@@ -26,28 +26,40 @@ _LINE_REACH = 0.4  # m from a return to the neighbours of its line, at close ran
 _LINE_REACH_GROWTH = 0.09  # m per m of range: five beams of 1 degree
 _MINIMUM_LINE_POINTS = 3  # two points are a line always, three show whether there is one
 _STRAIGHTNESS = 0.1  # largest variance across a line, as a fraction of that along and across
+# At grazing incidence a laser sees only what protrudes from a wall. To a vehicle that drives past,
+# the wall then seems to lie farther away, and the vehicle to have driven too far: by 0.17 % in
+# Willow Garage, whose walls are uneven by a cell of 0.05 m, and by 0.10 % with these.
+_GRAZING = 0.2  # cosine of incidence of a return that counts half as much as one at a right angle
+# m; farther returns all count the same: few but grazing ones show the heading in a long corridor
+_GRAZING_RANGE = 5.0
 _MAP_SPACING = 0.1  # m; two cells of the likelihood grid
 _QUERY_SPACING = 0.2  # m; half the points find the same peak
 
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
-    """Points (n, 2) m as measured at one moment, and unit normals (n, 2).
+    """Points (n, 2) m as measured at one moment, unit normals (n, 2), and weights (n,).
 
     The normal points towards the laser: the two faces of a thin wall differ. It is zero where
-    the neighbouring returns do not form a line (edges, clutter, lone returns).
+    the neighbouring returns do not form a line (edges, clutter, lone returns). The weight, from
+    0 to 1, is that of the return in an alignment: low where the beam grazes its surface.
     """
 
     points: Array
     normals: Array
+    weights: Array
 
     def __post_init__(self) -> None:
         count = len(self.points)
-        for name in ('points', 'normals'):
+        for name, shape in (
+            ('points', (count, 2)),
+            ('normals', (count, 2)),
+            ('weights', (count,)),
+        ):
             values = getattr(self, name)
-            if values.shape != (count, 2):
+            if values.shape != shape:
                 raise RegistrationError(
-                    f'PointCloud: {name} has shape {values.shape}, expected {(count, 2)}'
+                    f'PointCloud: {name} has shape {values.shape}, expected {shape}'
                 )
             if not np.isfinite(values).all():
                 raise RegistrationError(f'PointCloud: {name} holds values that are not finite')
@@ -65,6 +77,11 @@ class PointCloud:
     def surfaces(self) -> tuple[Array, Array]:
         """Points (m, 2) that have a normal, and their normals (m, 2)."""
         return self.points[self.on_surfaces], self.normals[self.on_surfaces]
+
+    @property
+    def surface_weights(self) -> Array:
+        """Weights (m,) of the points that have a normal."""
+        return self.weights[self.on_surfaces]
 
     @cached_property
     def sparse_points(self) -> Array:
@@ -99,12 +116,17 @@ class PointCloud:
 
     def only(self, keep: NDArray[np.bool_]) -> Self:
         """Return the points under a mask (n,)."""
-        return replace(self, points=self.points[keep], normals=self.normals[keep])
+        return replace(
+            self,
+            points=self.points[keep],
+            normals=self.normals[keep],
+            weights=self.weights[keep],
+        )
 
     @classmethod
     def empty(cls) -> Self:
         """Make a cloud without points."""
-        return cls(np.empty((0, 2)), np.empty((0, 2)))
+        return cls(np.empty((0, 2)), np.empty((0, 2)), np.empty(0))
 
 
 def merged(clouds: Sequence[PointCloud]) -> PointCloud:
@@ -114,6 +136,7 @@ def merged(clouds: Sequence[PointCloud]) -> PointCloud:
     return PointCloud(
         np.concatenate([cloud.points for cloud in clouds]),
         np.concatenate([cloud.normals for cloud in clouds]),
+        np.concatenate([cloud.weights for cloud in clouds]),
     )
 
 
@@ -144,8 +167,12 @@ def scan_cloud(
     valid &= ranges <= min(scan.range_max, farthest)
     ranges, angles = ranges[valid], scan.angles[valid]
     points = np.stack([np.cos(angles), np.sin(angles)], axis=1) * ranges[:, None]
-    normals = _line_normals(points, ranges) if len(points) else points
-    cloud = PointCloud(points, normals)
+    if not len(points):
+        return PointCloud.empty()
+    normals = _line_normals(points, ranges)
+    across = ((normals * points).sum(axis=1) / ranges) ** 2
+    weights = np.where(ranges < _GRAZING_RANGE, across / (across + _GRAZING**2), 1.0)
+    cloud = PointCloud(points, normals, weights)
     return cloud if laser == IDENTITY else cloud.moved(laser)
 
 

@@ -80,4 +80,4 @@ class LocalMap:
         self, cloud: PointCloud, start: Pose2, reach: float, prior: Prior | None = None
     ) -> Alignment | None:
         """Return the pose at which the cloud lies on the surfaces; see alignment.align."""
-        return align(self.surfaces, *cloud.surfaces, start, reach, prior)
+        return align(self.surfaces, *cloud.surfaces, cloud.surface_weights, start, reach, prior)

@@ -17,7 +17,7 @@ import numpy as np
 from explore_slam.errors import SlamError
 from explore_slam.files import write_bytes
 
-FORMAT = 4  # 4: names of the states of the joint graph and of relocalization
+FORMAT = 5  # 5: weights of the points of clouds
 State = dict[str, Any]
 
 

@@ -1,6 +1,7 @@
 """Point-to-line alignment: accuracy, the prior, and what the geometry leaves open."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -35,6 +36,21 @@ def test_a_wrong_start_is_put_right(start):
     assert off[2] < 0.003
     assert found.overlap > 0.95
     assert found.rms < 0.02
+
+
+def test_returns_count_by_their_weights():
+    """Returns of the left wall err by 0.04 m: with equal weights, the pose errs by half of it."""
+    local_map = map_of(ROOM, IDENTITY, Pose2(0.1, 0.1, 0.2))
+    cloud = scan_cloud(scan_of(ROOM, IDENTITY))
+    left = cloud.points[:, 1] > 1.9
+    points = cloud.points + np.outer(left, [0.0, 0.04])
+    errors = []
+    for weight in (1.0, 0.01):
+        weights = np.where(left, weight, 1.0)
+        found = local_map.align(replace(cloud, points=points, weights=weights), IDENTITY, 0.4)
+        errors.append(abs(found.pose.y))
+    assert errors[0] > 0.012
+    assert errors[1] < 0.003
 
 
 def test_errors_are_about_as_large_as_the_information_says():

@@ -68,6 +68,20 @@ def test_moved_and_merged_clouds():
     assert len(merged([])) == 0
 
 
+def test_returns_nearby_that_graze_their_surface_weigh_little():
+    hall = box(-2.0, -1.0, 20.0, 1.0)
+    cloud = scan_cloud(scan_of(hall, IDENTITY))
+    (points, _), weights = cloud.surfaces, cloud.surface_weights
+    assert len(weights) == len(points)
+    ahead, beside = points[:, 0], np.abs(np.abs(points[:, 1]) - 1.0) < 1e-5
+    # half for a cosine of 0.2, at 4.9 m along a wall 1 m away
+    np.testing.assert_allclose(weights[beside & (ahead > 4.0) & (ahead < 4.9)], 0.55, atol=0.07)
+    assert (weights[beside & (ahead < 0.5)] > 0.95).all()
+    far = beside & (ahead > 5.0)
+    assert far.any()
+    assert (weights[far] == 1.0).all()  # the heading in a long corridor depends on them
+
+
 def test_thinning_leaves_one_point_in_a_square():
     points = np.random.default_rng(1).uniform(-2.0, 2.0, (2000, 2))
     thin = thinned(points, 0.5)
@@ -80,6 +94,8 @@ def test_thinning_leaves_one_point_in_a_square():
 def test_bad_input_is_named():
     points = np.zeros((3, 2))
     with pytest.raises(match=r'normals has shape \(2, 2\)'):
-        PointCloud(points, np.zeros((2, 2)))
+        PointCloud(points, np.zeros((2, 2)), np.zeros(3))
+    with pytest.raises(match=r'weights has shape \(2,\)'):
+        PointCloud(points, points, np.zeros(2))
     with pytest.raises(match='points holds'):
-        PointCloud(np.full((3, 2), np.nan), points)
+        PointCloud(np.full((3, 2), np.nan), points, np.zeros(3))

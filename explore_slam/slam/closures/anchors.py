@@ -141,7 +141,7 @@ class Anchors:
             'stamps': table.stamps,
             'counts': np.array([len(cloud) for cloud in clouds], np.int64),
             'clouds': np.concatenate(
-                [np.c_[c.points, c.normals] for c in clouds] or [np.empty((0, 4))]
+                [np.c_[c.points, c.normals, c.weights] for c in clouds] or [np.empty((0, 5))]
             ),
             'added': np.array([(v, trail.added) for v, trail in self._trails.items()], np.int64),
             'regions': text_array(regions),
@@ -160,7 +160,7 @@ class Anchors:
         for (keyframe, vehicle, distance_driven, stamp), part in zip(
             zip(*columns, strict=True), parts, strict=False
         ):
-            cloud = PointCloud(part[:, :2].copy(), part[:, 2:4].copy())
+            cloud = PointCloud(part[:, :2].copy(), part[:, 2:4].copy(), part[:, 4].copy())
             made.add(Anchor(keyframe, vehicle, distance_driven, stamp, cloud))
         for vehicle, added in state['added'].tolist():
             made._trails.setdefault(vehicle, _Trail()).added = added
