@@ -5,6 +5,7 @@ the samples replace the particles before the next update. They are not taken any
 they would lack the updates made in between and be overconfident.
 """
 
+import logging
 from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache
@@ -23,6 +24,8 @@ from explore_slam.slam.posterior.joint_posterior import (
 )
 from explore_slam.slam.team_state import TeamState
 from explore_slam.slam.update.engine import PoseProposal
+
+logger = logging.getLogger(__name__)
 
 # Part of the observations with a distinctive descriptor that may lie outside of all gates before
 # the observations contradict the particles: well above the few percent of outliers in MR.CLAM 6
@@ -116,7 +119,9 @@ class PathRedrawer:
             return False
         try:
             sampled = pending.samples.result()
-        except SlamError:
+        except SlamError as error:
+            names = ', '.join(self._team.vehicles[v] for v in pending.snapshot.vehicles)
+            logger.warning('paths of %s are not drawn anew: %s', names, error)
             return False
         self.replace_particles(joint.adopt(pending.snapshot, sampled))
         return True

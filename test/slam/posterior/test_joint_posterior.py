@@ -660,6 +660,24 @@ def test_a_graph_without_an_optimum_leaves_the_particles(make_slam, make_world):
     assert refused > 0
 
 
+def test_a_redraw_beside_the_caller_that_finds_no_optimum_is_told(make_slam, make_world, caplog):
+    for k in range(12):
+        world = make_world()
+        start = world.start(a=Pose2(1.0, 1.0, 0.3 * k))
+        slam = make_slam(start, particles=20, async_redraw_threshold=0)
+        slam.set_pose('a', world.true['a'], 1e30 * np.eye(3))
+        slam.predict('a', Pose2(1.0, 0.0, 0.1 * k), 1e-12 * np.eye(3))
+        slam.add_keyframe('a', 1.0)
+        draws = slam.redraws
+        assert slam._redrawer.redraw_soon([0])
+        slam._redrawer.complete_pending()
+        told = 'paths of a are not drawn anew' in caplog.text
+        assert told == (slam.redraws == draws)
+        if told:
+            return
+    raise AssertionError('all of them had an optimum')
+
+
 def test_rejected_calls_leave_graph_and_random_stream(make_world, make_slam, drive_circles):
     world = make_world()
     slam = make_slam(world.start(**STARTS))
