@@ -149,9 +149,10 @@ def _decode(name: Path, content: bytes) -> GreyImage:
     clear = False if alpha is None else int(alpha.min()) < _OPAQUE_FROM * white
     kind = np.min_scalar_type(white + 1) if clear else image.dtype
     levels = np.empty(image.shape[:2], kind)
+    mean = np.zeros((1, image.shape[2]))
+    mean[0, :3] = 1.0 / 3.0
     for rows in row_blocks(levels.shape):
-        color = image[rows, :, :3]
-        levels[rows] = (color.sum(axis=2, dtype=np.uint32) + 1) // 3
+        levels[rows] = cv2.transform(image[rows], mean)  # rounded to the nearest level
         if clear and alpha is not None:
             levels[rows][alpha[rows] < _OPAQUE_FROM * white] = white + 1
     return GreyImage(levels, white)
