@@ -354,16 +354,37 @@ class FollowerReport:
     since: float = math.nan
 
 
+class BatteryReading(NamedTuple):
+    """What a vehicle reports of its battery; NaN where it does not measure it.
+
+    voltage: V. share: charge as a share of the full one, 0 to 1. charging: fed by a charger.
+    """
+
+    voltage: float = math.nan
+    share: float = math.nan
+    charging: bool = False
+
+
+class BatteryLevel(Enum):
+    """How much is left in a vehicle's battery: enough, for the way home only, or nothing."""
+
+    OK = 'ok'
+    LOW = 'low'
+    CRITICAL = 'critical'
+
+
 class VehicleState(Enum):
     """Activity of a vehicle as known to the agent.
 
     UNLOCALIZED: its start pose is unknown, and its pose in the map is not known yet.
+    BATTERY_CRITICAL: it has stopped because its battery is nearly empty.
     """
 
     WAITING = 'waiting'
     DRIVING = 'driving'
     BLOCKED = 'blocked'
     TELEOPERATED = 'teleoperated'
+    BATTERY_CRITICAL = 'battery_critical'
     LOST = 'lost'
     UNLOCALIZED = 'unlocalized'
     SILENT = 'silent'
