@@ -11,8 +11,8 @@ from explore_slam.settings import Section, setting
 # acceleration of the Pioneer (maximum_speed, base_acceleration).
 _CONFIRMATION = 5.0  # s for which all readings must agree before the level changes
 _LARGEST_SHARE = 1.0  # limits up to this one are shares of the full charge, others are V
-# An empty battery recovers by some tenths of a volt when the load ends. Of a lead-acid battery of
-# 12 V, 8 % above the 11.5 V at which a Pioneer warns are 12.4 V: at rest, three quarters full.
+# An empty battery recovers by some tenths of a volt when the load ends. 8 % above 11.5 V, a usual
+# limit of lead-acid batteries of 12 V, are 12.4 V: at rest, three quarters full.
 _RECOVERED_VOLTAGE = 1.08  # times the limit
 _RECOVERED_SHARE = 0.3  # above the limit
 _NEARLY_FULL = 0.95  # share that counts as recovered whatever the limit is
@@ -36,7 +36,6 @@ class BatteryConfig(Section):
         'above that V; 0: never',
         low=0.0,
         high=100.0,
-        tier='basic',
     )
 
     def __post_init__(self) -> None:

@@ -96,7 +96,6 @@ class VehicleConfig(Section):
         _UNSET,
         'Pose x, y, z (m), roll, pitch, yaw (rad) of the 3-D lidar in the vehicle frame, used if '
         '/tf_static does not provide it; of several in the order of clouds; a single NaN: not set',
-        tier='basic',
     )
     camera_mount: tuple[float, ...] = setting(
         _UNSET,
