@@ -18,6 +18,7 @@ what it was on its way to is for the others.
 import logging
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -249,9 +250,9 @@ class Planner:
         Vehicles that were sent to a goal drive there meanwhile.
         """
         guided = self._guide(scene)
-        found = find_frontiers(scene.grid, self.config, scene.costs, scene.viewpoints())
+        found = self._search(scene, scene.viewpoints())
         if self._release_shut_in(scene, found):
-            found = find_frontiers(scene.grid, self.config, scene.costs, scene.viewpoints())
+            found = self._search(scene, scene.viewpoints())
         candidates = self._worthwhile(scene, self._open(scene, found)) or self._squeeze(scene)
         if candidates:
             self._empty_searches = 0
@@ -265,6 +266,17 @@ class Planner:
             reason = 'no target outside permanent keep-out zones; those near by are released'
             return self._conclude(scene, ExplorationStatus.IN_PROGRESS, reason, frontiers, guided)
         return self._finish(scene, guided)
+
+    def _search(self, scene: Scene, viewpoints: NDArray[np.bool_]) -> list[Frontier]:
+        """Return the frontiers that are seen from some cells (H, W).
+
+        What lies behind them is estimated for the explorer that sees farthest.
+        """
+        config, usual = self.config, self.config.frontiers.sensor_range
+        ranges = [scene.vehicles[name].body.sensor_range or usual for name in scene.explorers]
+        if ranges and max(ranges) != usual:
+            config = replace(config, frontiers=replace(config.frontiers, sensor_range=max(ranges)))
+        return find_frontiers(scene.grid, config, scene.costs, viewpoints)
 
     def _open(self, scene: Scene, frontiers: list[Frontier]) -> list[Frontier]:
         """Return the frontiers that may be tried, or else those that have not failed for good."""
@@ -310,7 +322,7 @@ class Planner:
         for name in names:
             if not scene.allow_tight(name):
                 continue
-            found = find_frontiers(scene.grid, self.config, scene.costs, scene.viewpoints())
+            found = self._search(scene, scene.viewpoints())
             worth = [f for f in self._open(scene, found) if f.gain >= _SQUEEZE_GAIN]
             if worth:
                 self._squeezing = name
@@ -322,7 +334,7 @@ class Planner:
     def _notable(self, scene: Scene) -> list[Frontier]:
         """Return all frontiers, in reach or not, that would show an area worth reporting."""
         anywhere = np.isfinite(scene.costs.cost)
-        every = find_frontiers(scene.grid, self.config, scene.costs, anywhere)
+        every = self._search(scene, anywhere)
         return [frontier for frontier in every if frontier.showing >= _NOTABLE_GAIN]
 
     def _left(self, scene: Scene) -> tuple[list[Frontier], list[Frontier]]:
@@ -513,8 +525,9 @@ class Planner:
             self._tasks[name].switches if index >= 0 else 0
             for name, index in zip(names, current, strict=True)
         ]
+        bodies = tuple(scene.vehicles[name].body for name in names)
         chosen = self._strategy.assign(
-            Situation(scene, names, frontiers, costs, current, switches)
+            Situation(scene, names, frontiers, costs, current, switches, bodies)
         )
         tasks, waiting = guided.tasks, guided.waiting
         idle = [name for name, index in zip(names, chosen, strict=True) if index < 0]

@@ -290,10 +290,9 @@ class Scene:
 
     # -- travel costs ----------------------------------------------------------------------------
 
-    def routes(self) -> RouteGrid:
-        """Return the coarse grid over all cells that some vehicle can get to."""
-        narrowest = min(self._bodies[name].envelope for name in self.reach)
-        return self._routes_from(narrowest)
+    def routes(self, vehicle: str) -> RouteGrid:
+        """Return the coarse grid over all cells that vehicles as large as one can get to."""
+        return self._routes_from(self._bodies[vehicle].envelope)
 
     def _routes_from(self, radius: float) -> RouteGrid:
         """Return the coarse grid of the vehicles whose envelope (m) is this one or larger."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from explore_slam.battery import BatteryConfig
-from explore_slam.body import BodyConfig
+from explore_slam.body import BodyConfig, ViewConfig
 from explore_slam.errors import ConfigError
 from explore_slam.geometry import Pose2, Pose3, quaternion_from_rotation, rotation_matrix
 from explore_slam.messages.base import OPTICAL
@@ -79,6 +79,7 @@ class VehicleConfig(Section):
         choices=('auto', 'twist', 'stamped'),
     )
     body: BodyConfig = section(BodyConfig)
+    view: ViewConfig = section(ViewConfig)
     battery: BatteryConfig = section(BatteryConfig)
     battery_topic: str = setting(
         'battery',

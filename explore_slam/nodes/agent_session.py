@@ -79,7 +79,7 @@ class AgentSession:
         self._node = node
         self.config = config
         self._vehicle_configs = dict(vehicle_configs)
-        bodies = {name: one.body.record for name, one in vehicle_configs.items()}
+        bodies = {name: one.view.of(one.body.record) for name, one in vehicle_configs.items()}
         self.agent = Agent(config.agent, config.poses(), config.seed, bodies)
         batteries = {name: one.battery for name, one in vehicle_configs.items()}
         self.planner = TeamPlanner(self.agent, batteries)
