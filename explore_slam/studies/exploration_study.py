@@ -1,9 +1,8 @@
-"""Exploration studies: strategies, team sizes and seeds, run in several processes."""
+"""Exploration studies: strategies, team sizes and seeds, run by several workers."""
 
+import functools
 import logging
-import multiprocessing
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,6 +22,7 @@ from explore_slam.studies.exploration_run import (
     StudyConfig,
     explore,
 )
+from explore_slam.studies.parallel import ALONE, Workers, make_runs
 
 logger = logging.getLogger(__name__)
 
@@ -171,27 +171,25 @@ def _world(path: Path) -> GridWorld:
     return _WORLDS[path]
 
 
+@functools.cache
 def warm_up() -> None:
-    """Compile all kernels of a run, so that compilation does not count as planning time."""
+    """Compile all kernels of a run, once per process: it does not count as planning time."""
     for package in (simulation, mapping, exploration):
         package.warm_up()
 
 
-def _run_task(task: tuple[Study, str, int, int]) -> ExplorationRun:
-    study, strategy, size, seed = task
+def _run_task(study: Study, strategy: str, size: int, seed: int) -> ExplorationRun:
+    warm_up()
     return study.run_one(strategy, size, seed)
 
 
-def run_study(study: Study, workers: int = 2) -> Iterator[ExplorationRun]:
-    """Yield the runs of a study in order; workers: number of processes."""
+def run_study(study: Study, workers: Workers = ALONE) -> Iterator[ExplorationRun]:
+    """Yield the runs of a study in order.
+
+    On a cluster, all machines read map and scenario from the same paths.
+    """
     for size in study.team_sizes:  # refuse files that cannot be read, or do not fit, at once
         _world(study.map_path)
         study.scenario(size)
-    tasks: Iterable[tuple[Study, str, int, int]] = [(study, *task) for task in study.tasks()]
-    if workers <= 1:
-        warm_up()
-        yield from map(_run_task, tasks)
-        return
-    context = multiprocessing.get_context('spawn')
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=warm_up) as pool:
-        yield from pool.map(_run_task, tasks)
+    tasks = [(study, *task) for task in study.tasks()]
+    yield from make_runs(_run_task, tasks, workers)

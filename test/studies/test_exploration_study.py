@@ -21,6 +21,7 @@ from explore_slam.studies.exploration_tables import (
     table_rows,
     time_ratio,
 )
+from explore_slam.studies.parallel import Workers
 
 TWO_ROOMS = [
     '#########################',
@@ -293,7 +294,7 @@ def small_study(tmp_path_factory):
         '    - {from: [4.0, 0.0], to: [4.0, 5.0], doors: [[2.0, 1.2]]}\n'
     )
     study = make_study(world, [1, 2], ['default', 'nearest'], [0, 1], ['time_limit=600'])
-    return study, list(run_study(study, workers=2))
+    return study, list(run_study(study, Workers(2)))
 
 
 def test_a_study_makes_every_run_in_order(small_study):
