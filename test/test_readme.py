@@ -33,7 +33,7 @@ DOCUMENTS = [REPOSITORY / 'README.md', REPOSITORY / 'CONTRIBUTING.md']
 DOCUMENTS += sorted((REPOSITORY / 'doc').glob('*.md'))
 README = DOCUMENTS[0].read_text(encoding='utf-8')
 # programs that a test must not run: they change the machine or need hardware
-NOT_RUN = {'sudo', 'git', 'pip', 'python3', 'cd', 'cp', 'mkdir', 'rosdep', 'udevadm'}
+NOT_RUN = {'sudo', 'git', 'pip', 'python3', 'cd', 'cp', 'mkdir', 'dask', 'rosdep', 'udevadm'}
 # stand for a package of the reader's own
 PLACEHOLDERS = {'your_base', 'your_lidar'}
 # of other packages: package, launch file or executable -> launch arguments or parameters

@@ -327,10 +327,10 @@ def test_tables_and_pictures_are_written(small_study, tmp_path):
     _, runs = small_study
     paths = save_study(runs, tmp_path / 'out')
     assert [path.name for path in paths] == [
-        'table.md', 'runs.csv', 'curves.json', 'coverage.png', 'times.png',
+        'table.md', 'runs.csv', 'timings.csv', 'curves.json', 'coverage.png', 'times.png',
     ]  # fmt: skip
     assert all(path.stat().st_size > 100 for path in paths)
-    assert paths[3].read_bytes()[:8] == b'\x89PNG\r\n\x1a\n'
+    assert paths[4].read_bytes()[:8] == b'\x89PNG\r\n\x1a\n'
     lines = (tmp_path / 'out' / 'runs.csv').read_text().splitlines()
     assert len(lines) == 1 + len(runs)
     assert set(lines[0].split(',')) == set(run_values(runs[0]))
