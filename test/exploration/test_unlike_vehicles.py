@@ -225,3 +225,27 @@ def test_the_routes_of_a_large_vehicle_avoid_a_door():
     assert costs['usual'] < 12.0
     assert costs['wide'] > costs['usual'] + 4.0
     assert math.isfinite(costs['wide'])
+
+
+def test_reach_and_paths_are_those_of_each_body():
+    text = """
+#################
+#.......#.......#
+#.......#.......#
+#...............#
+#.......#.......#
+#.......#.......#
+#################
+"""
+    vehicles = {
+        'wide': VehicleSnapshot(Pose2(*point_of(5, 2, text, **SCALE), 0.0), body=LARGE),
+        'usual': VehicleSnapshot(Pose2(*point_of(1, 2, text, **SCALE), 0.0)),
+    }
+    grid = grid_of(text, **SCALE)
+    scene = Scene(grid, 0.0, ExplorationConfig(), vehicles)
+    beyond = scene.cell_of(point_of(3, 12, text, **SCALE))
+    beside = scene.cell_of((point_of(3, 1, text, **SCALE)[0], 1.2))  # 0.4 m from the wall below
+    reached = {name: (mask[beyond], mask[beside]) for name, mask in scene.reach.items()}
+    assert reached == {'usual': (True, True), 'wide': (False, False)}
+    assert scene.path('usual', beyond) is not None
+    assert scene.path('wide', beyond) is None
