@@ -51,7 +51,10 @@ setup(
     ],
     python_requires='>=3.12',
     install_requires=['setuptools', *requirements('requirements.txt')],
-    extras_require={'kinect': ['freenect']},  # compiles against libfreenect-dev
+    extras_require={
+        'kinect': ['freenect'],  # compiles against libfreenect-dev
+        'cluster': ['dask', 'distributed', 'joblib>=1.4'],  # runs of studies on a Dask cluster
+    },
     zip_safe=True,
     cmdclass={'develop': Develop},
     tests_require=['pytest'],

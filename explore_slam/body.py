@@ -1,5 +1,6 @@
-"""How large and how fast a vehicle is: one section of settings, for all that use it."""
+"""How large and how fast a vehicle is, and what it sees: settings for all that use them."""
 
+import math
 from dataclasses import dataclass
 
 from explore_slam.data import STANDARD_CLEARANCE, STANDARD_RADIUS, VehicleBody
@@ -39,3 +40,32 @@ class BodyConfig(Section):
     def record(self) -> VehicleBody:
         """Size and speed as a record."""
         return VehicleBody(self.vehicle_radius, self.follow_speed, self.side_clearance)
+
+
+@dataclass(frozen=True)
+class ViewConfig(Section):
+    """What the laser of a vehicle sees, where it differs from that of others in the team."""
+
+    vehicle_sensor_range: float = setting(
+        0.0,
+        'Range that the laser of the vehicle is expected to cover, for the choice of targets; 0: '
+        'sensor_range',
+        unit='m',
+        low=0.0,
+        high=100.0,
+    )
+    vehicle_field_of_view: float = setting(
+        math.pi,
+        'Field of view of its laser, symmetric about the direction of travel, for the choice of '
+        'targets',
+        unit='rad',
+        low=0.05,
+        high=2.0 * math.pi,
+    )
+
+    def of(self, body: VehicleBody) -> VehicleBody:
+        """Return a body with this view."""
+        return body._replace(
+            sensor_range=self.vehicle_sensor_range or None,
+            field_of_view=self.vehicle_field_of_view,
+        )

@@ -48,16 +48,20 @@ STANDARD_CLEARANCE = 0.02  # m beside that body, which the path follower keeps f
 
 
 class VehicleBody(NamedTuple):
-    """Size and speed of a vehicle.
+    """Size, speed and view of a vehicle.
 
     radius: of the circle around the vehicle origin that contains the body (m).
     speed: at which it follows its plans (m/s).
     side_clearance: that it keeps beside its body (m).
+    sensor_range: that its laser is expected to cover (m); None: as usual in the team.
+    field_of_view: of its laser, symmetric about the direction of travel (rad).
     """
 
     radius: float = STANDARD_RADIUS
     speed: float = 0.4
     side_clearance: float = STANDARD_CLEARANCE
+    sensor_range: float | None = None
+    field_of_view: float = math.pi
 
     @property
     def envelope(self) -> float:
@@ -68,6 +72,15 @@ class VehicleBody(NamedTuple):
     def extra_radius(self) -> float:
         """How much larger the envelope is than that of a standard body (m); negative: smaller."""
         return self.envelope - (STANDARD_RADIUS + STANDARD_CLEARANCE)
+
+    def side_range(self, usual: float) -> float:
+        """Return how far to either side of its path it sees as it drives (m).
+
+        usual: sensor range (m) of a vehicle that states none. From 180 degrees on, a wider field
+        of view adds nothing to the width of the strip that is seen.
+        """
+        reach = usual if self.sensor_range is None else self.sensor_range
+        return reach * math.sin(0.5 * min(self.field_of_view, math.pi))
 
 
 @dataclass(frozen=True)
@@ -354,16 +367,37 @@ class FollowerReport:
     since: float = math.nan
 
 
+class BatteryReading(NamedTuple):
+    """What a vehicle reports of its battery; NaN where it does not measure it.
+
+    voltage: V. share: charge as a share of the full one, 0 to 1. charging: fed by a charger.
+    """
+
+    voltage: float = math.nan
+    share: float = math.nan
+    charging: bool = False
+
+
+class BatteryLevel(Enum):
+    """How much is left in a vehicle's battery: enough, for the way home only, or nothing."""
+
+    OK = 'ok'
+    LOW = 'low'
+    CRITICAL = 'critical'
+
+
 class VehicleState(Enum):
     """Activity of a vehicle as known to the agent.
 
     UNLOCALIZED: its start pose is unknown, and its pose in the map is not known yet.
+    BATTERY_CRITICAL: it has stopped because its battery is nearly empty.
     """
 
     WAITING = 'waiting'
     DRIVING = 'driving'
     BLOCKED = 'blocked'
     TELEOPERATED = 'teleoperated'
+    BATTERY_CRITICAL = 'battery_critical'
     LOST = 'lost'
     UNLOCALIZED = 'unlocalized'
     SILENT = 'silent'

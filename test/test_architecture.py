@@ -35,6 +35,8 @@ HOMES = {
     'skimage': {'studies'},
     'numba': {'compiled'},
     'tqdm': {'cli'},
+    'joblib': {'studies'},
+    'distributed': {'studies'},
 }
 RANK = {
     member: rank for rank, layer in enumerate(reversed(import_graph.LAYERS)) for member in layer

@@ -14,6 +14,7 @@ import pytest
 import yaml
 from synthetic import SyntheticVehicle, SyntheticWorld
 
+from explore_slam.battery import BatteryConfig
 from explore_slam.cli.main import COMMANDS, build_parser
 from explore_slam.geometry import Pose2
 from explore_slam.messages.topics import TopicKind
@@ -32,7 +33,7 @@ DOCUMENTS = [REPOSITORY / 'README.md', REPOSITORY / 'CONTRIBUTING.md']
 DOCUMENTS += sorted((REPOSITORY / 'doc').glob('*.md'))
 README = DOCUMENTS[0].read_text(encoding='utf-8')
 # programs that a test must not run: they change the machine or need hardware
-NOT_RUN = {'sudo', 'git', 'pip', 'python3', 'cd', 'cp', 'mkdir', 'rosdep', 'udevadm'}
+NOT_RUN = {'sudo', 'git', 'pip', 'python3', 'cd', 'cp', 'mkdir', 'dask', 'rosdep', 'udevadm'}
 # stand for a package of the reader's own
 PLACEHOLDERS = {'your_base', 'your_lidar'}
 # of other packages: package, launch file or executable -> launch arguments or parameters
@@ -186,7 +187,7 @@ def test_every_scenario_is_one(tmp_path):
 def test_every_parameter_file_is_one(tmp_path):
     found = [text for path in DOCUMENTS for text in blocks(path, 'yaml')]
     texts = [text for text in found if 'ros__parameters' in text]
-    assert len(texts) == 2
+    assert len(texts) == 3
     made = []
     for text in texts:
         (tmp_path / 'agent.yaml').write_text(text)
@@ -194,12 +195,13 @@ def test_every_parameter_file_is_one(tmp_path):
         config = with_values(AgentNodeConfig(), team)
         made.append(settings_of_vehicles(own, config.vehicles))
         assert list(config.poses()) == list(made[-1])
-    differing, sensors = made
+    differing, sensors, batteries = made
     assert [vehicle.vision for vehicle in differing.values()] == ['none', 'agent']
     assert differing['robot2'].laser_mount == pytest.approx((-0.1, 0.0, 3.1416))
     names = [topic.name for topic in sensors['robot1'].laser_topics]
     assert names == ['front/scan', 'rear/scan', 'velodyne_points']
     assert sensors['robot1'].laser_pose('rear/scan').x == -0.25
+    assert [one.battery.battery_low for one in batteries.values()] == [11.5, 0.2]
 
 
 @pytest.fixture
@@ -297,6 +299,7 @@ def test_settings_named_for_safety_exist():
     text = (REPOSITORY / 'doc' / 'hardware.md').read_text(encoding='utf-8')
     table = text[text.index('## What stops the vehicle') : text.index('## Without hardware')]
     known = {*values_of(DriverNodeConfig()), *values_of(PathFollowerConfig())}
+    known |= values_of(BatteryConfig()).keys()  # of the agent
     services_and_topics = {'enable_motors', 'cmd_vel'}
     named = set(re.findall(r'`(\w+)`', table)) - services_and_topics
     assert len(named) > 8

@@ -2,12 +2,21 @@
 
 import logging
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 
 from explore_slam.agent.agent import Agent
 from explore_slam.agent.operator_areas import OperatorAreas
 from explore_slam.agent.vehicle_track import VehicleTrack
-from explore_slam.data import FollowerReport, FollowerState, VehicleState, VehicleStatus
+from explore_slam.battery import BatteryConfig, BatteryMonitor
+from explore_slam.data import (
+    BatteryLevel,
+    BatteryReading,
+    FollowerReport,
+    FollowerState,
+    VehicleState,
+    VehicleStatus,
+)
 from explore_slam.errors import AgentError
 from explore_slam.exploration import (
     ExplorationConfig,
@@ -28,10 +37,16 @@ class TeamPlanner:
     mode: what the operator asked for.
     areas: where the operator wants no vehicle to be.
     result: of the last planning cycle.
+    batteries: of all vehicles, by name.
     """
 
-    def __init__(self, agent: Agent) -> None:
+    def __init__(self, agent: Agent, batteries: Mapping[str, BatteryConfig] | None = None) -> None:
+        """Create it; batteries: settings by vehicle, where they differ from the defaults."""
         self._agent = agent
+        given = batteries or {}
+        self.batteries = {
+            name: BatteryMonitor(given.get(name, BatteryConfig())) for name in agent.vehicles
+        }
         self._planner = Planner(agent.config.exploration)
         self._searched = False
         self._goals: dict[str, Pose2] = {}
@@ -58,9 +73,14 @@ class TeamPlanner:
     def set_goal(self, vehicle: str, goal: Pose2) -> None:
         """Send one vehicle to a goal (m, rad) first; it then resumes exploring.
 
-        AgentError for an unknown vehicle, and for a goal that no vehicle may enter.
+        A vehicle whose battery is low then drives home. AgentError for an unknown vehicle, for one
+        whose battery is critical, and for a goal that no vehicle may enter.
         """
         self._agent.track(vehicle)
+        if self.batteries[vehicle].level is BatteryLevel.CRITICAL:
+            raise AgentError(
+                f'{vehicle} cannot be sent anywhere: {self.batteries[vehicle].warning}'
+            )
         grid = self._agent.grid
         bounds = self.areas.out_of_bounds(grid)
         (cell,) = grid.to_cell([goal[:2]])
@@ -88,6 +108,28 @@ class TeamPlanner:
         if newly and track.plan is not None:
             self._planner.report_blocked(vehicle, track.plan.goal, now)
         track.follower = report
+
+    def report_battery(self, vehicle: str, reading: BatteryReading, now: float) -> bool:
+        """Take a reading of a battery at a time (s); return whether that changes the plans.
+
+        When the battery becomes low, the goal of the operator is given up as well: one that is set
+        afterwards holds.
+        """
+        self._agent.track(vehicle)
+        monitor = self.batteries[vehicle]
+        if not monitor.add(reading, now):
+            return False
+        if monitor.level is BatteryLevel.OK:
+            logger.info('%s: the battery is charged again; it resumes exploring', vehicle)
+            return True
+        low = monitor.level is BatteryLevel.LOW
+        given_up = '; the goal of the operator is given up' if vehicle in self._goals else ''
+        logger.warning(
+            '%s: %s; %s%s', vehicle, monitor.warning, 'it drives home' if low else 'it stops',
+            given_up,
+        )  # fmt: skip
+        self._goals.pop(vehicle, None)
+        return True
 
     @property
     def must_withdraw(self) -> bool:
@@ -147,22 +189,34 @@ class TeamPlanner:
             active,
             self._agent.home(vehicle),
             self._agent.track(vehicle).body,
+            battery=self.batteries[vehicle].level,
         )
 
     def _state(self, vehicle: str, result: PlanningResult) -> VehicleState:
-        track = self._agent.track(vehicle)
+        track, battery = self._agent.track(vehicle), self.batteries[vehicle].level
+        if battery is BatteryLevel.CRITICAL:
+            return VehicleState.BATTERY_CRITICAL
         if _is_blocked(track):
             return VehicleState.BLOCKED
         if _is_teleoperated(track):
             return VehicleState.TELEOPERATED
+        low = battery is BatteryLevel.LOW
         if vehicle in result.plans:
             returning = result.status is ExplorationStatus.RETURNING
+            returning |= low and vehicle not in self._goals
             return VehicleState.RETURNING if returning else VehicleState.DRIVING
+        if low and self._is_home(vehicle):
+            return VehicleState.HOME
         return {
             ExplorationStatus.COMPLETE: VehicleState.DONE,
             ExplorationStatus.INCOMPLETE: VehicleState.DONE,
             ExplorationStatus.RETURNED: VehicleState.HOME,
         }.get(result.status, VehicleState.WAITING)
+
+    def _is_home(self, vehicle: str) -> bool:
+        arrival = self._agent.config.exploration.paths.arrival_distance
+        home, pose = self._agent.home(vehicle), self._agent.map_pose(vehicle)
+        return home is not None and math.dist(home[:2], pose[:2]) <= arrival
 
 
 def _is_teleoperated(track: VehicleTrack) -> bool:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from explore_slam.settings import Section
+    from explore_slam.studies.parallel import Workers
 
 
 def named_settings(arguments: argparse.Namespace, names: Iterable[str]) -> dict[str, Any]:
@@ -106,3 +107,28 @@ def whole_numbers(text: str) -> list[int]:
             raise argparse.ArgumentTypeError(f'{text!r}, expected ascending numbers from 0')
         numbers.extend(range(first, last + 1))
     return list(dict.fromkeys(numbers))
+
+
+def add_workers_options(parser: argparse._ActionsContainer, default: int = 2) -> None:
+    """Declare `--workers` and `--cluster`, which `workers_of` reads."""
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument(
+        '--workers',
+        type=int,
+        default=default,
+        help=f'number of parallel processes on this machine (default {default})',
+    )
+    where.add_argument(
+        '--cluster',
+        default='',
+        metavar='ADDRESS',
+        help='make the runs on an existing Dask cluster: address of its scheduler, such as '
+        'tcp://host:8786',
+    )
+
+
+def workers_of(arguments: argparse.Namespace) -> 'Workers':
+    """Return where runs are made, as the options say."""
+    from explore_slam.studies.parallel import Workers
+
+    return Workers(arguments.workers, arguments.cluster)

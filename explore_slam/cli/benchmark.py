@@ -10,8 +10,10 @@ from explore_slam.cli import benchmark_mapping, benchmark_sensors
 from explore_slam.cli.arguments import (
     add_seeds_option,
     add_set_option,
+    add_workers_options,
     named_settings,
     whole_numbers,
+    workers_of,
 )
 
 if TYPE_CHECKING:
@@ -51,15 +53,9 @@ def _configure_exploration(parser: argparse.ArgumentParser) -> None:
         '--scenario', type=Path, metavar='FILE', help='events of the runs: doors, people, failures'
     )
     add_seeds_option(parser, range(10))
-    _add_workers(parser)
+    add_workers_options(parser)
     parser.add_argument('--output', type=Path, help='folder for table, runs and plots')
     add_set_option(parser)
-
-
-def _add_workers(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        '--workers', type=int, default=2, help='number of parallel processes (default 2)'
-    )
 
 
 def _run_exploration(arguments: argparse.Namespace) -> int:
@@ -77,7 +73,7 @@ def _run_exploration(arguments: argparse.Namespace) -> int:
     )
     total = sum(1 for _ in study.tasks())
     runs = []
-    for done in run_study(study, arguments.workers):
+    for done in run_study(study, workers_of(arguments)):
         runs.append(done)
         print(
             f'[{len(runs)}/{total}] {done.strategy}, {done.vehicles} vehicles, seed {done.seed}: '
@@ -125,7 +121,7 @@ def _configure_consistency(parser: argparse.ArgumentParser) -> None:
         help='features from the cameras, or laser and odometry alone (default agent)',
     )
     add_seeds_option(parser, range(5))
-    _add_workers(parser)
+    add_workers_options(parser)
     parser.add_argument(
         '--output', type=Path, required=True, help='folder for consistency.json, plots and runs'
     )
@@ -150,7 +146,7 @@ def _run_consistency(arguments: argparse.Namespace) -> int:
         named_settings(arguments, ()),
     )
     results = []
-    for result in run_study(study, arguments.output, arguments.workers):
+    for result in run_study(study, arguments.output, workers_of(arguments)):
         results.append(result)
         found = ', '.join(
             f'{item.vehicle} NEES {item.pose_nees_mean:.1f}, inside {item.position_in_95:.2f}, '
@@ -224,9 +220,7 @@ def _configure_twins(parser: argparse.ArgumentParser) -> None:
         default='known',
         help='whether the start pose of the second vehicle is given (default known)',
     )
-    parser.add_argument(
-        '--workers', type=int, default=2, help='number of parallel processes (default 2)'
-    )
+    add_workers_options(parser)
     parser.add_argument('--output', type=Path, help='folder for twins.json')
     add_set_option(parser)
 
@@ -239,7 +233,7 @@ def _run_twins(arguments: argparse.Namespace) -> int:
         arguments.worlds, arguments.vehicles, arguments.starts, named_settings(arguments, ())
     )
     runs = []
-    for run in run_study(study, arguments.workers):
+    for run in run_study(study, workers_of(arguments)):
         runs.append(run)
         print(
             f'[{len(runs)}/{len(study.worlds)}] world {run.world}: {run.false_closures} of '

@@ -4,7 +4,13 @@ import argparse
 import sys
 from pathlib import Path
 
-from explore_slam.cli.arguments import add_seeds_option, add_set_option, named_settings
+from explore_slam.cli.arguments import (
+    add_seeds_option,
+    add_set_option,
+    add_workers_options,
+    named_settings,
+    workers_of,
+)
 
 HELP = 'measure pose and map with spinning lidars on a turning vehicle'
 
@@ -19,6 +25,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar='TEXT',
         help='only cases whose title contains this; may be repeated',
     )
+    add_workers_options(parser, 1)
     parser.add_argument('--output', type=Path, help='folder for sensors.json and pictures')
     add_set_option(parser)
 
@@ -32,7 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
     )
     total = len(study.cases()) * len(study.seeds)
     runs = []
-    for done in run_study(study, arguments.output):
+    for done in run_study(study, arguments.output, workers_of(arguments)):
         runs.append(done)
         print(
             f'[{len(runs)}/{total}] {done.title}, seed {done.seed}: '

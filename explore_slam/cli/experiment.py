@@ -6,7 +6,14 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from explore_slam.cli.arguments import add_section_options, section_of, whole_numbers
+from explore_slam.cli.arguments import (
+    add_section_options,
+    add_workers_options,
+    section_of,
+    whole_numbers,
+    workers_of,
+)
+from explore_slam.errors import EvaluationError
 
 if TYPE_CHECKING:
     from explore_slam.studies.experiments.tables import ExperimentReport
@@ -53,6 +60,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--world', type=Path, help='experiments 2, 3, 4: world file of the simulated Kinect'
     )
+    add_workers_options(
+        parser.add_argument_group('experiments 1 and laps: where their runs are made'), 1
+    )
     parser.add_argument(
         '--output', type=Path, default=Path('runs'), help='parent of the run folder (default runs)'
     )
@@ -77,7 +87,8 @@ def _run_named(arguments: argparse.Namespace) -> 'ExperimentReport':
                 particles=arguments.particles or 1000,
                 landmarks=arguments.landmarks,
                 isam2=not arguments.without_isam2,
-            )
+            ),
+            workers_of(arguments),
         )
     if arguments.name == 'laps':
         from explore_slam.studies.experiments import laps
@@ -88,7 +99,13 @@ def _run_named(arguments: argparse.Namespace) -> 'ExperimentReport':
                 laps=arguments.laps or (4, 20),
                 particles=arguments.particles or 500,
                 isam2=not arguments.without_isam2,
-            )
+            ),
+            workers_of(arguments),
+        )
+    if arguments.cluster or arguments.workers > 1:
+        raise EvaluationError(
+            f'experiment {arguments.name} runs in one process, because it measures times or '
+            'compares runs as it goes; --workers and --cluster are for experiments 1 and laps'
         )
     from explore_slam.studies.experiments import experiment2, experiment3, experiment4
     from explore_slam.studies.experiments.walk_trials import WalkOptions

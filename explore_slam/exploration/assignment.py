@@ -16,14 +16,17 @@ _UNREACHABLE = 1e6  # m; cost in place of infinity, and of a vehicle without a t
 _IMPROVEMENT = 1e-9  # m; smaller improvements are rounding
 
 
-def coverage_probability(distance: ArrayLike, max_range: float) -> Array:
+def coverage_probability(distance: ArrayLike, max_range: ArrayLike) -> Array:
     """Return P(d) = 1 - d / max_range below max_range, else 0 (equation 9)."""
     d = np.asarray(distance, np.float64)
-    return np.clip(1.0 - d / max_range, 0.0, None)
+    return np.clip(1.0 - d / np.asarray(max_range, np.float64), 0.0, None)
 
 
-def utilities(targets: ArrayLike, taken: ArrayLike, max_range: float) -> Array:
-    """Return U (F,) of targets (F, 2) m, given targets (T, 2) m already taken (equation 8)."""
+def utilities(targets: ArrayLike, taken: ArrayLike, max_range: ArrayLike) -> Array:
+    """Return U (F,) of targets (F, 2) m, given targets (T, 2) m already taken (equation 8).
+
+    max_range: of all vehicles, or (T,) of those that have taken the targets (m).
+    """
     points = np.asarray(targets, np.float64).reshape(-1, 2)
     others = np.asarray(taken, np.float64).reshape(-1, 2)
     distances = np.linalg.norm(points[:, None] - others[None], axis=2)
@@ -33,20 +36,23 @@ def utilities(targets: ArrayLike, taken: ArrayLike, max_range: float) -> Array:
 def assign_targets(
     costs: ArrayLike,
     targets: ArrayLike,
-    max_range: float,
+    max_range: ArrayLike,
     travel_weight: float = 1.0,
 ) -> list[int]:
     """Return the target of each vehicle, -1 for none, by the greedy method of the paper.
 
-    costs (V, F): inf if unreachable. targets (F, 2) m.
+    costs (V, F): inf if unreachable. targets (F, 2) m. max_range: of all, or (V,) of each (m).
     The pair with the largest U - travel_weight * V is assigned and the utilities of the other
     targets are lowered, until vehicles or targets run out.
     """
     matrix, points = _checked(costs, targets)
+    ranges = np.broadcast_to(np.asarray(max_range, np.float64), len(matrix))
     chosen = [-1] * len(matrix)
     taken: list[int] = []
+    takers: list[int] = []
     for _ in range(min(matrix.shape)):
-        scores = utilities(points, points[taken], max_range)[None] - travel_weight * matrix
+        utility = utilities(points, points[taken], ranges[takers])
+        scores = utility[None] - travel_weight * matrix
         scores[[i for i, target in enumerate(chosen) if target >= 0]] = -np.inf
         scores[:, taken] = -np.inf
         best = int(np.argmax(scores))
@@ -55,6 +61,7 @@ def assign_targets(
             break
         chosen[vehicle] = target
         taken.append(target)
+        takers.append(vehicle)
     return chosen
 
 
@@ -87,12 +94,13 @@ def assign_random(costs: ArrayLike, generator: np.random.Generator) -> list[int]
 
 
 def assign_jointly(
-    costs: ArrayLike, targets: ArrayLike, max_range: float, overlap_weight: float
+    costs: ArrayLike, targets: ArrayLike, max_range: ArrayLike, overlap_weight: float
 ) -> list[int]:
     """Return the target of each vehicle, -1 for none, with least travel and overlap of the team.
 
     The cost of the team is the sum of costs (V, F) m, plus overlap_weight times the coverage
-    probability (equation 9) between every two targets. From the assignment of the Hungarian method
+    probability (equation 9) between every two targets, the mean of those of the two vehicles.
+    max_range: of all vehicles, or (V,) of each (m). From the assignment of the Hungarian method
     (Kuhn, 1955) and from the greedy one, single vehicles change targets as long as the cost falls;
     the cheaper result is returned.
     """
@@ -101,9 +109,9 @@ def assign_jointly(
         return [-1] * len(matrix)
     blocked = ~np.isfinite(matrix)
     filled = np.where(blocked, _UNREACHABLE, matrix)
-    overlap = overlap_weight * coverage_probability(
-        np.linalg.norm(points[:, None] - points[None], axis=2), max_range
-    )
+    ranges = np.broadcast_to(np.asarray(max_range, np.float64), len(matrix))
+    distances = np.linalg.norm(points[:, None] - points[None], axis=2)
+    overlap = overlap_weight * coverage_probability(distances[None], ranges[:, None, None])
     hungarian = np.full(len(matrix), -1, np.int64)
     vehicles, picked = linear_sum_assignment(filled)
     hungarian[vehicles] = np.where(blocked[vehicles, picked], -1, picked)
@@ -119,10 +127,14 @@ def assign_jointly(
 
 
 def _team_cost(chosen: NDArray[np.int64], costs: Array, overlap: Array) -> float:
-    """Return the cost of the team; a vehicle without a target costs as an unreachable one."""
+    """Return the cost of the team; a vehicle without a target costs as an unreachable one.
+
+    overlap (V, F, F): of two targets, as each vehicle would cover them.
+    """
     given = np.flatnonzero(chosen >= 0)
     targets = chosen[given]
-    shared = (overlap[np.ix_(targets, targets)].sum() - overlap[targets, targets].sum()) / 2.0
+    pairs = overlap[given[:, None], targets[:, None], targets[None]]
+    shared = (pairs.sum() - np.trace(pairs)) / 2.0
     idle = (len(chosen) - len(given)) * _UNREACHABLE
     return float(costs[given, targets].sum() + shared + idle)
 
@@ -136,9 +148,11 @@ def _improve(chosen: NDArray[np.int64], costs: Array, overlap: Array) -> bool:
     for vehicle in range(len(chosen)):
         if chosen[vehicle] < 0:
             continue
-        others = [t for i, t in enumerate(chosen) if i != vehicle and t >= 0]
-        total = costs[vehicle] + overlap[:, others].sum(axis=1)
-        total[others] = np.inf
+        others = [i for i, t in enumerate(chosen) if i != vehicle and t >= 0]
+        theirs = chosen[others]
+        shared = 0.5 * (overlap[vehicle][:, theirs] + overlap[others, :, theirs].T)
+        total = costs[vehicle] + shared.sum(axis=1)
+        total[theirs] = np.inf
         best = int(np.argmin(total))
         if total[best] < total[chosen[vehicle]] - _IMPROVEMENT:
             chosen[vehicle] = best

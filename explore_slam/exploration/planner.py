@@ -10,17 +10,21 @@ One cycle of exploration, as `Planner.plan` runs it:
 
 Without any target, a vehicle may pass through a tight place if that is worth it, then looks again
 where a way to what is left has become blocked (SecondLook). Only then exploration ends.
+
+A vehicle whose battery is low takes no part in this but for the right of way: it drives home, and
+what it was on its way to is for the others.
 """
 
 import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from explore_slam.data import Plan
+from explore_slam.data import BatteryLevel, Plan
 from explore_slam.exploration.blacklist import Blacklist
 from explore_slam.exploration.config import ExplorationConfig
 from explore_slam.exploration.frontiers import find_frontiers
@@ -148,7 +152,7 @@ class Planner:
             return PlanningResult(ExplorationStatus.PAUSED, 'paused', searched=False)
         if 0 in grid.shape:
             return self._cannot_search('the map is empty')
-        moving = self._without_stuck(vehicles, now)
+        moving = self._without_stuck(self._without_discharged(vehicles), now)
         scene = Scene(
             grid,
             now,
@@ -159,23 +163,29 @@ class Planner:
             forbidden,
             self._search_memory,
         )
-        if not scene.vehicles:
+        lasting = any(one.battery is not BatteryLevel.CRITICAL for one in vehicles.values())
+        if not scene.vehicles and (lasting or not vehicles):
             return self._cannot_search('no vehicle with a valid pose')
-        if not scene.starts:
+        if not scene.starts and lasting:
             return self._cannot_search('no vehicle is on or near a free cell of the map')
         self._searches += 1
         self._blacklist.update(now, grid, scene.costs.free)
         self._ways.update(grid, scene.costs)
-        self._warn_of_little_reach(scene)
-        if wanted is PlanningMode.RETURN_HOME:
+        if scene.starts:
+            self._warn_of_little_reach(scene)
+        if wanted is PlanningMode.RETURN_HOME and scene.starts:
             result = self._go_home(scene, (), Orders())
-        else:
+        elif scene.explorers:
             result = self._explore(scene)
-        stuck = [name for name, one in vehicles.items() if one.active and not moving[name].active]
-        for name in stuck:
-            result.waiting[name] = 'does not move although it has a plan'
-            if name in self._plans:
-                result.plans[name] = self._plans[name]
+        else:
+            result = self._without_explorers(scene, vehicles)
+        for name, one in vehicles.items():
+            if one.battery is BatteryLevel.CRITICAL:
+                result.waiting[name] = 'has stopped: its battery is nearly empty'
+            elif one.active and not moving[name].active:
+                result.waiting[name] = 'does not move although it has a plan'
+                if name in self._plans:
+                    result.plans[name] = self._plans[name]
         self._plans = dict(result.plans)
         return result
 
@@ -191,6 +201,18 @@ class Planner:
         if text and not self._warned:
             logger.warning('%s', text)
         self._warning, self._warned = text, self._warned or bool(text)
+
+    def _without_discharged(
+        self, vehicles: Mapping[str, VehicleSnapshot]
+    ) -> dict[str, VehicleSnapshot]:
+        """Return the vehicles; those whose battery is critical are obstacles."""
+        for name, one in vehicles.items():
+            if one.battery is BatteryLevel.CRITICAL:
+                self._tasks.pop(name, None)
+        return {
+            name: one._replace(active=one.active and one.battery is not BatteryLevel.CRITICAL)
+            for name, one in vehicles.items()
+        }
 
     def _without_stuck(
         self, vehicles: Mapping[str, VehicleSnapshot], now: float
@@ -228,9 +250,9 @@ class Planner:
         Vehicles that were sent to a goal drive there meanwhile.
         """
         guided = self._guide(scene)
-        found = find_frontiers(scene.grid, self.config, scene.costs, scene.viewpoints())
+        found = self._search(scene, scene.viewpoints())
         if self._release_shut_in(scene, found):
-            found = find_frontiers(scene.grid, self.config, scene.costs, scene.viewpoints())
+            found = self._search(scene, scene.viewpoints())
         candidates = self._worthwhile(scene, self._open(scene, found)) or self._squeeze(scene)
         if candidates:
             self._empty_searches = 0
@@ -240,14 +262,25 @@ class Planner:
             # a keep-out zone may close the only way to the rest
             reason = 'no target outside keep-out zones, which are released'
             return self._conclude(scene, ExplorationStatus.IN_PROGRESS, reason, frontiers, guided)
-        if not found and self._release_keep_out(scene, list(scene.starts)):
+        if not found and self._release_keep_out(scene, scene.explorers):
             reason = 'no target outside permanent keep-out zones; those near by are released'
             return self._conclude(scene, ExplorationStatus.IN_PROGRESS, reason, frontiers, guided)
         return self._finish(scene, guided)
 
+    def _search(self, scene: Scene, viewpoints: NDArray[np.bool_]) -> list[Frontier]:
+        """Return the frontiers that are seen from some cells (H, W).
+
+        What lies behind them is estimated for the explorer that sees farthest.
+        """
+        config, usual = self.config, self.config.frontiers.sensor_range
+        ranges = [scene.vehicles[name].body.sensor_range or usual for name in scene.explorers]
+        if ranges and max(ranges) != usual:
+            config = replace(config, frontiers=replace(config.frontiers, sensor_range=max(ranges)))
+        return find_frontiers(scene.grid, config, scene.costs, viewpoints)
+
     def _open(self, scene: Scene, frontiers: list[Frontier]) -> list[Frontier]:
         """Return the frontiers that may be tried, or else those that have not failed for good."""
-        names = list(scene.starts)
+        names = scene.explorers
         for fails in (partial(self._blacklist.blocks, now=scene.now), self._blacklist.gave_up):
             left = [
                 frontier
@@ -262,7 +295,7 @@ class Planner:
         """Return the frontiers that are worth the way of the nearest vehicle."""
         if not frontiers:
             return []
-        costs = scene.costs_to(tuple(scene.starts), frontiers).min(axis=0)
+        costs = scene.costs_to(scene.explorers, frontiers).min(axis=0)
         asked = self.config.frontiers.min_gain_per_travel * np.minimum(costs, _LONGEST_TRIP)
         return [f for f, least in zip(frontiers, asked, strict=True) if f.showing >= least]
 
@@ -274,8 +307,8 @@ class Planner:
         cells = [f.target_cell for f in frontiers if not self._blacklist.gave_up(f.target)]
         shut_in = [
             name
-            for name, mask in scene.reach.items()
-            if not any(mask[cell] for cell in cells) and scene.is_shut_in(name)
+            for name in scene.explorers
+            if not any(scene.reach[name][cell] for cell in cells) and scene.is_shut_in(name)
         ]
         released = [scene.allow_tight(name) for name in shut_in]
         return any(released)
@@ -285,11 +318,11 @@ class Planner:
 
         Return the frontiers that are worth it. The same vehicle goes on as long as there are any.
         """
-        names = sorted(scene.starts, key=lambda name: name != self._squeezing)
+        names = sorted(scene.explorers, key=lambda name: name != self._squeezing)
         for name in names:
             if not scene.allow_tight(name):
                 continue
-            found = find_frontiers(scene.grid, self.config, scene.costs, scene.viewpoints())
+            found = self._search(scene, scene.viewpoints())
             worth = [f for f in self._open(scene, found) if f.gain >= _SQUEEZE_GAIN]
             if worth:
                 self._squeezing = name
@@ -298,12 +331,16 @@ class Planner:
         self._squeezing = None
         return []
 
+    def _notable(self, scene: Scene) -> list[Frontier]:
+        """Return all frontiers, in reach or not, that would show an area worth reporting."""
+        anywhere = np.isfinite(scene.costs.cost)
+        every = self._search(scene, anywhere)
+        return [frontier for frontier in every if frontier.showing >= _NOTABLE_GAIN]
+
     def _left(self, scene: Scene) -> tuple[list[Frontier], list[Frontier]]:
         """Return the frontiers out of reach, and those that have failed and were not reached."""
-        anywhere = np.isfinite(scene.costs.cost)
+        notable = self._notable(scene)
         reach = scene.reachable()
-        every = find_frontiers(scene.grid, self.config, scene.costs, anywhere)
-        notable = [f for f in every if f.showing >= _NOTABLE_GAIN]
         far = [f for f in notable if not reach[f.target_cell]]
         radius = self.config.blacklist.blacklist_radius
         failed = [
@@ -311,7 +348,7 @@ class Planner:
             for f in notable
             if f.showing >= _UNSEEN_ROOM
             and reach[f.target_cell]
-            and all(self._blacklist.gave_up(f.target, name) for name in scene.starts)
+            and all(self._blacklist.gave_up(f.target, name) for name in scene.explorers)
             and all(math.dist(f.target, place) > radius for place in self._looked_at)
         ]
         return far, failed
@@ -331,13 +368,45 @@ class Planner:
             status = ExplorationStatus.IN_PROGRESS
             reason = f'no target in search {self._empty_searches} of {self.config.empty_searches}'
             return self._conclude(scene, status, reason, frontiers, guided)
+        return self._end(scene, frontiers, guided)
+
+    def _without_explorers(
+        self, scene: Scene, vehicles: Mapping[str, VehicleSnapshot]
+    ) -> PlanningResult:
+        """Send the vehicles home that can still drive; explore no more unless another one may.
+
+        Others may explore later: those that are silent, lost or teleoperated now.
+        """
+        orders = self._guide(scene)
+        frontiers = tuple(self._notable(scene))
+        later = [
+            name
+            for name, one in vehicles.items()
+            if one.battery is BatteryLevel.OK and not self._standstill.has_failed(name)
+        ]
+        if later:
+            reason = f'no vehicle can explore now; {", ".join(sorted(later))} may later'
+            status = ExplorationStatus.IN_PROGRESS
+            return self._conclude(scene, status, reason, frontiers, orders)
+        return self._end(scene, frontiers, orders)
+
+    def _end(
+        self, scene: Scene, frontiers: tuple[Frontier, ...], guided: Orders
+    ) -> PlanningResult:
+        """End exploration with some frontiers left, once those that must drive home are there."""
         if self.config.return_to_init:
             return self._go_home(scene, frontiers, guided)
+        homeward = [name for name in guided.tasks if name not in scene.explorers]
+        if homeward:
+            status = ExplorationStatus.IN_PROGRESS
+            reason = f'{", ".join(homeward)} on the way home: battery low'
+            return self._conclude(scene, status, reason, frontiers, guided)
         status, reason = ExplorationStatus.COMPLETE, 'nothing left to explore'
         if frontiers:
             status = ExplorationStatus.INCOMPLETE
             left = unreached_text(len(frontiers), sum(f.gain for f in frontiers))
-            reason = f'nothing left to explore but {left} out of reach'
+            cause = 'out of reach' if scene.explorers else 'and no vehicle with enough battery'
+            reason = f'nothing left to explore but {left} {cause}'
         return self._conclude(scene, status, reason, frontiers, guided)
 
     def _look_again(self, scene: Scene, frontiers: list[Frontier], guided: Orders) -> str:
@@ -366,8 +435,12 @@ class Planner:
         return f'the way to {look.frontiers} frontiers is blocked; {name} looks again'
 
     def _guide(self, scene: Scene) -> Orders:
-        """Plan the paths of the vehicles that were sent to a goal; each faces as its goal says."""
+        """Plan the paths of the vehicles that were sent to a goal; each faces as its goal says.
+
+        Vehicles whose battery is low are sent home, unless the operator has sent them elsewhere.
+        """
         orders = Orders()
+        self._send_home(scene, orders)
         sent = {name: scene.vehicles[name].goal for name in scene.starts}
         for name, goal in sent.items():
             if goal is None:
@@ -389,7 +462,38 @@ class Planner:
                 orders.tasks[name] = task
         return orders
 
-    def _release_keep_out(self, scene: Scene, names: list[str]) -> bool:
+    def _send_home(self, scene: Scene, orders: Orders) -> None:
+        """Plan the way home of vehicles whose battery is low."""
+        for name in scene.starts:
+            one = scene.vehicles[name]
+            if one.battery is BatteryLevel.OK or one.goal is not None:
+                continue
+            if self._is_home(scene, name):
+                orders.waiting[name] = 'home: battery low'
+                continue
+            task = self._task_home(scene, name, [])
+            if task is not None:
+                orders.tasks[name] = task
+                continue
+            orders.waiting[name] = 'battery low, and its home cannot be reached'
+            self._keep_out.release_around(name, self._history.position(name))
+
+    def _is_home(self, scene: Scene, name: str) -> bool:
+        distance = math.dist(self._history.homes[name][:2], scene.vehicles[name].pose[:2])
+        return distance <= self.config.paths.arrival_distance
+
+    def _task_home(self, scene: Scene, name: str, standing: list[str]) -> Task | None:
+        """Return the task of driving home, None if the home cannot be reached.
+
+        standing: names of vehicles that the path should avoid.
+        """
+        home = self._history.homes[name]
+        goal = scene.nearest_passable(name, home)
+        if goal is None or not (scene.reach[name][goal] or scene.allow_tight(name)):
+            return None
+        return self._task_for(scene, name, (home.x, home.y), goal, None, standing)
+
+    def _release_keep_out(self, scene: Scene, names: Iterable[str]) -> bool:
         """Release the keep-out zones that hold vehicles in; return whether there were any.
 
         Where a vehicle can still move about, it looks again before zones are released.
@@ -403,7 +507,7 @@ class Planner:
 
     def _assign(self, scene: Scene, frontiers: list[Frontier], guided: Orders) -> PlanningResult:
         """Assign frontiers to vehicles by the strategy, and plan the paths."""
-        names = tuple(name for name in scene.starts if scene.vehicles[name].goal is None)
+        names = tuple(name for name in scene.explorers if scene.vehicles[name].goal is None)
         if not names:
             reason = f'{len(frontiers)} frontiers; all vehicles are on their way to goals'
             status = ExplorationStatus.IN_PROGRESS
@@ -421,8 +525,9 @@ class Planner:
             self._tasks[name].switches if index >= 0 else 0
             for name, index in zip(names, current, strict=True)
         ]
+        bodies = tuple(scene.vehicles[name].body for name in names)
         chosen = self._strategy.assign(
-            Situation(scene, names, frontiers, costs, current, switches)
+            Situation(scene, names, frontiers, costs, current, switches, bodies)
         )
         tasks, waiting = guided.tasks, guided.waiting
         idle = [name for name, index in zip(names, chosen, strict=True) if index < 0]
@@ -546,7 +651,8 @@ class Planner:
             task = tasks.get(name)
             path = None if task is None else remaining_path(position, task.path)
             one = scene.vehicles[name]
-            travelers[name] = Traveler(name, position, path, one.body, one.goal is not None)
+            urgent = one.goal is not None or one.battery is not BatteryLevel.OK
+            travelers[name] = Traveler(name, position, path, one.body, urgent)
         plans: dict[str, Plan] = {}
         retreats: dict[str, Plan] = {}
         for name, grant in self._traffic.grant(travelers, scene).items():
@@ -580,24 +686,16 @@ class Planner:
         self, scene: Scene, frontiers: tuple[Frontier, ...], orders: Orders
     ) -> PlanningResult:
         """Send every vehicle to its home, but for those that are on their way to goals."""
-        homes = self._history.homes
         tasks, waiting = orders.tasks, orders.waiting
         guided = {*tasks, *waiting}
         for name in scene.starts:
-            if name in guided:
-                continue
-            distance = math.dist(homes[name][:2], scene.vehicles[name].pose[:2])
-            if distance <= self.config.paths.arrival_distance:
+            if name not in guided and self._is_home(scene, name):
                 waiting[name] = 'home'
         arrived = list(waiting)
         for name in scene.starts:
             if name in arrived or name in guided:
                 continue
-            goal = scene.nearest_passable(name, homes[name])
-            task = None
-            if goal is not None and (scene.reach[name][goal] or scene.allow_tight(name)):
-                home = (homes[name].x, homes[name].y)
-                task = self._task_for(scene, name, home, goal, None, arrived)
+            task = self._task_home(scene, name, arrived)
             if task is None:
                 waiting[name] = 'its home cannot be reached'
             else:

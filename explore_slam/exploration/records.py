@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from explore_slam.data import Plan, VehicleBody
+from explore_slam.data import BatteryLevel, Plan, VehicleBody
 from explore_slam.geometry import Array, Pose2
 
 Cell = tuple[int, int]
@@ -77,6 +77,8 @@ class VehicleSnapshot(NamedTuple):
 
     active: whether it accepts plans. home: where it started.
     goal: where it is sent before it explores, with right of way over those that explore.
+    battery: a vehicle whose battery is low drives home and explores no more; one whose battery is
+    critical stays where it is.
     """
 
     pose: Pose2
@@ -84,6 +86,7 @@ class VehicleSnapshot(NamedTuple):
     home: Pose2 | None = None
     body: VehicleBody = VehicleBody()
     goal: Pose2 | None = None
+    battery: BatteryLevel = BatteryLevel.OK
 
 
 @dataclass(frozen=True)

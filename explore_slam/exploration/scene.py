@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from explore_slam.data import VehicleBody
+from explore_slam.data import BatteryLevel, VehicleBody
 from explore_slam.exploration.clearance import (
     CostMap,
     make_cost_map,
@@ -226,9 +226,14 @@ class Scene:
             self._padded[key] = padded_costs(self.cost_of(name), math.inf)
         return self._padded[key]
 
+    @property
+    def explorers(self) -> tuple[str, ...]:
+        """Names of the vehicles that can move and explore; the others only drive home."""
+        return tuple(n for n in self.starts if self.vehicles[n].battery is BatteryLevel.OK)
+
     def reachable(self) -> NDArray[np.bool_]:
-        """Return the cells (H, W) that some vehicle can get to."""
-        return _union(self.reach.values())
+        """Return the cells (H, W) that some vehicle can get to that explores, if any does."""
+        return _union(self.reach[name] for name in self.explorers or self.reach)
 
     def reachable_costs(self) -> Costs:
         """Return the costs (H, W) of all cells, at which those of `reachable` can be entered."""
@@ -285,10 +290,9 @@ class Scene:
 
     # -- travel costs ----------------------------------------------------------------------------
 
-    def routes(self) -> RouteGrid:
-        """Return the coarse grid over all cells that some vehicle can get to."""
-        narrowest = min(self._bodies[name].envelope for name in self.reach)
-        return self._routes_from(narrowest)
+    def routes(self, vehicle: str) -> RouteGrid:
+        """Return the coarse grid over all cells that vehicles as large as one can get to."""
+        return self._routes_from(self._bodies[vehicle].envelope)
 
     def _routes_from(self, radius: float) -> RouteGrid:
         """Return the coarse grid of the vehicles whose envelope (m) is this one or larger."""

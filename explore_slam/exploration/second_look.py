@@ -73,7 +73,7 @@ class SecondLook:
         """
         doubtful = self._doubtful(scene, blocked)
         padded = padded_costs(doubtful, math.inf)
-        starts = list(scene.starts.values())
+        starts = [scene.starts[name] for name in scene.explorers]
         rows, cols = (np.array([cell[k] + 1 for cell in starts], np.int64) for k in (0, 1))
         values = spread(padded, rows, cols)
         cells = np.array([frontier.target_cell for frontier in frontiers], np.int64)
@@ -142,7 +142,8 @@ class SecondLook:
         stride = padded.shape[1]
         end = (goal[0] + 1) * stride + goal[1] + 1
         ways = {}
-        for name, (row, col) in scene.starts.items():
+        for name in scene.explorers:
+            row, col = scene.starts[name]
             ways[name] = search_path(padded, (row + 1) * stride + col + 1, end)
         name = min(ways, key=lambda one: ways[one][1])
         rows, cols = np.divmod(ways[name][0], stride)

@@ -24,8 +24,8 @@ class TourProblem(NamedTuple):
     """Costs of V vehicles and F stops.
 
     starts (V, F): travel (m) from each vehicle to each stop; inf if unreachable.
-    between (F, F): travel (m) among stops.
-    work (F,): expected at each stop, as travel (m).
+    between (V, F, F): travel (m) of each vehicle among stops, or (F, F) of all.
+    work (V, F): expected at each stop, as travel (m), by each vehicle, or (F,) by any.
     urgency (F,): cost of waiting, per metre of travel until a stop is reached.
     longest_weight: weight of the longest tour against the sum of all.
     """
@@ -45,7 +45,10 @@ class Tours(NamedTuple):
 
 
 class _Problem(NamedTuple):
-    """A TourProblem for the kernels: finite costs, and the number of fixed first stops (V,)."""
+    """A TourProblem for the kernels: finite costs, and the number of fixed first stops (V,).
+
+    first, work (V, F), pairs (V, F, F): of each vehicle.
+    """
 
     first: Array
     pairs: Array
@@ -74,6 +77,8 @@ def plan_tours(
     """
     starts = problem.starts
     vehicles, count = starts.shape
+    pairs = np.broadcast_to(problem.between, (vehicles, count, count))
+    work = np.broadcast_to(problem.work, (vehicles, count))
     once = fixed.copy()
     for vehicle in range(vehicles):
         if fixed[vehicle] in fixed[:vehicle]:
@@ -90,10 +95,8 @@ def plan_tours(
         orders[vehicle, : lengths[vehicle]] = head + rest
     finite = _Problem(
         np.ascontiguousarray(np.where(np.isfinite(starts), starts, _UNREACHABLE)),
-        np.ascontiguousarray(
-            np.where(np.isfinite(problem.between), problem.between, _UNREACHABLE)
-        ),
-        problem.work,
+        np.ascontiguousarray(np.where(np.isfinite(pairs), pairs, _UNREACHABLE)),
+        np.ascontiguousarray(work),
         problem.urgency,
         heads,
         problem.longest_weight,
@@ -113,10 +116,12 @@ def _update_cost(problem: _Problem, draft: _Draft, vehicle: int) -> None:
     total, waiting = 0.0, 0.0
     for i in range(length):
         total += (
-            problem.first[vehicle, order[0]] if i == 0 else problem.pairs[order[i - 1], order[i]]
+            problem.first[vehicle, order[0]]
+            if i == 0
+            else problem.pairs[vehicle, order[i - 1], order[i]]
         )
         waiting += problem.urgency[order[i]] * total
-        total += problem.work[order[i]]
+        total += problem.work[vehicle, order[i]]
     draft.costs[vehicle, 0], draft.costs[vehicle, 1] = total, waiting
 
 
@@ -129,7 +134,9 @@ def _team_cost(costs: Array, longest_weight: float) -> float:
 @kernel
 def _best_insertion(problem: _Problem, draft: _Draft, stop: int) -> tuple[float, int, int]:
     """Return cost of the team, vehicle and position of the cheapest insertion of a stop."""
-    first, pairs, work, urgency, heads, longest_weight = problem
+    first, urgency, heads, longest_weight = (
+        problem.first, problem.urgency, problem.heads, problem.longest_weight,
+    )  # fmt: skip
     orders, lengths, costs = draft
     best, best_vehicle, best_at = np.inf, -1, -1
     trial = costs.copy()
@@ -137,6 +144,7 @@ def _best_insertion(problem: _Problem, draft: _Draft, stop: int) -> tuple[float,
         if first[vehicle, stop] >= _UNREACHABLE:
             continue
         order, length = orders[vehicle], lengths[vehicle]
+        pairs, work = problem.pairs[vehicle], problem.work[vehicle]
         behind = 0.0  # urgency of the stops from the position on
         for i in range(length):
             behind += urgency[order[i]]
@@ -224,7 +232,7 @@ def _insert_at(problem: _Problem, draft: _Draft, stop: int, vehicle: int, at: in
 @kernel
 def _insert_all(problem: _Problem, draft: _Draft) -> None:
     """Insert all stops that are in no tour yet, the cheapest one first."""
-    count = problem.work.size
+    count = problem.urgency.size
     missing = np.ones(count, np.bool_)
     for vehicle in range(draft.lengths.size):
         for at in range(draft.lengths[vehicle]):

@@ -10,7 +10,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from explore_slam.body import BodyConfig
+from explore_slam.battery import BatteryConfig
+from explore_slam.body import BodyConfig, ViewConfig
 from explore_slam.errors import ConfigError
 from explore_slam.geometry import Pose2, Pose3, quaternion_from_rotation, rotation_matrix
 from explore_slam.messages.base import OPTICAL
@@ -78,6 +79,13 @@ class VehicleConfig(Section):
         choices=('auto', 'twist', 'stamped'),
     )
     body: BodyConfig = section(BodyConfig)
+    view: ViewConfig = section(ViewConfig)
+    battery: BatteryConfig = section(BatteryConfig)
+    battery_topic: str = setting(
+        'battery',
+        'Topic of its battery (BatteryState), below its namespace; subscribed to where '
+        'battery_low or battery_critical is set',
+    )
     laser_mount: tuple[float, ...] = setting(
         _UNSET,
         'Pose x (m), y (m), yaw (rad) of the laser in the vehicle frame, used if /tf_static does '
@@ -89,7 +97,6 @@ class VehicleConfig(Section):
         _UNSET,
         'Pose x, y, z (m), roll, pitch, yaw (rad) of the 3-D lidar in the vehicle frame, used if '
         '/tf_static does not provide it; of several in the order of clouds; a single NaN: not set',
-        tier='basic',
     )
     camera_mount: tuple[float, ...] = setting(
         _UNSET,
@@ -126,6 +133,7 @@ class VehicleConfig(Section):
         super().__post_init__()
         for setting_name in ('scans', 'clouds', 'cameras'):
             _check_topics(setting_name, getattr(self, setting_name))
+        _check_topics('battery_topic', (self.battery_topic,))
         for name, each, sensors in (
             ('laser_mount', 3, self.scans),
             ('cloud_mount', 6, self.clouds),
@@ -197,7 +205,7 @@ def _pose_in_space(numbers: tuple[float, ...]) -> Pose3:
 
 def _check_topics(setting_name: str, names: tuple[str, ...]) -> None:
     """Raise ConfigError unless these are different relative names, or a single empty one."""
-    if names == _NONE and setting_name != 'cameras':
+    if names == _NONE and setting_name not in ('cameras', 'battery_topic'):
         return
     if not names or len(set(names)) != len(names) or not all(map(_NAME.fullmatch, names)):
         raise ConfigError(

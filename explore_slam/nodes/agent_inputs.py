@@ -13,6 +13,7 @@ from rclpy.node import Node
 from explore_slam.errors import DataError, ExploreSlamError
 from explore_slam.geometry import Array, Pose2
 from explore_slam.messages.base import planar_covariance, planar_pose, seconds, time_message
+from explore_slam.messages.battery import battery_reading
 from explore_slam.messages.clocks import StampProblem, StampWatch
 from explore_slam.messages.measurement import (
     MeasurementKind,
@@ -43,6 +44,7 @@ from explore_slam.nodes.transform_listener import TransformListener
 LIMITS: Mapping[str, int] = {
     **{kind.name: kind.queue_limit for kind in MEASUREMENT_KINDS},
     'navigator': 100,
+    'battery': 10,
 }
 MOUNT_WAIT = 2.0  # s for which messages wait for the transform of their sensor
 _HELD = 100  # messages per vehicle that wait for a transform
@@ -60,14 +62,16 @@ class OperatorPose:
     covariance: Array
 
 
-class OperatorSink(NamedTuple):
-    """What takes the requests of the operator.
+class PlannerSink(NamedTuple):
+    """What takes the requests of the operator, and readings of batteries.
 
     set_pose: takes (vehicle, OperatorPose). set_goal: takes (vehicle, Pose2).
+    set_battery: takes (vehicle, BatteryReading).
     """
 
     set_pose: Take
     set_goal: Take
+    set_battery: Take
 
 
 def operator_pose(message: Any, map_frame: str) -> OperatorPose:
@@ -129,7 +133,7 @@ class VehicleInputs:
     the transforms do not hold yet waits for it for a while; then the settings apply.
 
     sink: the agent, which takes measurements.
-    operator: takes what the operator sends to the vehicle.
+    planner: takes what the operator sends to the vehicle, and its battery.
     mounts: of the vehicle's sensors; also its base and odometry frames.
     """
 
@@ -140,7 +144,7 @@ class VehicleInputs:
         team: list[str],
         inbox: Inbox,
         sink: MeasurementSink,
-        operator: OperatorSink,
+        planner: PlannerSink,
         transforms: TransformListener,
         map_frame: str,
     ) -> None:
@@ -150,7 +154,7 @@ class VehicleInputs:
         self._others = [name for name in team if name != self.vehicle]
         self._inbox = inbox
         self._sink = sink
-        self._operator = operator
+        self._planner = planner
         self._transforms = transforms
         self._map_frame = map_frame
         self._reader = VehicleReader(MEASUREMENT_KINDS, mounts)
@@ -175,6 +179,10 @@ class VehicleInputs:
                         self._expected.append(topic)
         self._subscribe(TopicKind.INITIAL_POSE, self._on_pose)
         self._subscribe(VehicleTopic.GOAL_POSE, self._on_goal)
+        if self.config.battery.watched:
+            name = self.config.battery_topic
+            self.received[name] = 0
+            subscribe(node, VehicleTopic.BATTERY, self._on_battery, self.vehicle, name=name)
 
     @property
     def config(self) -> VehicleConfig:
@@ -300,12 +308,26 @@ class VehicleInputs:
     def _on_pose(self, message: Any) -> None:
         """Place the vehicle where the operator says; DataError where that cannot be used."""
         given = operator_pose(message, self._map_frame)
-        self._inbox.put('pose', self.vehicle, self._operator.set_pose, (self.vehicle, given))
+        self._inbox.put('pose', self.vehicle, self._planner.set_pose, (self.vehicle, given))
 
     def _on_goal(self, message: Any) -> None:
         """Send the vehicle where the operator says; DataError where that cannot be used."""
         goal = operator_goal(message, self._map_frame)
-        self._inbox.put('goal', self.vehicle, self._operator.set_goal, (self.vehicle, goal))
+        self._inbox.put('goal', self.vehicle, self._planner.set_goal, (self.vehicle, goal))
+
+    def _on_battery(self, message: Any) -> None:
+        """Take the state of the vehicle's battery."""
+        name = self.config.battery_topic
+
+        def check_and_take(message: Any) -> None:
+            self._check_frame(VehicleTopic.BATTERY, message)
+            reading = battery_reading(message)
+            self._inbox.put(
+                'battery', self.vehicle, self._planner.set_battery, (self.vehicle, reading)
+            )
+
+        self.received[name] += 1
+        self._try(name, check_and_take, message)
 
     def losses(self) -> dict[str, int]:
         """Return the numbers of messages that could not be used so far, by reason."""
@@ -337,8 +359,12 @@ class VehicleInputs:
 
         Images may come on any of their topics, raw or compressed.
         """
-        return [
-            explain_silence(self._node, f'{self.vehicle}/{topic.name}', SILENCE)
+        silent = [
+            topic.name
             for topic in self._expected
             if not any(self.received[other.name] for other in _alternatives(topic))
         ]
+        name = self.config.battery_topic
+        if self.config.battery.watched and not self.received[name]:
+            silent.append(name)
+        return [explain_silence(self._node, f'{self.vehicle}/{name}', SILENCE) for name in silent]

@@ -21,7 +21,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
 from explore_slam.agent import Agent, TeamPlanner, explicit_mounts
-from explore_slam.data import FollowerReport
+from explore_slam.data import BatteryReading, FollowerReport
 from explore_slam.errors import DataError, ExploreSlamError
 from explore_slam.exploration import PlanningMode
 from explore_slam.geometry import Pose2
@@ -41,7 +41,7 @@ from explore_slam.messages.vehicle_settings import VehicleConfig
 from explore_slam.nodes.agent_inputs import (
     LIMITS,
     OperatorPose,
-    OperatorSink,
+    PlannerSink,
     VehicleInputs,
     operator_polygon,
 )
@@ -66,6 +66,7 @@ POLL_PERIOD = 0.05  # s that the worker waits for an item before it does periodi
 _RELEASE_PERIOD = 0.2  # s between looks at messages that wait for transforms
 _BEHIND_PERIOD = 10.0  # s between warnings that the agent is behind
 _JOIN_TIMEOUT = 5.0  # s for the worker to finish what it does
+_PROMPT = ('navigator', 'battery')  # kinds that do not wait for measurements
 _PERIODIC = ('plan', 'map', 'map update', 'landmarks')
 
 
@@ -78,11 +79,12 @@ class AgentSession:
         self._node = node
         self.config = config
         self._vehicle_configs = dict(vehicle_configs)
-        bodies = {name: one.body.record for name, one in vehicle_configs.items()}
+        bodies = {name: one.view.of(one.body.record) for name, one in vehicle_configs.items()}
         self.agent = Agent(config.agent, config.poses(), config.seed, bodies)
-        self.planner = TeamPlanner(self.agent)
+        batteries = {name: one.battery for name, one in vehicle_configs.items()}
+        self.planner = TeamPlanner(self.agent, batteries)
         self.planner.pause(not config.explore)
-        self.inbox = Inbox({**LIMITS, FRAME.name: config.frame_queue}, prompt=('navigator',))
+        self.inbox = Inbox({**LIMITS, FRAME.name: config.frame_queue}, prompt=_PROMPT)
         self.outputs = AgentOutputs(node, config)
         navigators = {name: one.navigator for name, one in vehicle_configs.items()}
         self.plans = PlanOutputs(node, navigators, config.map_frame, self._on_navigator)
@@ -95,6 +97,7 @@ class AgentSession:
         self._reported = time.monotonic()
         self._named_problems = NamedProblems()
         self._shared_frames: set[str] = set()
+        self._unmeasured: set[str] = set()  # vehicles whose battery limits have no effect
         self._silence_timer: Timer | None = None
         self._active = False
         self._asked: set[Future] = set()  # by services, and not answered yet
@@ -174,7 +177,7 @@ class AgentSession:
                 names,
                 self.inbox,
                 sink=self.agent,
-                operator=OperatorSink(self._place, self._send_to_goal),
+                planner=PlannerSink(self._place, self._send_to_goal, self._take_battery),
                 transforms=transforms,
                 map_frame=self.config.map_frame,
             )
@@ -199,6 +202,15 @@ class AgentSession:
             f'{vehicle} is sent to x {goal.x:.2f} m, y {goal.y:.2f} m by the operator'
         )
         self._due['plan'] = -np.inf
+
+    def _take_battery(self, item: tuple[str, BatteryReading]) -> None:
+        vehicle, reading = item
+        if self.planner.report_battery(vehicle, reading, now_seconds(self._node)):
+            self._due['plan'] = -np.inf
+        problem = self.planner.batteries[vehicle].unmeasured
+        if problem and vehicle not in self._unmeasured:
+            self._unmeasured.add(vehicle)
+            self._node.get_logger().warning(f'{vehicle}: {problem}')
 
     def _on_polygon(self, topic: TeamTopic, message: Any) -> None:
         """Take an area to explore or a keep-out area."""
@@ -482,11 +494,20 @@ class AgentSession:
         return {
             name: {
                 **counts[name],
+                **self._battery_figures(name),
                 **{f'odometry_{key}': value for key, value in calibration._asdict().items()},
                 **{f'{SWEEP_KEY}{k}': words for k, words in named_sweeps(sweeps[name]).items()},
             }
             for name, calibration in self.agent.odometry_calibrations().items()
         }
+
+    def _battery_figures(self, vehicle: str) -> dict[str, float | str]:
+        """Return level, voltage (V) and share of a battery that is watched and has been read."""
+        monitor = self.planner.batteries[vehicle]
+        if monitor.reading is None:
+            return {}
+        voltage, share, _ = monitor.reading
+        return {'battery': monitor.level.value, 'battery_V': voltage, 'battery_share': share}
 
     def _publish_sweeps(self) -> None:
         """Tell the nodes of the vehicles what the scans have shown of the sweeps, once each."""
@@ -511,5 +532,6 @@ class AgentSession:
             self._inputs.values(),
             self.inbox,
             self.planner.result,
+            {name: monitor.warning for name, monitor in self.planner.batteries.items()},
         )
         self._diagnostics.publish(diagnostics_message(self._node, parts, 'explore_slam'))

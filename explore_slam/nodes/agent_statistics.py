@@ -24,6 +24,7 @@ Part = tuple[bytes, str, Mapping[str, Any]]
 # states of a vehicle that need the attention of the operator
 _WARNED = {
     VehicleState.LOST, VehicleState.SILENT, VehicleState.BLOCKED, VehicleState.UNLOCALIZED,
+    VehicleState.BATTERY_CRITICAL,
 }  # fmt: skip
 
 
@@ -90,10 +91,11 @@ class AgentStatistics:
         inputs: Iterable[VehicleInputs],
         inbox: Inbox,
         planning: PlanningResult,
+        warnings: Mapping[str, str],
     ) -> dict[str, Part]:
         """Return name -> (level, message, values) for the agent and for every vehicle.
 
-        figures: further values by vehicle.
+        figures: further values by vehicle. warnings: what else is wrong with each vehicle, or ''.
         """
         by_vehicle = {one.vehicle: one for one in inputs}
         parts = {'agent': self._agent(inbox, planning)}
@@ -104,11 +106,12 @@ class AgentStatistics:
             bad = status.state in _WARNED
             problems = sorted(by_vehicle[name].clock_problems().items())
             clocks = [f'{topic}: {problem.text}' for topic, problem in problems]
-            bad |= bool(clocks)
+            warning = warnings.get(name, '')
+            bad |= bool(clocks or warning)
             waits = planning.waiting.get(name, '')
             if status.state is VehicleState.UNLOCALIZED:
                 waits = 'start pose unknown, not found in the map yet'
-            reason = '; '.join([waits, *clocks]).strip('; ')
+            reason = '; '.join(filter(None, [waits, warning, *clocks]))
             text = status.state.value + (f': {reason}' if reason else '')
             parts[f'vehicle {name}'] = (WARN if bad else OK, text, values)
         return parts

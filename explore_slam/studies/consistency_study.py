@@ -6,9 +6,7 @@ results are written as runs end.
 
 import json
 import math
-import multiprocessing
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -25,6 +23,7 @@ from explore_slam.results.run_folder import RunFolder
 from explore_slam.settings import with_values
 from explore_slam.studies.closed_loop import ClosedLoop, ClosedLoopConfig
 from explore_slam.studies.figures import new_figure
+from explore_slam.studies.parallel import ALONE, Workers, make_runs
 
 # Vision in the agent, or none: vehicles without camera, localized by laser and odometry alone.
 VISION = ('agent', 'none')
@@ -123,30 +122,20 @@ def seed_result(seed: int, data: RunData) -> SeedResult:
     )
 
 
-def run_study(study: ConsistencyStudy, output: Path, workers: int = 2) -> Iterator[SeedResult]:
-    """Yield the results of each seed as its run ends; consistency.json and plots grow with them.
+def run_study(
+    study: ConsistencyStudy, output: Path, workers: Workers = ALONE
+) -> Iterator[SeedResult]:
+    """Yield the results of each seed in order; consistency.json and plots grow with them.
 
-    workers: number of processes; 1 makes the runs in this one.
+    On a cluster, all machines read the world from the same path and write their runs to the same
+    output folder.
     """
     output.mkdir(parents=True, exist_ok=True)
     results: list[SeedResult] = []
-    for result in _results(study, output, workers):
+    for result in make_runs(run_seed, [(study, seed, output) for seed in study.seeds], workers):
         results.append(result)
-        results.sort(key=lambda item: item.seed)
         save_results(study, results, output)
         yield result
-
-
-def _results(study: ConsistencyStudy, output: Path, workers: int) -> Iterator[SeedResult]:
-    if workers <= 1 or len(study.seeds) == 1:
-        for seed in study.seeds:
-            yield run_seed(study, seed, output)
-        return
-    context = multiprocessing.get_context('spawn')
-    with ProcessPoolExecutor(workers, mp_context=context) as pool:
-        futures = [pool.submit(run_seed, study, seed, output) for seed in study.seeds]
-        for future in as_completed(futures):
-            yield future.result()
 
 
 def save_results(study: ConsistencyStudy, results: Sequence[SeedResult], output: Path) -> Path:

@@ -9,11 +9,11 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from explore_slam.data import Plan
+from explore_slam.data import Plan, VehicleBody
 from explore_slam.exploration import (
     ExplorationConfig,
     ExplorationStatus,
@@ -70,7 +70,37 @@ class StudyConfig(Section):
     heading_error: float = setting(
         0.003, 'standard deviation of the known heading', unit='rad', low=0.0, high=0.5
     )
+    vehicles_known: bool = setting(
+        True,
+        'whether the planner knows how vehicles differ in radius, speed and view; false shows '
+        'what that is worth',
+    )
     home_at_end: bool = setting(False, 'drive home when exploration is complete', tier='basic')
+
+
+class Vehicles(NamedTuple):
+    """The simulated vehicles of a team: config of all but those that have their own, by name."""
+
+    config: GridSimulatorConfig
+    own: Mapping[str, GridSimulatorConfig]
+
+    def body(self, vehicle: str) -> VehicleBody:
+        """Return what the planner knows of a vehicle.
+
+        The disc and the speed of a usual vehicle stand for the standard body, with which the
+        planner has room for errors; those of others differ from it as much as their discs and in
+        the ratio of their speeds.
+        """
+        usual, one = self.config, self.own.get(vehicle)
+        if one is None:
+            return VehicleBody()
+        standard = VehicleBody()
+        return VehicleBody(
+            standard.radius + (one.disc_radius - usual.disc_radius),
+            standard.speed * (one.cruise_speed / usual.cruise_speed),
+            sensor_range=None if one.beam_range == usual.beam_range else one.beam_range,
+            field_of_view=one.field_of_view,
+        )
 
 
 @dataclass(frozen=True)
@@ -130,6 +160,7 @@ class _Team:
     result: PlanningResult | None = None  # of the last cycle
     poses: dict[str, Pose2] = field(default_factory=dict)  # last ones that arrived
     heard: dict[str, float] = field(default_factory=dict)  # times (s) of them
+    bodies: dict[str, VehicleBody] = field(default_factory=dict)  # as the planner knows them
 
 
 def explore(
@@ -141,14 +172,17 @@ def explore(
     planner_settings: Mapping[str, Any] | None = None,
     vehicle_config: GridSimulatorConfig | None = None,
     scenario: Scenario | None = None,
+    own_configs: Mapping[str, GridSimulatorConfig] | None = None,
 ) -> ExplorationRun:
     """Explore a world with one team from its start poses until it is complete, stuck or late.
 
     planner_settings: further settings of ExplorationConfig by name.
+    vehicle_config: of all vehicles but those that have their own (own_configs).
     """
     config = config or StudyConfig()
+    vehicles = Vehicles(vehicle_config or GridSimulatorConfig(), own_configs or {})
     team = _make_team(
-        world, starts, strategy, seed, config, planner_settings or {}, vehicle_config, scenario
+        world, starts, strategy, seed, config, planner_settings or {}, vehicles, scenario
     )
     simulator, curve = team.simulator, CoverageCurve()
     begun = time.perf_counter()
@@ -189,23 +223,25 @@ def _make_team(
     seed: int,
     config: StudyConfig,
     planner_settings: Mapping[str, Any],
-    vehicle_config: GridSimulatorConfig | None,
+    vehicles: Vehicles,
     scenario: Scenario | None,
 ) -> _Team:
     noise = {'position_noise': config.position_error, 'heading_noise': config.heading_error}
-    simulator_config = with_values(vehicle_config or GridSimulatorConfig(), noise)
-    simulator = GridSimulator(world, starts, simulator_config, seed, scenario)
+    simulator_config = with_values(vehicles.config, noise)
+    own = {name: with_values(one, noise) for name, one in vehicles.own.items()}
+    simulator = GridSimulator(world, starts, simulator_config, seed, scenario, own)
     settings = {
         'strategy': strategy,
         'exploration_seed': seed,
         'return_to_init': config.home_at_end,
         **planner_settings,
     }
+    longest = max(simulator.config_of(vehicle).beam_range for vehicle in simulator.vehicles)
     grid = OccupancyGrid(
         GridConfig(
             resolution=config.cell_size,
-            max_laser_range=simulator_config.beam_range,
-            no_return_range=simulator_config.beam_range,
+            max_laser_range=longest,
+            no_return_range=longest,
         )
     )
     return _Team(
@@ -214,6 +250,10 @@ def _make_team(
         grid,
         {vehicle: simulator.known_pose(vehicle) for vehicle in simulator.vehicles},
         {vehicle: GoalCounter() for vehicle in simulator.vehicles},
+        bodies={
+            vehicle: vehicles.body(vehicle) if config.vehicles_known else VehicleBody()
+            for vehicle in simulator.vehicles
+        },
     )
 
 
@@ -221,11 +261,14 @@ def _scan(team: _Team) -> None:
     """Insert a scan of every vehicle into the map, at the known pose."""
     simulator = team.simulator
     poses = {vehicle: simulator.known_pose(vehicle) for vehicle in simulator.vehicles}
-    radius = simulator.config.disc_radius
     for vehicle, pose in poses.items():
         if simulator.is_silent(vehicle):
             continue
-        bodies = [(p.x, p.y, radius) for other, p in poses.items() if other != vehicle]
+        bodies = [
+            (p.x, p.y, simulator.config_of(other).disc_radius)
+            for other, p in poses.items()
+            if other != vehicle
+        ]
         team.grid.insert_scan(pose, simulator.scan(vehicle), np.reshape(bodies, (-1, 3)))
 
 
@@ -245,7 +288,9 @@ def _plan(team: _Team, config: StudyConfig) -> PlanningResult:
             team.plans[vehicle] = None
             team.stalls += 1
     snapshots = {
-        vehicle: VehicleSnapshot(pose, now - team.heard[vehicle] <= SILENT, team.homes[vehicle])
+        vehicle: VehicleSnapshot(
+            pose, now - team.heard[vehicle] <= SILENT, team.homes[vehicle], team.bodies[vehicle]
+        )
         for vehicle, pose in team.poses.items()
     }
     begun = time.perf_counter()

@@ -1,12 +1,11 @@
-"""Exploration studies: strategies, team sizes and seeds, run in several processes."""
+"""Exploration studies: strategies, team sizes and seeds, run by several workers."""
 
+import functools
 import logging
-import multiprocessing
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import yaml
 
@@ -23,8 +22,15 @@ from explore_slam.studies.exploration_run import (
     StudyConfig,
     explore,
 )
+from explore_slam.studies.parallel import ALONE, Workers, make_runs
 
 logger = logging.getLogger(__name__)
+
+START_SPACING = 0.9  # m between the centres of usual vehicles; that of two is vehicle_separation
+# settings that vehicles have of their own: all but the clock, and the errors that the study sets
+_OF_VEHICLES = values_of(GridSimulatorConfig()).keys() - {
+    'time_step', 'position_noise', 'heading_noise',
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -38,6 +44,23 @@ class Study:
     config: StudyConfig = field(default_factory=StudyConfig)
     planner_settings: Mapping[str, Any] = field(default_factory=dict)
     scenario_path: Path | None = None
+    vehicle_settings: Mapping[str, Any] = field(default_factory=dict)
+    own_settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    def vehicle_configs(self, size: int) -> tuple[GridSimulatorConfig, dict[str, Any]]:
+        """Return the settings of all vehicles of a team, and those of vehicles that differ.
+
+        Where disc_radius differs, reach_clearance does as much, unless it is given.
+        """
+        config = with_values(GridSimulatorConfig(), self.vehicle_settings)
+        own = {}
+        for name, values in self.own_settings.items():
+            if name in vehicle_names(size):
+                made = with_values(config, values)
+                larger = made.disc_radius - config.disc_radius
+                clearance = {'reach_clearance': config.reach_clearance + larger}
+                own[name] = with_values(config, clearance | dict(values))
+        return config, own
 
     def scenario(self, size: int) -> Scenario:
         """Read the scenario for a team; SimulationError if it does not fit world and vehicles."""
@@ -55,12 +78,15 @@ class Study:
     def run_one(self, strategy: str, size: int, seed: int) -> ExplorationRun:
         """Make one run; the seed determines the start poses and all noise."""
         world = _world(self.map_path)
-        radius = GridSimulatorConfig().reach_clearance
-        poses = world.start_poses(size, seed, radius)
+        config, own = self.vehicle_configs(size)
+        every = [config, *own.values()]
+        radius = max(one.reach_clearance for one in every)
+        spacing = START_SPACING + 2.0 * max(one.disc_radius - config.disc_radius for one in every)
+        poses = world.start_poses(size, seed, radius, spacing)
         starts = dict(zip(vehicle_names(size), poses, strict=True))
         scenario = self.scenario(size)
         settings = self.planner_settings
-        run = explore(world, starts, strategy, seed, self.config, settings, scenario=scenario)
+        run = explore(world, starts, strategy, seed, self.config, settings, config, scenario, own)
         logger.info(
             '%s, %d vehicles, seed %d: %s after %.0f s, 99 %% after %.0f s, %.0f x real time',
             strategy, size, seed, run.status, run.duration, run.curve.time_to(0.99),
@@ -84,24 +110,55 @@ def make_study(
 ) -> Study:
     """Make a study of plain values.
 
-    changes: 'name=value' of study and planner settings. scenario: file with events.
+    changes: 'name=value' of settings of study, planner and vehicles, 'robot2.name=value' of those
+    of one vehicle. scenario: file with events.
     """
     for name, values in (('vehicles', team_sizes), ('strategies', strategies), ('seeds', seeds)):
         if not values:
             raise EvaluationError(f'study: no {name}, expected at least one')
     if min(team_sizes) < 1:
         raise EvaluationError(f'study: team of {min(team_sizes)} vehicles, expected at least 1')
-    own: dict[str, Any] = {}
-    planner: dict[str, Any] = {}
+    given = _settings_of(changes, vehicle_names(max(team_sizes)))
+    for strategy in strategies:  # refuse a wrong setting or strategy at once
+        with_values(ExplorationConfig(), given.planner | {'strategy': strategy})
+    config = with_values(StudyConfig(), given.study)
+    study = Study(
+        map_path, team_sizes, strategies, seeds, config, given.planner, scenario,
+        given.vehicles, given.own,
+    )  # fmt: skip
+    study.vehicle_configs(max(team_sizes))  # refuse wrong values
+    return study
+
+
+class _Settings(NamedTuple):
+    """Settings by name: of the study, the planner, all vehicles, and single vehicles."""
+
+    study: dict[str, Any]
+    planner: dict[str, Any]
+    vehicles: dict[str, Any]
+    own: dict[str, dict[str, Any]]
+
+
+def _settings_of(changes: Sequence[str], vehicles: Sequence[str]) -> _Settings:
+    """Sort 'name=value' and 'vehicle.name=value'; EvaluationError for what cannot be."""
+    given = _Settings({}, {}, {}, {})
     for change in changes:
         name, equals, text = change.partition('=')
         if not equals:
             raise EvaluationError(f'study: {change!r}, expected name=value')
-        (own if name in values_of(StudyConfig()) else planner)[name] = yaml.safe_load(text)
-    for strategy in strategies:  # refuse a wrong setting or strategy at once
-        with_values(ExplorationConfig(), planner | {'strategy': strategy})
-    config = with_values(StudyConfig(), own)
-    return Study(map_path, team_sizes, strategies, seeds, config, planner, scenario)
+        value = yaml.safe_load(text)
+        vehicle, dot, leaf = name.partition('.')
+        if not dot and name in values_of(StudyConfig()):
+            given.study[name] = value
+        elif not dot:
+            (given.vehicles if name in _OF_VEHICLES else given.planner)[name] = value
+        elif vehicle not in vehicles:
+            raise EvaluationError(f'study: {change!r}, expected one of the vehicles {vehicles}')
+        elif leaf not in _OF_VEHICLES:
+            raise EvaluationError(f'study: {change!r}, expected one of {sorted(_OF_VEHICLES)}')
+        else:
+            given.own.setdefault(vehicle, {})[leaf] = value
+    return given
 
 
 _WORLDS: dict[Path, GridWorld] = {}
@@ -114,27 +171,25 @@ def _world(path: Path) -> GridWorld:
     return _WORLDS[path]
 
 
+@functools.cache
 def warm_up() -> None:
-    """Compile all kernels of a run, so that compilation does not count as planning time."""
+    """Compile all kernels of a run, once per process: it does not count as planning time."""
     for package in (simulation, mapping, exploration):
         package.warm_up()
 
 
-def _run_task(task: tuple[Study, str, int, int]) -> ExplorationRun:
-    study, strategy, size, seed = task
+def _run_task(study: Study, strategy: str, size: int, seed: int) -> ExplorationRun:
+    warm_up()
     return study.run_one(strategy, size, seed)
 
 
-def run_study(study: Study, workers: int = 2) -> Iterator[ExplorationRun]:
-    """Yield the runs of a study in order; workers: number of processes."""
+def run_study(study: Study, workers: Workers = ALONE) -> Iterator[ExplorationRun]:
+    """Yield the runs of a study in order.
+
+    On a cluster, all machines read map and scenario from the same paths.
+    """
     for size in study.team_sizes:  # refuse files that cannot be read, or do not fit, at once
         _world(study.map_path)
         study.scenario(size)
-    tasks: Iterable[tuple[Study, str, int, int]] = [(study, *task) for task in study.tasks()]
-    if workers <= 1:
-        warm_up()
-        yield from map(_run_task, tasks)
-        return
-    context = multiprocessing.get_context('spawn')
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=warm_up) as pool:
-        yield from pool.map(_run_task, tasks)
+    tasks = [(study, *task) for task in study.tasks()]
+    yield from make_runs(_run_task, tasks, workers)

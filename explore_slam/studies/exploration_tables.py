@@ -120,26 +120,34 @@ def run_values(run: ExplorationRun) -> dict[str, Any]:
         'wall_collisions': run.wall_collisions,
         'stalls': run.stalls,
         'plannings': run.plannings,
+    }
+
+
+def timing_values(run: ExplorationRun) -> dict[str, Any]:
+    """Return what depends on the computer and on what else it did, by name."""
+    return {
+        'strategy': run.strategy,
+        'vehicles': run.vehicles,
+        'seed': run.seed,
         'planning_seconds': run.planning_seconds,
         'real_time_factor': run.real_time_factor,
     }
 
 
 def save_study(runs: Sequence[ExplorationRun], folder: Path) -> list[Path]:
-    """Write runs.csv, curves.json, table.md, coverage.png and times.png; return their paths."""
+    """Write the results of a study into a folder; return the paths.
+
+    runs.csv, curves.json and table.md are the same byte for byte wherever the runs were made;
+    timings.csv holds what is not.
+    """
     if not runs:
         raise EvaluationError('study: no runs to save')
     folder.mkdir(parents=True, exist_ok=True)
     table, curves = folder / 'table.md', folder / 'curves.json'
     write_text(table, markdown_table(runs))
     rows = [run_values(run) for run in runs]
-    with (
-        atomic(folder / 'runs.csv') as partial,
-        partial.open('w', newline='', encoding='utf-8') as stream,
-    ):
-        writer = csv.DictWriter(stream, fieldnames=list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
+    _write_csv(folder / 'runs.csv', rows)
+    _write_csv(folder / 'timings.csv', [timing_values(run) for run in runs])
     content = [
         {**row, 'stamps': run.curve.stamps, 'team': run.curve.team, 'paths': list(run.paths)}
         for row, run in zip(rows, runs, strict=True)
@@ -148,7 +156,14 @@ def save_study(runs: Sequence[ExplorationRun], folder: Path) -> list[Path]:
     pictures = [folder / 'coverage.png', folder / 'times.png']
     plot_coverage(runs, pictures[0])
     plot_times(runs, pictures[1])
-    return [table, folder / 'runs.csv', curves, *pictures]
+    return [table, folder / 'runs.csv', folder / 'timings.csv', curves, *pictures]
+
+
+def _write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+    with atomic(path) as partial, partial.open('w', newline='', encoding='utf-8') as stream:
+        writer = csv.DictWriter(stream, fieldnames=list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
 
 
 def _colors(groups: Iterable[Group]) -> dict[str, str]:

@@ -35,6 +35,7 @@ from explore_slam.results import tables
 from explore_slam.settings import with_values
 from explore_slam.simulation.worlds.walls import distances_from
 from explore_slam.studies.figures import new_figure
+from explore_slam.studies.parallel import ALONE, Workers, make_runs
 from explore_slam.studies.sensor_rig import (
     FLOOR,
     START,
@@ -332,7 +333,9 @@ def _write_cloud(writer: BagWriter, scan: LaserScan) -> None:
     )
 
 
-def run_study(study: SensorStudy, output: Path | None = None) -> Iterator[CaseRun]:
+def run_study(
+    study: SensorStudy, output: Path | None = None, workers: Workers = ALONE
+) -> Iterator[CaseRun]:
     """Yield the run of every case and seed, in order; sensors.json grows with them.
 
     output: folder for sensors.json and a picture of the map of the first seed of every case.
@@ -340,15 +343,17 @@ def run_study(study: SensorStudy, output: Path | None = None) -> Iterator[CaseRu
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
     runs: list[CaseRun] = []
-    for number, case in enumerate(study.cases()):
-        for seed in study.seeds:
-            run, grid = run_case(case, seed, study.config())
-            runs.append(run)
-            if output is not None:
-                save_runs(study, runs, output)
-                if seed == study.seeds[0]:
-                    plot_map(grid, case.title, output / f'{number:02d}.png')
-            yield run
+    cases = [(case, seed) for case in study.cases() for seed in study.seeds]
+    tasks = [(case, seed, study.config()) for case, seed in cases]
+    done = make_runs(run_case, tasks, workers)
+    for index, ((case, seed), (run, grid)) in enumerate(zip(cases, done, strict=True)):
+        runs.append(run)
+        if output is not None:
+            save_runs(study, runs, output)
+            if seed == study.seeds[0]:
+                number = index // len(study.seeds)
+                plot_map(grid, case.title, output / f'{number:02d}.png')
+        yield run
 
 
 HEADER = (

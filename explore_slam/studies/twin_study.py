@@ -7,10 +7,8 @@ second corridor, where nothing but equal rooms is in sight.
 
 import json
 import math
-import multiprocessing
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,6 +28,7 @@ from explore_slam.simulation.worlds.twin_corridors import (
     along,
     twin_corridors,
 )
+from explore_slam.studies.parallel import ALONE, Workers, make_runs
 
 STARTS = ('known', 'unknown')
 PERIOD = 0.5  # s between scans
@@ -238,16 +237,9 @@ def _revisited_ends(world: TwinCorridors, path: Sequence[Pose2]) -> set[int]:
     return {end for end in entered if entered.count(end) > 1}
 
 
-def run_study(study: TwinStudy, workers: int = 2) -> Iterator[TwinRun]:
-    """Yield the run of every world, in order; workers: number of processes."""
-    if workers <= 1 or len(study.worlds) == 1:
-        yield from (run_world(study, seed) for seed in study.worlds)
-        return
-    context = multiprocessing.get_context('spawn')
-    with ProcessPoolExecutor(workers, mp_context=context) as pool:
-        futures = [pool.submit(run_world, study, seed) for seed in study.worlds]
-        for future in futures:
-            yield future.result()
+def run_study(study: TwinStudy, workers: Workers = ALONE) -> Iterator[TwinRun]:
+    """Yield the run of every world, in order."""
+    yield from make_runs(run_world, [(study, seed) for seed in study.worlds], workers)
 
 
 HEADER = (

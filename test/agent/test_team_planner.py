@@ -1,11 +1,15 @@
 """Planning for the agent's team: states, the operator's requests, reports of followers."""
 
+import logging
+
 import numpy as np
 import pytest
 from synthetic import SyntheticVehicle, SyntheticWorld
 
 from explore_slam.agent import Agent, AgentConfig, TeamPlanner
+from explore_slam.battery import BatteryConfig
 from explore_slam.data import (
+    BatteryReading,
     FollowerReport,
     FollowerState,
     OdometryReading,
@@ -95,6 +99,56 @@ def test_a_vehicle_called_home_returns_and_is_home():
     assert planner.plan(3.0).status is ExplorationStatus.RETURNED
     assert track.state is VehicleState.HOME
     assert vehicle.stamp > 0.0
+
+
+def report_voltage(planner, voltage, start):
+    """Report a voltage for 6 s; return whether it has changed the level."""
+    readings = [start + 0.5 * step for step in range(13)]
+    changes = [planner.report_battery('robot1', BatteryReading(voltage), now) for now in readings]
+    return any(changes)
+
+
+def test_a_low_battery_brings_the_vehicle_home_and_a_critical_one_stops_it(caplog):
+    caplog.set_level(logging.INFO)
+    agent, _, _ = make()
+    planner = TeamPlanner(agent, {'robot1': BatteryConfig(11.5, 11.0)})
+    track = agent.track('robot1')
+    agent.set_pose('robot1', Pose2(-1.0, 1.0, 0.0), 1e-4 * np.eye(3))
+    planner.set_goal('robot1', Pose2(0.5, 1.0, 0.0))
+    assert tuple(planner.plan(1.0).plans['robot1'].goal[:2]) == pytest.approx((0.5, 1.0), abs=0.1)
+    assert not report_voltage(planner, 12.0, 1.0)
+    assert report_voltage(planner, 11.4, 10.0)
+    assert 'robot1: battery low: 11.4 V, battery_low is 11.5 V; it drives home; the goal' in (
+        caplog.text
+    )
+    result = planner.plan(20.0)
+    assert tuple(result.plans['robot1'].goal[:2]) == pytest.approx(START[:2], abs=0.15)
+    assert (track.state, result.status) == (
+        VehicleState.RETURNING, ExplorationStatus.IN_PROGRESS,
+    )  # fmt: skip
+    planner.set_goal('robot1', Pose2(0.5, 1.0, 0.0))  # to a charger, say
+    result = planner.plan(21.0)
+    assert tuple(result.plans['robot1'].goal[:2]) == pytest.approx((0.5, 1.0), abs=0.1)
+    assert track.state is VehicleState.DRIVING
+    assert report_voltage(planner, 10.9, 30.0)
+    result = planner.plan(40.0)
+    assert (track.plan, track.state) == (None, VehicleState.BATTERY_CRITICAL)
+    assert result.status is ExplorationStatus.INCOMPLETE
+    with pytest.raises(AgentError, match='robot1 cannot be sent anywhere: battery critical'):
+        planner.set_goal('robot1', Pose2(0.5, 1.0, 0.0))
+    planner.reset()  # does not charge it
+    assert planner.plan(41.0).plans == {}
+    assert report_voltage(planner, 12.8, 50.0)
+    assert planner.plan(60.0).plans.keys() == {'robot1'}
+    assert track.state is VehicleState.DRIVING
+
+
+def test_a_vehicle_with_a_low_battery_is_home_when_it_gets_there():
+    agent, _, _ = make()
+    planner = TeamPlanner(agent, {'robot1': BatteryConfig(11.5, 11.0)})
+    report_voltage(planner, 11.4, 0.0)
+    planner.plan(10.0)
+    assert agent.track('robot1').state is VehicleState.HOME
 
 
 def test_a_room_that_is_known_is_done():

@@ -5,9 +5,9 @@ import csv
 
 import pytest
 
-from explore_slam.cli import benchmark
+from explore_slam.cli import benchmark, experiment
 from explore_slam.cli.arguments import whole_numbers
-from explore_slam.errors import ExploreSlamError
+from explore_slam.errors import EvaluationError, ExploreSlamError
 
 
 def parse(*words):
@@ -64,5 +64,20 @@ def test_a_small_study_prints_its_table_and_writes_its_files(tmp_path, capsys):
     assert printed.out.count('| nearest |') == 2
     assert '[2/2] nearest, 2 vehicles, seed 0: exploration_complete' in printed.err
     assert sorted(path.name for path in output.iterdir()) == [
-        'coverage.png', 'curves.json', 'runs.csv', 'table.md', 'times.png',
+        'coverage.png', 'curves.json', 'runs.csv', 'table.md', 'times.png', 'timings.csv',
     ]  # fmt: skip
+
+
+def test_workers_and_cluster_exclude_each_other(capsys):
+    with pytest.raises(SystemExit):
+        parse('--map', 'room.yaml', '--workers', '3', '--cluster', 'tcp://127.0.0.1:8786')
+    assert 'not allowed with argument' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('name', ['2', '3', '4'])
+@pytest.mark.parametrize('option', [['--workers', '2'], ['--cluster', 'tcp://127.0.0.1:8786']])
+def test_experiments_that_measure_times_run_in_one_process(name, option):
+    parser = argparse.ArgumentParser()
+    experiment.configure(parser)
+    with pytest.raises(EvaluationError, match=f'experiment {name} runs in one process'):
+        experiment.run(parser.parse_args([name, *option]))

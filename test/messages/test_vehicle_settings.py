@@ -30,6 +30,9 @@ def test_sweeps_are_those_of_the_team_unless_a_vehicle_has_its_own():
         ('robot2.follow_speed', float('nan'), 'robot2: follow_speed is nan'),
         ('robot2.sweep_stamp', 'middle', 'robot2: sweep_stamp'),
         ('robot2.sweep_time', 1.5, 'robot2: sweep_time is 1.5, expected -1.0 to 1.0'),
+        ('robot2.battery_low', 101.0, 'robot2: battery_low is 101.0, expected 0.0 to 100.0'),
+        ('robot2.battery_topic', '/battery', "robot2: battery_topic is .'/battery'."),
+        ('robot2.battery_topic', '', "robot2: battery_topic is .''."),
         ('robot2.vehicle_radios', 0.3, "did you mean 'vehicle_radius'"),
     ],
 )

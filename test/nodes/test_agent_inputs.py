@@ -55,7 +55,7 @@ def make_inputs():
             ['robot1'],
             Inbox(LIMITS),
             sink=Sink(),
-            operator=None,
+            planner=None,
             transforms=TransformListener(node, ['robot1']),
             map_frame='map',
         )

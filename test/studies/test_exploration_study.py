@@ -5,10 +5,13 @@ import math
 import pytest
 from grid_worlds import drawn_world
 
+from explore_slam.data import VehicleBody
 from explore_slam.errors import ConfigError, EvaluationError, ExploreSlamError
 from explore_slam.geometry import Pose2
+from explore_slam.settings import with_values
+from explore_slam.simulation.grid.grid_simulator import GridSimulatorConfig
 from explore_slam.simulation.grid.scenario import Event, Scenario
-from explore_slam.studies.exploration_run import StudyConfig, explore
+from explore_slam.studies.exploration_run import StudyConfig, Vehicles, explore
 from explore_slam.studies.exploration_study import make_study, run_study
 from explore_slam.studies.exploration_tables import (
     HEADER,
@@ -18,6 +21,7 @@ from explore_slam.studies.exploration_tables import (
     table_rows,
     time_ratio,
 )
+from explore_slam.studies.parallel import Workers
 
 TWO_ROOMS = [
     '#########################',
@@ -215,6 +219,71 @@ def test_the_same_seed_gives_the_same_run():
     assert first.paths == second.paths
 
 
+def run_team(own, *, door=1.0, seconds=900.0, **settings):
+    """Explore two rooms from the same places; robot2 has settings of its own."""
+    starts = {'robot1': Pose2(1.5, 1.5, 0.0), 'robot2': Pose2(1.5, 3.5, 0.0)}
+    config = StudyConfig(time_limit=seconds, **settings)
+    one = with_values(GridSimulatorConfig(), own)
+    world = narrow(TWO_ROOMS, door)
+    return explore(world, starts, 'default', 1, config, own_configs={'robot2': one})
+
+
+def test_a_slow_vehicle_drives_less_and_the_others_do_its_work():
+    alike, unlike = run_team({}), run_team({'cruise_speed': 0.1})
+    assert unlike.status == 'exploration_complete'
+    assert unlike.paths[1] < 0.5 * alike.paths[1]
+    assert unlike.curve.team[-1] > 0.99
+
+
+def test_a_large_vehicle_is_not_sent_through_a_door():
+    large = {'disc_radius': 0.45, 'reach_clearance': 0.53}
+    done = run_team(large)
+    assert done.status == 'exploration_complete'  # by the other one
+    assert done.curve.team[-1] > 0.99
+    assert (done.wall_collisions, done.vehicle_collisions) == (0, 0)
+    unaware = run_team(large, vehicles_known=False, seconds=200.0)
+    assert unaware.stalls > done.stalls  # it is sent where it does not fit
+
+
+def test_what_the_planner_knows_of_a_vehicle():
+    usual = GridSimulatorConfig()
+    own = with_values(
+        usual,
+        {'cruise_speed': 0.25, 'disc_radius': 0.42, 'beam_range': 3.0, 'field_of_view': 1.0},
+    )
+    vehicles = Vehicles(usual, {'b': own})
+    assert vehicles.body('a') == VehicleBody()
+    body = vehicles.body('b')
+    assert body[:3] == pytest.approx((0.45, 0.2, 0.02))
+    assert body[3:] == (3.0, 1.0)
+    assert Vehicles(usual, {'b': usual}).body('b') == VehicleBody()
+
+
+def test_settings_of_vehicles_are_read_from_the_command_line(tmp_path):
+    changes = ['cruise_speed=0.4', 'robot2.disc_radius=0.32', 'robot2.beam_range=3']
+    study = make_study(tmp_path, [1, 2], ['default'], [0], changes)
+    config, own = study.vehicle_configs(2)
+    assert (config.cruise_speed, own['robot2'].cruise_speed) == (0.4, 0.4)
+    assert own['robot2'].reach_clearance == pytest.approx(0.4)  # as much larger as the disc
+    assert (own['robot2'].beam_range, config.beam_range) == (3.0, 8.0)
+    assert study.vehicle_configs(1)[1] == {}
+
+
+@pytest.mark.parametrize(
+    ('change', 'error', 'message'),
+    [
+        ('robot3.disc_radius=0.3', EvaluationError, "vehicles .'robot1', 'robot2'"),
+        ('robot2.time_step=0.2', EvaluationError, "expected one of .*'beam_range'"),
+        ('robot2.strategy=nearest', EvaluationError, "expected one of .*'beam_range'"),
+        ('robot2.disc_radius=-1', ConfigError, 'disc_radius is -1'),
+        ('cruise_speed=fast', ConfigError, "cruise_speed is 'fast'"),
+    ],
+)
+def test_wrong_settings_of_vehicles_are_named(tmp_path, change, error, message):
+    with pytest.raises(error, match=message):
+        make_study(tmp_path, [1, 2], ['default'], [0], [change])
+
+
 @pytest.fixture(scope='module')
 def small_study(tmp_path_factory):
     folder = tmp_path_factory.mktemp('study')
@@ -225,7 +294,7 @@ def small_study(tmp_path_factory):
         '    - {from: [4.0, 0.0], to: [4.0, 5.0], doors: [[2.0, 1.2]]}\n'
     )
     study = make_study(world, [1, 2], ['default', 'nearest'], [0, 1], ['time_limit=600'])
-    return study, list(run_study(study, workers=2))
+    return study, list(run_study(study, Workers(2)))
 
 
 def test_a_study_makes_every_run_in_order(small_study):
@@ -258,10 +327,10 @@ def test_tables_and_pictures_are_written(small_study, tmp_path):
     _, runs = small_study
     paths = save_study(runs, tmp_path / 'out')
     assert [path.name for path in paths] == [
-        'table.md', 'runs.csv', 'curves.json', 'coverage.png', 'times.png',
+        'table.md', 'runs.csv', 'timings.csv', 'curves.json', 'coverage.png', 'times.png',
     ]  # fmt: skip
     assert all(path.stat().st_size > 100 for path in paths)
-    assert paths[3].read_bytes()[:8] == b'\x89PNG\r\n\x1a\n'
+    assert paths[4].read_bytes()[:8] == b'\x89PNG\r\n\x1a\n'
     lines = (tmp_path / 'out' / 'runs.csv').read_text().splitlines()
     assert len(lines) == 1 + len(runs)
     assert set(lines[0].split(',')) == set(run_values(runs[0]))

@@ -11,7 +11,7 @@ import itertools
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from explore_slam.exploration.assignment import assign_jointly
 from explore_slam.exploration.records import Frontier
@@ -28,6 +28,7 @@ _MAXIMUM_STOPS = 60  # of all tours together; bounds the time for planning
 _LARGEST_GAIN = 60.0  # m²; larger unknown areas are no more work than this
 _URGENCY_FLOOR = 2.0  # m²; added to the gain of every stop, so that small ones are visited too
 _URGENT_GAIN = 20.0  # m²; larger unknown areas are no more urgent than this
+_SHORTEST_SIDE_RANGE = 0.1  # m; a vehicle that sees less to the side counts as seeing this
 _MINIMUM_DETOUR = 0.1  # m; smaller detours count as this
 
 
@@ -44,7 +45,7 @@ class DefaultStrategy:
     def __init__(self, config: AssignmentConfig, sensor_range: float) -> None:
         self._config = config
         self._sensor_range = sensor_range
-        self._cache = RouteCache()
+        self._caches: dict[float, RouteCache] = {}  # by the envelope (m) of a body
         self._tours: dict[str, Array] = {}  # stops (N, 2) m of each vehicle in order
 
     def assign(self, situation: Situation) -> list[int]:
@@ -61,7 +62,8 @@ class DefaultStrategy:
         fixed = np.array([targets.index(k) if k in targets else -1 for k in current], np.int64)
 
         problem = self._problem(situation, targets, gains)
-        problem = defer_low_gain_stops(problem, gains, fixed, self._config.gain_per_detour)
+        least = self._config.gain_per_detour / situation.slowness
+        problem = defer_low_gain_stops(problem, gains, fixed, least)
         prior = self._prior_tours(situation.vehicles, points)
         margin = self._config.tour_hysteresis * 2.0 ** max(situation.switches, default=0)
         tours = improve_or_replace(problem, fixed, prior, margin)
@@ -74,14 +76,27 @@ class DefaultStrategy:
         return self._assign_idle(chosen, situation)
 
     def _problem(self, situation: Situation, targets: list[int], gains: Array) -> TourProblem:
-        """Return costs, work and urgency of the stops."""
-        config = self._config
+        """Return costs, work and urgency of the stops, as travel of the fastest vehicle.
+
+        The others take longer for the same way, and a large vehicle may have to go round. Walls
+        leave a strip of 1 / work_per_area (m) to be seen on the way through a building; a vehicle
+        that sees a narrower one has to drive more.
+        """
+        config, slowness = self._config, situation.slowness
         cells = np.array([situation.frontiers[i].target_cell for i in targets])
-        routes = situation.scene.routes()
+        between: dict[float, Array] = {}
+        for name, body in zip(situation.vehicles, situation.kinds, strict=True):
+            if body.envelope not in between:
+                routes = situation.scene.routes(name)
+                cache = self._caches.setdefault(body.envelope, RouteCache())
+                between[body.envelope] = cache.between(routes, routes.blocks(cells))
+        each = np.array([between[body.envelope] for body in situation.kinds])
+        strips = 2.0 * np.maximum(situation.side_ranges(self._sensor_range), _SHORTEST_SIDE_RANGE)
+        per_area = slowness * np.maximum(config.work_per_area, 1.0 / strips)
         return TourProblem(
-            starts=situation.costs[:, targets],
-            between=self._cache.between(routes, routes.blocks(cells)),
-            work=config.work_per_area * np.minimum(gains, _LARGEST_GAIN),
+            starts=situation.efforts[:, targets],
+            between=each * slowness[:, None, None],
+            work=per_area[:, None] * np.minimum(gains, _LARGEST_GAIN)[None],
             urgency=urgencies(gains, len(situation.vehicles), config.waiting_weight),
             longest_weight=config.longest_weight,
         )
@@ -108,9 +123,9 @@ class DefaultStrategy:
         if not idle or not free:
             return chosen
         picks = assign_jointly(
-            situation.costs[np.ix_(idle, free)],
+            situation.efforts[np.ix_(idle, free)],
             situation.targets[free],
-            self._sensor_range,
+            situation.side_ranges(self._sensor_range)[idle],
             self._config.overlap_weight,
         )
         for vehicle, pick in zip(idle, picks, strict=True):
@@ -156,19 +171,22 @@ def urgencies(gains: Array, vehicles: int, waiting_weight: float) -> Array:
 
 
 def defer_low_gain_stops(
-    problem: TourProblem, gains: Array, fixed: NDArray[np.int64], gain_per_detour: float
+    problem: TourProblem, gains: Array, fixed: NDArray[np.int64], gain_per_detour: ArrayLike
 ) -> TourProblem:
     """Return the problem without the stops that gain too little for their detour now.
 
     Of the shortest tours through all stops, the stop with the smallest gain per detour is dropped
-    until every one gains at least gain_per_detour (m² per m). Fixed stops stay. If none is left,
-    the problem is returned as it is.
+    until every one gains at least gain_per_detour (m² per m; of all vehicles, or (V,)). Fixed
+    stops stay. If none is left, the problem is returned as it is.
     """
     zero = np.zeros(len(gains))
-    starts, between = problem.starts, problem.between
+    starts = problem.starts
+    least = np.broadcast_to(np.asarray(gain_per_detour, np.float64), len(starts))
+    every = np.broadcast_to(problem.between, (len(starts), len(gains), len(gains)))
     worth = np.ones(len(gains), np.bool_)
     shortest = plan_tours(problem._replace(work=zero, urgency=zero), fixed)
     for vehicle, order in enumerate(shortest.orders):
+        between = every[vehicle]
         while order:
             steps = [starts[vehicle, order[0]]]
             steps += [between[a, b] for a, b in itertools.pairwise(order)]
@@ -180,7 +198,7 @@ def defer_low_gain_stops(
                     detour += steps[at + 1] - direct[order[at + 1]]
                 rates.append(gains[stop] / max(detour, _MINIMUM_DETOUR))
             worst = int(np.argmin(rates))
-            if rates[worst] >= gain_per_detour or order[worst] in fixed:
+            if rates[worst] >= least[vehicle] or order[worst] in fixed:
                 break
             worth[order.pop(worst)] = False
     if not worth.any():

@@ -21,7 +21,7 @@ class PaperStrategy:
         return assign_targets(
             situation.costs_with_hysteresis(self._config.hysteresis),
             situation.targets,
-            self._sensor_range,
+            situation.side_ranges(self._sensor_range),
             self._config.travel_weight,
         )
 

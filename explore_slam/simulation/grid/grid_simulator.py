@@ -8,7 +8,7 @@ A scenario lets doors close, people stand in the way, and vehicles fail.
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,9 +121,11 @@ class GridSimulator:
         config: GridSimulatorConfig | None = None,
         seed: int = 0,
         scenario: Scenario | None = None,
+        own_configs: Mapping[str, GridSimulatorConfig] | None = None,
     ) -> None:
         """Place vehicles at their start poses.
 
+        own_configs: of vehicles that differ from the others; their time_step is that of all.
         Raises SimulationError for too many vehicles, for poses outside, in obstacles or closer
         to each other than two radii, and for a scenario that does not fit the world.
         """
@@ -132,6 +134,12 @@ class GridSimulator:
         self.scenario.check(world, starts)
         self.config = config or GridSimulatorConfig()
         self.vehicles = tuple(starts)
+        own = own_configs or {}
+        self._configs = [
+            replace(own.get(name, self.config), time_step=self.config.time_step) for name in starts
+        ]
+        self._radii = np.array([one.disc_radius for one in self._configs])
+        self._longest_sweep = max((one.sweep_time for one in self._configs), default=0.0)
         if not 1 <= len(starts) <= MAX_VEHICLES:
             raise SimulationError(
                 f'grid simulator: {len(starts)} vehicles, expected 1 to {MAX_VEHICLES}'
@@ -151,12 +159,13 @@ class GridSimulator:
         self._use(self._changes.world)
         self._drives = [_Drive(progress_place=(pose.x, pose.y)) for pose in starts.values()]
         self._index = {name: index for index, name in enumerate(self.vehicles)}
-        half = 0.5 * self.config.field_of_view
-        self._angles = np.linspace(-half, half, self.config.beams)
-        self._ranges = np.zeros(self.config.beams)
+        self._angles = [
+            np.linspace(-0.5 * one.field_of_view, 0.5 * one.field_of_view, one.beams)
+            for one in self._configs
+        ]
+        self._ranges = [np.zeros(one.beams) for one in self._configs]
         self._check_apart()
-        final = self.scenario.final_world(world)
-        self.reachable = final.reachable(self._poses[:, :2], self.config.reach_clearance)
+        self.reachable = self._reachable(self.scenario.final_world(world))
         self.reachable_cells = max(1, int(np.count_nonzero(self.reachable)))
         self._seen = np.zeros(world.shape, np.uint32)
         self._own_cells = [0] * len(self.vehicles)
@@ -181,15 +190,27 @@ class GridSimulator:
             )
 
     def _check_apart(self) -> None:
-        needed = 2.0 * self.config.disc_radius
         for index, name in enumerate(self.vehicles):
             x, y, _ = self._poses[index]
-            gap = kernels.nearest_other(self._poses, index, x, y)
-            if gap < needed:
+            gap = kernels.smallest_gap(self._poses, self._radii, index, x, y)
+            if gap < 0.0:
                 raise SimulationError(
-                    f'grid simulator: {name} starts {gap:.2f} m from another vehicle, '
-                    f'expected at least {needed:g} m'
+                    f'grid simulator: {name} starts with its disc {-gap:.2f} m within that of '
+                    f'another vehicle (disc_radius {self._radii[index]:g} m)'
                 )
+
+    def _reachable(self, world: GridWorld) -> NDArray[np.bool_]:
+        """Return the cells (H, W) that some vehicle can cover, each with its own clearance."""
+        clearances = [one.reach_clearance for one in self._configs]
+        covered = np.zeros(world.shape, np.bool_)
+        for clearance in set(clearances):
+            alike = [index for index, own in enumerate(clearances) if own == clearance]
+            covered |= world.reachable(self._poses[alike, :2], clearance)
+        return covered
+
+    def config_of(self, vehicle: str) -> GridSimulatorConfig:
+        """Return the settings of a vehicle."""
+        return self._configs[self._index[vehicle]]
 
     # -- state -------------------------------------------------------------------------------
 
@@ -253,27 +274,27 @@ class GridSimulator:
         With a sweep_time, it has begun that long ago, at most when the simulation began, and each
         beam starts where the vehicle was at its time. Other vehicles are where they are now.
         """
-        index, config = self._index[vehicle], self.config
-        others = np.delete(self._poses, index, axis=0)
-        bodies = np.column_stack([others[:, :2], np.full(len(others), config.disc_radius)])
+        index, config = self._index[vehicle], self.config_of(vehicle)
+        every = np.column_stack([self._poses[:, :2], self._radii])
+        bodies = np.delete(every, index, axis=0)
         stamp, poses = self._sweep(index)
         own, team = kernels.cast_beams(
             self._cells,
-            kernels.Sweep(poses, self._angles, config.beam_range),
+            kernels.Sweep(poses, self._angles[index], config.beam_range),
             bodies,
             kernels.Coverage(self.reachable, self._seen, np.uint32(1 << index)),
-            self._ranges,
+            self._ranges[index],
         )
         self._own_cells[index] += own
         self._team_cells += team
-        ranges = self._ranges.copy()
+        angles, ranges = self._angles[index], self._ranges[index].copy()
         if config.range_noise:
             ranges += self._rng.normal(0.0, config.range_noise, ranges.size)
             ranges[ranges >= config.beam_range] = np.inf
-        step = self._angles[1] - self._angles[0] if ranges.size > 1 else 0.0
+        step = angles[1] - angles[0] if ranges.size > 1 else 0.0
         return LaserScan(
             stamp=stamp,
-            angle_min=float(self._angles[0]),
+            angle_min=float(angles[0]),
             angle_increment=float(step),
             ranges=np.maximum(ranges, RANGE_MIN).astype(np.float32),
             range_min=RANGE_MIN,
@@ -283,12 +304,13 @@ class GridSimulator:
 
     def _sweep(self, index: int) -> tuple[float, Array]:
         """Return when the first beam of a scan is measured (s), and the pose (B, 3) at each."""
-        begin = max(self.time - self.config.sweep_time, 0.0)
+        beams = self._angles[index].size
+        begin = max(self.time - self._configs[index].sweep_time, 0.0)
         if begin == self.time:
-            return begin, np.tile(self._poses[index], (self._angles.size, 1))
+            return begin, np.tile(self._poses[index], (beams, 1))
         at = np.array([time for time, _ in self._past])
         past = np.array([poses[index] for _, poses in self._past])
-        times = np.linspace(begin, self.time, self._angles.size)
+        times = np.linspace(begin, self.time, beams)
         columns = (past[:, 0], past[:, 1], np.unwrap(past[:, 2]))
         poses = np.stack([np.interp(times, at, column) for column in columns], axis=1)
         return begin, poses
@@ -306,7 +328,7 @@ class GridSimulator:
             self._steer(index)
             self._move(index)
         self._past.append((self.time, self._poses.copy()))
-        while len(self._past) > 2 and self._past[1][0] <= self.time - self.config.sweep_time:
+        while len(self._past) > 2 and self._past[1][0] <= self.time - self._longest_sweep:
             self._past.popleft()
 
     def _drift(self, index: int, stationary: bool = False) -> None:
@@ -314,7 +336,7 @@ class GridSimulator:
 
         stationary: draw it from the stationary distribution instead.
         """
-        config, drive = self.config, self._drives[index]
+        config, drive = self._configs[index], self._drives[index]
         if config.position_noise or config.heading_noise:
             sigmas = np.array([config.position_noise, config.position_noise, config.heading_noise])
             keep = 0.0 if stationary else math.exp(-config.time_step / config.error_time_constant)
@@ -323,7 +345,7 @@ class GridSimulator:
 
     def _steer(self, index: int) -> None:
         """Set speed and turn rate of a vehicle for this time step."""
-        config, drive = self.config, self._drives[index]
+        config, drive = self._configs[index], self._drives[index]
         wanted_speed, wanted_turn = 0.0, 0.0
         driving = drive.plan is not None and not drive.arrived
         if driving and self.time - drive.motion_time >= BLOCKED_TIME:
@@ -365,18 +387,18 @@ class GridSimulator:
     def _lookahead(self, index: int) -> float:
         """Return the lookahead (m), short in narrow places, where corners must not be cut."""
         x, y, _ = self._poses[index]
-        room = kernels.sample_field(self._clearance, x, y) - self.config.disc_radius
+        room = kernels.sample_field(self._clearance, x, y) - self._configs[index].disc_radius
         return min(max(2.0 * room, SHORTEST_LOOKAHEAD), LOOKAHEAD)
 
     def _back_off(self, index: int) -> None:
         """Drive straight back until the backing distance is driven or something is behind."""
-        config, drive = self.config, self._drives[index]
+        config, drive = self._configs[index], self._drives[index]
         behind = self._poses.copy()
         behind[index, 2] += math.pi
         needed = config.disc_radius + WALL_MARGIN
         room = min(
             kernels.free_distance(self._clearance, behind[index], needed, 0.2),
-            kernels.distance_to_others(behind, index, 2.0 * config.disc_radius + BACKING_MARGIN),
+            kernels.distance_to_others(behind, self._radii, index, BACKING_MARGIN),
         )
         drive.turn = 0.0
         drive.speed = -BACKING_SPEED if room > 2.0 * BACKING_SPEED * config.time_step else 0.0
@@ -389,7 +411,7 @@ class GridSimulator:
         and in the directions of the next time steps. Another vehicle allows half of the distance,
         since it may approach as well.
         """
-        config = self.config
+        config = self._configs[index]
         cruise, braking, step = config.cruise_speed, config.braking, config.time_step
         reach = cruise**2 / (2.0 * braking) + cruise * step
         turned = np.array([0.0, 0.0, self._drives[index].turn])
@@ -400,14 +422,13 @@ class GridSimulator:
             )
             for later in (0.0, step, 3.0 * step)
         )
-        apart = 2.0 * config.disc_radius + VEHICLE_MARGIN
-        before = 0.5 * kernels.distance_to_others(self._poses, index, apart)
+        before = 0.5 * kernels.distance_to_others(self._poses, self._radii, index, VEHICLE_MARGIN)
         room = min(room, before) - cruise * step * 0.5
         return math.sqrt(2.0 * braking * room) if room > 0.0 else 0.0
 
     def _move(self, index: int) -> None:
         """Move a vehicle over a time step unless it would touch something; record contacts."""
-        config, drive = self.config, self._drives[index]
+        config, drive = self._configs[index], self._drives[index]
         x, y, theta = self._poses[index]
         turned = drive.turn * config.time_step
         moved = drive.speed * config.time_step
@@ -431,10 +452,10 @@ class GridSimulator:
 
     def _contact(self, index: int, old: tuple[float, float], new: tuple[float, float]) -> str:
         """Return the obstacle touched by a motion: a vehicle's name, WALL, or '' for none."""
-        poses, radius = self._poses, self.config.disc_radius
-        near = kernels.nearest_other(poses, index, *new)
-        if near < 2.0 * radius and near < kernels.nearest_other(poses, index, *old):
-            gaps = np.hypot(poses[:, 0] - new[0], poses[:, 1] - new[1])
+        poses, radii, radius = self._poses, self._radii, self._radii[index]
+        near = kernels.smallest_gap(poses, radii, index, *new)
+        if near < 0.0 and near < kernels.smallest_gap(poses, radii, index, *old):
+            gaps = np.hypot(poses[:, 0] - new[0], poses[:, 1] - new[1]) - radii
             gaps[index] = np.inf
             return self.vehicles[int(np.argmin(gaps))]
         clearance = kernels.sample_field(self._clearance, *new)

@@ -248,23 +248,31 @@ def pursue(
 
 
 @kernel
-def nearest_other(poses: Floats, index: int, x: float, y: float) -> float:
-    """Return the distance (m) from a point to the nearest vehicle other than `index`."""
-    nearest = np.inf
+def smallest_gap(poses: Floats, radii: Floats, index: int, x: float, y: float) -> float:
+    """Return the gap (m) between a vehicle, moved to a point, and the nearest other one.
+
+    poses (V, 3), radii (V,) m: of the discs. It is negative if they overlap.
+    """
+    smallest = np.inf
     for other in range(poses.shape[0]):
         if other != index:
-            nearest = min(nearest, math.hypot(poses[other, 0] - x, poses[other, 1] - y))
-    return nearest
+            between = math.hypot(poses[other, 0] - x, poses[other, 1] - y)
+            smallest = min(smallest, between - (radii[index] + radii[other]))
+    return smallest
 
 
 @kernel
-def distance_to_others(poses: Floats, index: int, apart: float) -> float:
-    """Return how far a vehicle can move ahead until it is `apart` (m) from another's centre."""
+def distance_to_others(poses: Floats, radii: Floats, index: int, margin: float) -> float:
+    """Return how far a vehicle can move ahead until it is within a margin (m) of another.
+
+    poses (V, 3), radii (V,) m: of the discs.
+    """
     x, y, theta = poses[index, 0], poses[index, 1], poses[index, 2]
     dx, dy = math.cos(theta), math.sin(theta)
     distance = np.inf
     for other in range(poses.shape[0]):
         if other != index:
+            apart = radii[index] + radii[other] + margin
             distance = min(
                 distance, distance_to_disc(x, y, dx, dy, poses[other, 0], poses[other, 1], apart)
             )
@@ -287,5 +295,5 @@ def warm_up() -> None:
     free_distance(field, pose, 0.1, 0.2)
     path = np.array([[0.15, 0.15], [0.2, 0.2]])
     pursue(path, 0, pose, Pursuit(0.3, 0.1, 0.5, 1.0, 1.0))
-    nearest_other(pose[None], 0, 0.0, 0.0)
-    distance_to_others(pose[None], 0, 0.6)
+    smallest_gap(pose[None], np.array([0.2]), 0, 0.0, 0.0)
+    distance_to_others(pose[None], np.array([0.2]), 0, 0.2)

@@ -39,6 +39,7 @@ from explore_slam.studies.experiments.trials import (
     run_trial,
 )
 from explore_slam.studies.figures import COLORS, new_figure
+from explore_slam.studies.parallel import ALONE, Workers, make_runs
 
 logger = logging.getLogger(__name__)
 
@@ -65,22 +66,30 @@ class Options:
 Key = tuple[str, str, str]  # scene, method, maps
 
 
-def run(options: Options | None = None) -> ExperimentReport:
+def run(options: Options | None = None, workers: Workers = ALONE) -> ExperimentReport:
     """Run all methods on both scenes over all seeds."""
     options = options or Options()
+    tasks = [(options, scene, seed) for scene in PATHS for seed in options.seeds]
     trials: dict[Key, list[Trial]] = {}
-    for scene in PATHS:
-        for seed in options.seeds:
-            scenario = draw_scenario(scene, seed, landmarks=options.landmarks)
-            for maps in MAPS:
-                for method in _methods(options):
-                    for repetition in range(1 if method == 'iSAM2' else options.filter_runs):
-                        draw = seed + 1000 * repetition
-                        estimator = make_estimator(method, maps, scenario, options, draw)
-                        done = run_trial(scenario, estimator)
-                        trials.setdefault((scene, method, maps), []).append(done)
-            logger.info('experiment 1: %s, seed %d done', scene, seed)
+    for (_, scene, seed), found in zip(tasks, make_runs(_run_seed, tasks, workers), strict=True):
+        for key, done in found.items():
+            trials.setdefault(key, []).extend(done)
+        logger.info('experiment 1: %s, seed %d done', scene, seed)
     return _report(options, trials)
+
+
+def _run_seed(options: Options, scene: str, seed: int) -> dict[Key, list[Trial]]:
+    """Run all methods on one scene with one seed."""
+    scenario = draw_scenario(scene, seed, landmarks=options.landmarks)
+    trials: dict[Key, list[Trial]] = {}
+    for maps in MAPS:
+        for method in _methods(options):
+            for repetition in range(1 if method == 'iSAM2' else options.filter_runs):
+                draw = seed + 1000 * repetition
+                estimator = make_estimator(method, maps, scenario, options, draw)
+                done = run_trial(scenario, estimator)
+                trials.setdefault((scene, method, maps), []).append(done)
+    return trials
 
 
 def _methods(options: Options) -> tuple[str, ...]:

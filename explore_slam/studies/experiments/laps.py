@@ -22,6 +22,7 @@ from explore_slam.studies.experiments.scenarios import Scenario, draw_scenario
 from explore_slam.studies.experiments.tables import ExperimentReport, Table, spread
 from explore_slam.studies.experiments.trials import FilterEstimator, SmootherEstimator, rms
 from explore_slam.studies.figures import COLORS, new_figure
+from explore_slam.studies.parallel import ALONE, Workers, make_runs
 
 logger = logging.getLogger(__name__)
 
@@ -75,27 +76,31 @@ class Run:
         return np.column_stack([sizes, seconds])
 
 
-def run(options: Options | None = None) -> ExperimentReport:
+def run(options: Options | None = None, workers: Workers = ALONE) -> ExperimentReport:
     """Run the filter, and iSAM2 on the same data, over all numbers of laps and all seeds."""
     options = options or Options()
+    tasks = [(options, laps, seed) for laps in options.laps for seed in options.seeds]
     runs: dict[tuple[int, str], list[Run]] = {}
-    for laps in options.laps:
-        for seed in options.seeds:
-            scenario = draw_scenario(SCENE, seed, laps=laps)
-            runs.setdefault((laps, 'fastslam2'), []).append(
-                follow(scenario, _filter(scenario, options, seed))
-            )
-            if options.isam2:
-                smoother = SmootherEstimator(scenario.start_poses, 'common')
-                runs.setdefault((laps, 'iSAM2'), []).append(follow(scenario, smoother))
-            logger.info(
-                'laps: %d laps, seed %d: %s', laps, seed,
-                {
-                    method: (round(of[-1].position_rms, 4), round(of[-1].pose_nees, 2))
-                    for (count, method), of in runs.items() if count == laps
-                },
-            )  # fmt: skip
+    for (_, laps, seed), found in zip(tasks, make_runs(_run_seed, tasks, workers), strict=True):
+        for method, done in found.items():
+            runs.setdefault((laps, method), []).append(done)
+        logger.info(
+            'laps: %d laps, seed %d: %s', laps, seed,
+            {
+                method: (round(done.position_rms, 4), round(done.pose_nees, 2))
+                for method, done in found.items()
+            },
+        )  # fmt: skip
     return _report(options, runs)
+
+
+def _run_seed(options: Options, laps: int, seed: int) -> dict[str, Run]:
+    """Run the filter and iSAM2 on one scenario; the key is the method."""
+    scenario = draw_scenario(SCENE, seed, laps=laps)
+    found = {'fastslam2': follow(scenario, _filter(scenario, options, seed))}
+    if options.isam2:
+        found['iSAM2'] = follow(scenario, SmootherEstimator(scenario.start_poses, 'common'))
+    return found
 
 
 def _filter(scenario: Scenario, options: Options, seed: int) -> FilterEstimator:

@@ -25,7 +25,7 @@ def frontier(x, y=0.0, gain=10.0):
 class StraightLines:
     """Travel costs are distances: the cells of frontiers are their targets in whole metres."""
 
-    def routes(self):
+    def routes(self, _vehicle):
         return self
 
     @staticmethod

@@ -373,6 +373,50 @@ def test_damaged_maps_are_refused(tmp_path, content):
         load_grid_world(path)
 
 
+def test_vehicles_that_differ_have_their_own_disc_speed_and_laser():
+    world = drawn_world(ROOM)
+    starts = {'a': Pose2(1.0, 1.0, 0.0), 'b': Pose2(1.0, 2.5, 0.0)}
+    own = replace(
+        EXACT, disc_radius=0.4, cruise_speed=0.2, beam_range=1.0, field_of_view=1.0, beams=11
+    )
+    simulator = GridSimulator(world, starts, EXACT, own_configs={'b': own})
+    usual, short = simulator.scan('a'), simulator.scan('b')
+    assert (usual.ranges.size, short.ranges.size) == (EXACT.beams, 11)
+    assert (short.angle_min, short.range_max) == (-0.5, 1.0)
+    assert np.isinf(short.ranges).all()
+    assert np.isfinite(usual.ranges).any()
+    for name, pose in starts.items():
+        path = np.array([pose[:2], (pose.x + 1.5, pose.y)])
+        simulator.set_plan(name, Plan(0.0, name, Pose2(*path[1], 0.0), path))
+    for _ in range(20):
+        simulator.step()
+    assert simulator.travelled('b') < 0.6 * simulator.travelled('a')
+    for _ in range(200):
+        simulator.step()
+    assert simulator.collisions == []
+
+
+def test_the_larger_disc_keeps_others_away():
+    world = drawn_world(ROOM)
+    starts = {'a': Pose2(1.0, 1.5, 0.0), 'b': Pose2(3.0, 1.5, 0.0)}
+    stops = {}
+    for radius in (0.22, 0.5):
+        own = {'b': replace(EXACT, disc_radius=radius)}
+        simulator = GridSimulator(world, starts, EXACT, own_configs=own)
+        path = np.array([(1.0, 1.5), (3.0, 1.5)])
+        simulator.set_plan('a', Plan(0.0, 'a', Pose2(3.0, 1.5, 0.0), path))
+        reached = []
+        for _ in range(60):
+            simulator.step()
+            reached.append(simulator.true_pose('a').x)
+        stops[radius] = max(reached)
+    assert stops[0.22] - stops[0.5] == pytest.approx(0.28, abs=0.05)
+    near = {'a': starts['a'], 'b': Pose2(1.6, 1.5, 0.0)}
+    GridSimulator(world, near, EXACT)
+    with pytest.raises(SimulationError, match=r'disc 0\.12 m within that of another'):
+        GridSimulator(world, near, EXACT, own_configs={'b': replace(EXACT, disc_radius=0.5)})
+
+
 def test_bad_worlds_starts_and_settings_are_refused(tmp_path):
     with pytest.raises(ExploreSlamError, match=r'none\.pgm'):
         load_grid_world(tmp_path / 'none.pgm')
@@ -385,7 +429,7 @@ def test_bad_worlds_starts_and_settings_are_refused(tmp_path):
         GridSimulator(world, {'a': Pose2(50.0, 1.0, 0.0)})
     with pytest.raises(SimulationError, match='in an obstacle'):
         GridSimulator(world, {'a': Pose2(0.1, 0.1, 0.0)})
-    with pytest.raises(SimulationError, match=r'0\.10 m from another'):
+    with pytest.raises(SimulationError, match=r'disc 0\.34 m within that of another'):
         GridSimulator(world, {'a': Pose2(1.0, 1.0, 0.0), 'b': Pose2(1.1, 1.0, 0.0)})
     with pytest.raises(SimulationError, match='0 vehicles'):
         GridSimulator(world, {})

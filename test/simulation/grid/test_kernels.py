@@ -17,9 +17,9 @@ from explore_slam.simulation.grid.kernels import (
     distance_to_disc,
     distance_to_others,
     free_distance,
-    nearest_other,
     pursue,
     sample_field,
+    smallest_gap,
 )
 from explore_slam.simulation.worlds.grid_world import GLASS, SOLID
 
@@ -279,19 +279,22 @@ def test_repeated_waypoints_and_single_ones_do_no_harm():
 
 
 POSES = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 1.0], [0.0, 4.0, 0.0]])
+RADII = np.array([0.1, 0.2, 0.5])
 
 
 def test_the_nearest_other_vehicle_is_not_the_vehicle_itself():
-    assert nearest_other(POSES, 0, 0.0, 0.0) == 3.0
-    assert nearest_other(POSES, 1, 0.0, 1.0) == 1.0
-    assert nearest_other(POSES[:1], 0, 0.0, 0.0) == np.inf
+    assert smallest_gap(POSES, RADII, 0, 0.0, 0.0) == pytest.approx(3.0 - 0.3)
+    assert smallest_gap(POSES, RADII, 1, 0.0, 1.0) == pytest.approx(1.0 - 0.3)
+    assert smallest_gap(POSES, RADII, 1, 0.0, 2.1) == pytest.approx(1.9 - 0.7)  # the large one
+    assert smallest_gap(POSES, RADII, 0, 2.8, 0.0) == pytest.approx(-0.1)
+    assert smallest_gap(POSES[:1], RADII[:1], 0, 0.0, 0.0) == np.inf
 
 
 def test_distance_to_others_straight_ahead():
-    assert distance_to_others(POSES, 0, 0.5) == pytest.approx(2.5)
+    assert distance_to_others(POSES, RADII, 0, 0.2) == pytest.approx(3.0 - 0.5)
     turned = POSES.copy()
     turned[0, 2] = math.pi / 2
-    assert distance_to_others(turned, 0, 0.5) == pytest.approx(3.5)
+    assert distance_to_others(turned, RADII, 0, 0.2) == pytest.approx(4.0 - 0.8)
     turned[0, 2] = math.pi
-    assert distance_to_others(turned, 0, 0.5) == np.inf
-    assert distance_to_others(POSES[:1], 0, 0.5) == np.inf
+    assert distance_to_others(turned, RADII, 0, 0.2) == np.inf
+    assert distance_to_others(POSES[:1], RADII[:1], 0, 0.2) == np.inf

@@ -10,6 +10,7 @@ from explore_slam.cli import experiment
 from explore_slam.studies.experiments import laps
 from explore_slam.studies.experiments.scenarios import draw_scenario
 from explore_slam.studies.experiments.trials import SmootherEstimator
+from explore_slam.studies.parallel import ALONE, Workers, make_runs
 
 
 @pytest.fixture(scope='module')
@@ -55,3 +56,19 @@ def test_command_writes_tables_and_plots(tmp_path, capsys):
     assert (folder / 'growth.png').stat().st_size > 10_000
     metrics = json.loads((folder / 'metrics.json').read_text())
     assert len(metrics['2 laps/fastslam2']['position_rms_of_seeds']) == 1
+
+
+def test_other_processes_give_the_same_runs():
+    pytest.importorskip('joblib', reason='several workers need joblib')
+    tasks = [
+        (laps.Options(seeds=(seed,), laps=(1,), particles=50, isam2=False), 1, seed)
+        for seed in (0, 1)
+    ]
+    for alone, other in zip(
+        make_runs(laps._run_seed, tasks, ALONE),
+        make_runs(laps._run_seed, tasks, Workers(2)),
+        strict=True,
+    ):
+        assert alone.keys() == other.keys() == {'fastslam2'}
+        assert np.array_equal(alone['fastslam2'].errors, other['fastslam2'].errors)
+        assert np.array_equal(alone['fastslam2'].covariances, other['fastslam2'].covariances)
