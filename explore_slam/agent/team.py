@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from explore_slam.agent.config import AgentConfig
 from explore_slam.agent.loop_closing import LoopClosing
 from explore_slam.agent.odometry import OdometryBuffer
+from explore_slam.agent.odometry_sources import make_source
 from explore_slam.agent.placement import Placement
 from explore_slam.agent.vehicle_track import Keyframe, VehicleTrack, merged_steps
 from explore_slam.data import LandmarkObservations, LaserScan, VehicleBody
@@ -54,9 +55,14 @@ class Team:
         start_poses: Mapping[str, Pose2 | None],
         seed: int,
         bodies: Mapping[str, VehicleBody] | None = None,
+        sources: Mapping[str, str] | None = None,
     ) -> None:
-        """Begin at the start poses; bodies: of vehicles that are not of the standard size."""
-        inputs = config.inputs
+        """Begin at the start poses.
+
+        bodies: of vehicles that are not of the standard size. sources: of their odometry, where
+        it is not that of the wheels.
+        """
+        inputs, noise = config.inputs, config.slam.odometry_noise
         self.config = config
         self.start_poses = dict(start_poses)
         self.belief = TeamBelief(self.start_poses, config.slam, seed)
@@ -75,11 +81,13 @@ class Team:
                     inputs.clock_jump_threshold,
                 ),
                 KeyframeSelector(config.vision),
-                ScanMatcher(config.scan_matching),
+                ScanMatcher(config.scan_matching, open_ended=source.weak),
                 Placement(name, start_known=pose is not None),
                 body=(bodies or {}).get(name, VehicleBody()),
+                source=source,
             )
             for name, pose in self.start_poses.items()
+            for source in [make_source((sources or {}).get(name, 'wheels'), name, noise)]
         }
 
     def configure(self, config: AgentConfig) -> None:

@@ -69,6 +69,7 @@ class TopicKind(Topic):
     # of a 3-D lidar; only where the settings name it, never by this name
     CLOUD = 'points', 'sensor_msgs/msg/PointCloud2'
     ODOMETRY = 'odom', _ODOMETRY, RELIABLE, SENSOR_BURST
+    IMU = 'imu', 'sensor_msgs/msg/Imu', RELIABLE, SENSOR_BURST
     COLOR = 'camera/rgb/image_raw', _IMAGE
     COLOR_COMPRESSED = 'camera/rgb/image_raw/compressed', _COMPRESSED_IMAGE
     DEPTH = 'camera/depth_registered/image_raw', _IMAGE

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from explore_slam.agent import Agent, AgentConfig, warm_up
-from explore_slam.data import LaserScan, OdometryReading
+from explore_slam.data import ImuReading, LaserScan, OdometryReading
 from explore_slam.errors import EvaluationError
 from explore_slam.files import write_text
 from explore_slam.geometry import Array, Pose2, quaternion_from_yaw, wrap_angle
@@ -40,6 +40,7 @@ from explore_slam.studies.sensor_rig import (
     START,
     Drive,
     Laser,
+    gyroscope,
     in_order_of_arrival,
     odometry,
     scans,
@@ -57,7 +58,10 @@ SOURCES = ('live', 'bag', 'topic', 'cloud')
 class Case:
     """One row of the table.
 
-    turn_rate: rad/s on the spot. odometry_turn: what the wheels measure of a turn of 1.
+    turn_rate: rad/s on the spot. odometry_turn, odometry_distance: what the wheels measure of a
+    turn and of a distance of 1.
+    odometry: what the agent takes the odometry from; there are no wheels with scan, and there is
+    an IMU with wheels+gyro.
     source: live, records in the order of arrival; bag, the messages of a bag through its replay;
     topic, likewise with all lasers on the topic scan, told apart by header.frame_id; cloud,
     likewise with the laser as a 3-D lidar, whose clouds hold the floor and the ceiling, too.
@@ -67,6 +71,8 @@ class Case:
     lasers: tuple[Laser, ...] = (Laser(),)
     turn_rate: float = 0.9
     odometry_turn: float = 1.05
+    odometry_distance: float = 1.0
+    odometry: str = 'wheels'
     source: str = 'live'
 
     def __post_init__(self) -> None:
@@ -116,9 +122,29 @@ def _laser_cases() -> Iterator[Case]:
     yield Case('the laser ahead alone, 10 Hz', (replace(front, name=''),))
 
 
+def _odometry_cases() -> Iterator[Case]:
+    """Yield the cases of poor odometry, or none."""
+    for factor in (0.7, 1.2, 1.4):
+        yield Case(f'wheels turn {factor:g} x', odometry_turn=factor)
+    for factor in (0.7, 0.85, 1.0, 1.2, 1.4):
+        title = f'wheels turn {factor:g} x, and a gyroscope'
+        yield Case(title, odometry_turn=factor, odometry='wheels+gyro')
+    title = 'wheels turn 1.4 x, and a gyroscope, from a bag'
+    yield Case(title, odometry_turn=1.4, odometry='wheels+gyro', source='bag')
+    dead = Case('wheels never report motion', odometry_turn=0.0, odometry_distance=0.0)
+    yield dead
+    for rate, turn_rate in itertools.product((5.5, 10.0), (0.9, 0.45)):
+        title = f'no wheels, {rate:g} Hz, {turn_rate:g} rad/s'
+        yield Case(title, (Laser(rate),), turn_rate, odometry='scan')
+    yield Case('no wheels, 10 Hz, from a bag', (Laser(10.0),), odometry='scan', source='bag')
+    yield Case('no wheels, one moment, 5.5 Hz', (Laser(spinning=False),), odometry='scan')
+    yield Case('no wheels, 10 Hz, not stated', (Laser(10.0, stated=False),), odometry='scan')
+
+
 CASES: dict[str, tuple[Case, ...]] = {
     'sweeps': tuple(_sweep_cases()),
     'lasers': tuple(_laser_cases()),
+    'odometry': tuple(_odometry_cases()),
 }
 
 
@@ -140,6 +166,7 @@ class CaseRun(NamedTuple):
     matched: int
     unmatched: int
     scan_ms: float
+    named: str = ''
 
 
 @dataclass(frozen=True)
@@ -211,9 +238,14 @@ def run_case(case: Case, seed: int, config: AgentConfig) -> tuple[CaseRun, Occup
     warm_up()
     random = np.random.default_rng(seed)
     drive = Drive(case.turn_rate)
-    readings = odometry(drive, case.odometry_turn, random)
+    wheels = odometry(drive, case.odometry_turn, random, case.odometry_distance)
     sweeps = [scans(drive, laser, random) for laser in case.lasers]
-    watch = _Watch(Agent(config, {VEHICLE: START}, seed))
+    readings: list[OdometryReading | ImuReading] = []
+    if case.odometry != 'scan':
+        readings += wheels
+    if case.odometry == 'wheels+gyro':
+        readings = sorted([*readings, *gyroscope(drive, random)], key=lambda item: item.stamp)
+    watch = _Watch(Agent(config, {VEHICLE: START}, seed, sources={VEHICLE: case.odometry}))
     if case.source == 'live':
         for record in in_order_of_arrival(readings, sweeps, case.lasers):
             watch.add(VEHICLE, record)
@@ -236,13 +268,14 @@ def run_case(case: Case, seed: int, config: AgentConfig) -> tuple[CaseRun, Occup
         counts.get('matched_scans', 0),
         counts.get('unmatched_scans', 0),
         1e3 * watch.seconds / max(watch.scans, 1),
+        str(watch.agent.odometry_sources()[VEHICLE].get('problem', '')),
     )
     return run, grid
 
 
 def _replay(
     watch: _Watch,
-    readings: Sequence[OdometryReading],
+    readings: Sequence[OdometryReading | ImuReading],
     sweeps: Sequence[Sequence[LaserScan]],
     case: Case,
 ) -> None:
@@ -252,7 +285,7 @@ def _replay(
         with BagWriter(path) as writer:
             _write_mounts(writer, case.lasers)
             streams: list[Iterable[Event]] = [
-                (Event(item.stamp, VEHICLE, TopicKind.ODOMETRY, item) for item in readings),
+                (Event(item.stamp, VEHICLE, _topic_of(item), item) for item in readings),
                 *((Event(i.stamp, VEHICLE, TopicKind.SCAN, i) for i in scans) for scans in sweeps),
             ]
             for event in heapq.merge(*streams, key=lambda event: event.stamp):
@@ -266,6 +299,7 @@ def _replay(
         settings: dict[str, Any] = {
             'sweep_direction': timing.direction,
             'sweep_stamp': timing.stamp,
+            'odometry': case.odometry,
         }
         if case.source == 'bag' and len(case.lasers) > 1:
             settings['scans'] = [laser.name for laser in case.lasers]
@@ -273,6 +307,10 @@ def _replay(
             settings |= {'scans': [''], 'clouds': [laser.name for laser in case.lasers]}
         with BagReader(path) as bag:
             Replay(bag, starts={VEHICLE: START}, settings=settings).feed(watch)
+
+
+def _topic_of(reading: OdometryReading | ImuReading) -> TopicKind:
+    return TopicKind.IMU if isinstance(reading, ImuReading) else TopicKind.ODOMETRY
 
 
 def _write_mounts(writer: BagWriter, lasers: Iterable[Laser]) -> None:
