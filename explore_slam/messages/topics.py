@@ -93,6 +93,8 @@ class VehicleTopic(Topic):
     PLAN = 'plan', 'nav_msgs/msg/Path', LATCHED, LATCHED
     TRAJECTORY = 'trajectory', 'nav_msgs/msg/Path', RELIABLE, RELIABLE
     PARTICLES = 'particles', 'geometry_msgs/msg/PoseArray', BEST_EFFORT
+    # odometry by scans, of a vehicle whose setting odometry is scan
+    SCAN_ODOMETRY = 'scan_odom', _ODOMETRY, RELIABLE, SENSOR_BURST
     AGENT_ALIVE = 'agent_alive', 'std_msgs/msg/Empty', BEST_EFFORT, BEST_EFFORT
     VELOCITY_COMMAND = 'cmd_vel', 'geometry_msgs/msg/Twist', NEWEST, NEWEST
     TELEOP_COMMAND = 'cmd_vel_teleop', 'geometry_msgs/msg/Twist', NEWEST, NEWEST

@@ -14,7 +14,7 @@ from explore_slam.body import BodyConfig
 from explore_slam.errors import ConfigError
 from explore_slam.geometry import Array, Pose2, Pose3, quaternion_from_rotation, rotation_matrix
 from explore_slam.messages.base import OPTICAL
-from explore_slam.messages.topics import SensorTopic, TopicKind, sensor_topic
+from explore_slam.messages.topics import SensorTopic, Topic, TopicKind, VehicleTopic, sensor_topic
 from explore_slam.settings import Section, section, setting, unknown_name, values_of, with_values
 from explore_slam.sweeps import SweepConfig
 
@@ -211,6 +211,11 @@ class VehicleConfig(Section):
         if numbers is None:
             return None
         return _pose_in_space(numbers).compose(Pose3((0.0, 0.0, 0.0), OPTICAL))
+
+
+def odometry_topic(config: VehicleConfig) -> Topic:
+    """Return the topic of the odometry that is to be followed: of the base, or of its scans."""
+    return VehicleTopic.SCAN_ODOMETRY if config.odometry == 'scan' else TopicKind.ODOMETRY
 
 
 def _mount_of(

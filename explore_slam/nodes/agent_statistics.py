@@ -104,11 +104,12 @@ class AgentStatistics:
             bad = status.state in _WARNED
             problems = sorted(by_vehicle[name].clock_problems().items())
             clocks = [f'{topic}: {problem.text}' for topic, problem in problems]
-            bad |= bool(clocks)
+            poor = str(values.get('odometry_problem', ''))
+            bad |= bool(clocks or poor)
             waits = planning.waiting.get(name, '')
             if status.state is VehicleState.UNLOCALIZED:
                 waits = 'start pose unknown, not found in the map yet'
-            reason = '; '.join([waits, *clocks]).strip('; ')
+            reason = '; '.join(filter(None, [waits, *clocks, poor]))
             text = status.state.value + (f': {reason}' if reason else '')
             parts[f'vehicle {name}'] = (WARN if bad else OK, text, values)
         return parts

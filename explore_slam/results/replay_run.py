@@ -111,11 +111,12 @@ class _Collector:
         for event in self._agent.take_events():
             if event.in_map:
                 self._recorder.add_keyframe(event)
+        for name, track in self._agent.tracks.items():
+            if track.source.needs_scans and len(track.odometry):
+                reading = OdometryReading(track.odometry.last, track.odometry.pose)
+                self._recorder.add_odometry(name, reading)
         for name in self._agent.vehicles if stamp >= self._next_pose else ():
             odometry = self._agent.track(name).odometry
-            if len(odometry) and self._agent.track(name).source.needs_scans:
-                reading = OdometryReading(odometry.last, odometry.pose)
-                self._recorder.add_odometry(name, reading)
             if len(odometry) and self._agent.is_in_map(name):
                 pose, _ = self._agent.estimate(name)
                 self._recorder.add_pose(name, odometry.last, pose)

@@ -229,8 +229,8 @@ class GyroSource(OdometrySource):
         if self.check.problem:
             self._name(
                 'check',
-                f'IMU: {self.check.problem}; until the agent is restarted, the turns of the wheels '
-                'are used',
+                f'IMU: {self.check.problem}; the turns of the wheels are used until the agent is '
+                'restarted',
             )
 
     def restart_clock(self) -> None:

@@ -22,8 +22,10 @@ _LEAST_TURN_RATE = 0.05  # rad/s; slower turns are not told from an unknown bias
 
 
 class _Sums(NamedTuple):
-    """Sums over motions: squares of the turns (rad²), products with the gyroscope's about x, y,
-    z (3,), and absolute turns (rad).
+    """Sums over motions by one reference.
+
+    squares: of its turn rates; products: with the gyroscope's about x, y, z (3,), both rad²/s.
+    turn: of its absolute turns (rad).
     """
 
     squares: float

@@ -150,7 +150,7 @@ class ScanSource(OdometrySource):
         self._gaps += 1
 
     def prior(
-        self, trajectory: OdometryBuffer, since: float, stamp: float, slam: FastSlamConfig
+        self, trajectory: OdometryBuffer, since: float, stamp: float, _slam: FastSlamConfig
     ) -> MotionPrior:
         """Return the prior at constant velocity since the last match."""
         self._catch_up(since)
@@ -167,7 +167,7 @@ class ScanSource(OdometrySource):
         self._at = since
 
     def take_match(
-        self, trajectory: OdometryBuffer, since: float, stamp: float,
+        self, _trajectory: OdometryBuffer, since: float, stamp: float,
         prior: MotionPrior, match: ScanMatch, restarted: bool,
     ) -> Array:  # fmt: skip
         """Update the velocity; return what the error has grown by that scans leave open."""
