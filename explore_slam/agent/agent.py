@@ -119,17 +119,17 @@ class Agent:
             return
         kind = kind_of(record)
         kind.check(self._team, record)
-        shows_motion = track.source.needs_scans and isinstance(record, LaserScan)
+        motion_scan = record if track.source.needs_scans else None
         track.unmapped = self.paused
-        if self.paused and not shows_motion:
+        if self.paused and not isinstance(motion_scan, LaserScan):
             track.count('ignored_while_paused')
             return
         if kind.draws_map and track.placement.displaced:
             track.count('scans_while_displaced')
             return
         kind.enqueue(self._team, track, record)
-        if shows_motion:
-            self._cover(track, record)
+        if isinstance(motion_scan, LaserScan):
+            self._cover(track, motion_scan)
         self._process(track)
 
     def advance(self, stamp: float) -> None:
