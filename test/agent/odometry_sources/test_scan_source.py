@@ -33,7 +33,10 @@ class Drive:
         ranges = ranges + 0.01 * self.random.standard_normal(BEAMS)
         ranges[ranges > REACH] = np.inf
         mount = Pose2(0.0, 0.0, 0.0)
-        return LaserScan(self.stamp, -math.pi, STEP, ranges.astype(np.float32), 0.1, REACH, mount)
+        return LaserScan(
+            self.stamp, -math.pi, STEP, ranges.astype(np.float32), 0.1, REACH, mount,
+            timing=SweepTiming(0.0),
+        )  # fmt: skip
 
     def go(self, duration, speed=0.0, turn_rate=0.0):
         for _ in range(round(duration * RATE)):
