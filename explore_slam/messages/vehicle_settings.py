@@ -40,7 +40,6 @@ class VehicleConfig(Section):
         'the turns of a gyroscope (imu); scan, by matching the scans alone, for a vehicle without '
         'wheel odometry or with one that is wrong',
         choices=('wheels', 'scan', 'wheels+gyro'),
-        tier='basic',
     )
     imu: str = setting('imu', 'Topic of its IMU (sensor_msgs/Imu), below its namespace')
     use_laser: bool = setting(True, 'Whether the vehicle has a laser scanner', tier='basic')

@@ -339,6 +339,8 @@ class VehicleInputs:
         """
         return [
             explain_silence(self._node, f'{self.vehicle}/{topic.name}', SILENCE)
+            + f'; for a vehicle without wheel odometry set {self.vehicle}.odometry: scan'
+            * (topic.kind is TopicKind.ODOMETRY and self.config.use_laser)
             for topic in self._expected
             if not any(self.received[other.name] for other in _alternatives(topic))
         ]
