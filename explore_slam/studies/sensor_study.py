@@ -137,7 +137,7 @@ def _odometry_cases() -> Iterator[Case]:
         title = f'no wheels, {rate:g} Hz, {turn_rate:g} rad/s'
         yield Case(title, (Laser(rate),), turn_rate, odometry='scan')
     yield Case('no wheels, 10 Hz, from a bag', (Laser(10.0),), odometry='scan', source='bag')
-    yield Case('no wheels, one moment, 5.5 Hz', (Laser(spinning=False),), odometry='scan')
+    yield Case('no wheels, all beams at once, 5.5 Hz', (Laser(spinning=False),), odometry='scan')
     yield Case('no wheels, 10 Hz, not stated', (Laser(10.0, stated=False),), odometry='scan')
 
 
