@@ -63,6 +63,7 @@ class Team:
         it is not that of the wheels.
         """
         inputs, noise = config.inputs, config.slam.odometry_noise
+        _check_sources(sources or {}, config)
         self.config = config
         self.start_poses = dict(start_poses)
         self.belief = TeamBelief(self.start_poses, config.slam, seed)
@@ -91,7 +92,11 @@ class Team:
         }
 
     def configure(self, config: AgentConfig) -> None:
-        """Replace the settings; those of filter and grid take effect with the next Team."""
+        """Replace the settings; those of filter and grid take effect with the next Team.
+
+        AgentError changes nothing.
+        """
+        _check_sources({name: track.source.name for name, track in self.tracks.items()}, config)
         self.extractor = FeatureExtractor(config.vision)
         self.config = config
         for track in self.tracks.values():
@@ -181,3 +186,13 @@ class Team:
         else:
             track.count('frames_without_landmarks')
         self.add_keyframe(track, observations.stamp, summary)
+
+
+def _check_sources(sources: Mapping[str, str], config: AgentConfig) -> None:
+    """Raise AgentError for a vehicle whose motion is measured by scans that are not matched."""
+    alone = sorted(name for name, source in sources.items() if source == 'scan')
+    if alone and not config.scan_matching.scan_matching:
+        raise AgentError(
+            f'odometry of {", ".join(alone)} is scan and scan_matching is false, expected true: '
+            'nothing else shows the motion'
+        )

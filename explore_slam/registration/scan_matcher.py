@@ -15,7 +15,13 @@ import numpy as np
 from explore_slam.data import LaserScan
 from explore_slam.errors import RegistrationError
 from explore_slam.geometry import IDENTITY, Array, Pose2, moved_enough
-from explore_slam.registration.alignment import Alignment, Prior, without_open_direction
+from explore_slam.registration.alignment import (
+    Alignment,
+    Prior,
+    keeping_prior,
+    open_direction,
+    without_direction,
+)
 from explore_slam.registration.cloud import PointCloud, scan_cloud
 from explore_slam.registration.config import ScanMatchingConfig
 from explore_slam.registration.correlation import SearchWindow
@@ -175,8 +181,9 @@ class ScanMatcher:
         if not self._kept or len(cloud) < _MINIMUM_POINTS:
             return None
         information = np.linalg.inv(covariance + np.diag(_MINIMUM_DEVIATIONS**2))
-        found = self._local_map().align(cloud, prior, _REACH, Prior(prior, information))
-        return None if found is None else self._opened(found, prior)
+        local_map, weak = self._local_map(), Prior(prior, information)
+        found = local_map.align(cloud, prior, _REACH, weak)
+        return None if found is None else self._opened(local_map, cloud, found, weak)
 
     def probe(self, cloud: PointCloud, pose: Pose2) -> Alignment | None:
         """Return where a cloud fits best, in the widest window around a pose; nothing is kept.
@@ -256,12 +263,20 @@ class ScanMatcher:
         """Correlate, then align from the peak with the odometry as prior."""
         peak = local_map.find_peak(cloud.query_points, window, _MINIMUM_SCORE)
         start = prior if peak is None else peak.pose
-        found = local_map.align(cloud, start, _REACH, Prior(prior, np.linalg.inv(covariance)))
-        return None if found is None else self._opened(found, prior)
+        weak = Prior(prior, np.linalg.inv(covariance))
+        found = local_map.align(cloud, start, _REACH, weak)
+        return None if found is None else self._opened(local_map, cloud, found, weak)
 
-    def _opened(self, found: Alignment, prior: Pose2) -> Alignment:
+    def _opened(
+        self, local_map: LocalMap, cloud: PointCloud, found: Alignment, prior: Prior
+    ) -> Alignment:
         """Return an alignment, without what it seems to measure along a corridor if asked for."""
-        return without_open_direction(found, prior) if self._open_ended else found
+        direction = open_direction(found) if self._open_ended else None
+        if direction is None:
+            return found
+        start, kept = keeping_prior(found, prior, direction)
+        again = local_map.align(cloud, start, _LAST_REACH, kept)
+        return without_direction(again or found, direction)
 
     def _inflate_prior(
         self, local_map: LocalMap, cloud: PointCloud, found: Alignment, prior: Pose2, P: Array
@@ -277,7 +292,7 @@ class ScanMatcher:
             P = scale * P
             weaker = Prior(prior, np.linalg.inv(P))
             again = local_map.align(cloud, found.pose, _LAST_REACH, weaker)
-            found = found if again is None else self._opened(again, prior)
+            found = found if again is None else self._opened(local_map, cloud, again, weaker)
         return _scan_match(found, P, self._window_moved)
 
 

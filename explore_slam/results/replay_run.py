@@ -33,6 +33,10 @@ logger = logging.getLogger(__name__)
 COVERAGE_PERIOD = 5.0
 POSE_PERIOD = 0.2  # s between samples of the pose online: at 0.5 m/s one every 10 cm
 NAMED_NO_RETURNS = 0.01  # share of beams without return that a note tells
+_SOURCES = {
+    'scan': 'its scans (odometry: scan)',
+    'wheels+gyro': 'its wheels and a gyroscope (odometry: wheels+gyro)',
+}
 _RECORDED = {TopicKind.ODOMETRY, TopicKind.GROUND_TRUTH}
 
 
@@ -278,9 +282,11 @@ def _sweep_notes(found: Mapping[str, Mapping[str, Sweep]]) -> list[str]:
 
 
 def _odometry_notes(sources: Mapping[str, Mapping[str, float | str]]) -> list[str]:
-    """Return where odometry and scans disagree, and what is known of gyroscopes, in words."""
+    """Return what odometry is taken from, where scans disagree, and what gyroscopes show."""
     notes = []
     for vehicle, found in sources.items():
+        if found['source'] != 'wheels':
+            notes.append(f'{vehicle}: its odometry is that of {_SOURCES[str(found["source"])]}')
         if 'problem' in found:
             notes.append(f'{vehicle}: {found["problem"]}')
         if 'gyro' in found:

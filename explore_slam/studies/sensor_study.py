@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from explore_slam.agent import Agent, AgentConfig, warm_up
+from explore_slam.agent.odometry_sources import SOURCES as ODOMETRY
 from explore_slam.data import ImuReading, LaserScan, OdometryReading
 from explore_slam.errors import EvaluationError
 from explore_slam.files import write_text
@@ -78,6 +79,8 @@ class Case:
     def __post_init__(self) -> None:
         if self.source not in SOURCES:
             raise EvaluationError(f'source is {self.source!r}, expected one of {SOURCES}')
+        if self.odometry not in ODOMETRY:
+            raise EvaluationError(f'odometry is {self.odometry!r}, expected one of {ODOMETRY}')
 
 
 def _sweep_cases() -> Iterator[Case]:
@@ -102,24 +105,25 @@ def _sweep_cases() -> Iterator[Case]:
 
 def _laser_cases() -> Iterator[Case]:
     """Yield the cases of several lasers on one vehicle."""
-
-    def pair(rate: float, *, spinning: bool = False) -> tuple[Laser, ...]:
-        return tuple(
-            Laser(rate, spinning, name=name, mount=mount, half=True)
-            for name, mount in (('front/scan', FRONT), ('rear/scan', REAR))
-        )
-
     for rate, turn_rate in itertools.product((5.5, 10.0), (0.9, 0.45)):
         title = f'two lasers of 180°, {rate:g} Hz, {turn_rate:g} rad/s'
-        yield Case(title, pair(rate), turn_rate)
-    yield Case('two lasers of 180°, 10 Hz, from a bag', pair(10.0), source='bag')
-    yield Case('two lasers of 180°, 10 Hz, on one topic', pair(10.0), source='topic')
-    yield Case('two lasers of 180°, beams one by one, 10 Hz', pair(10.0, spinning=True))
+        yield Case(title, _laser_pair(rate), turn_rate)
+    yield Case('two lasers of 180°, 10 Hz, from a bag', _laser_pair(10.0), source='bag')
+    yield Case('two lasers of 180°, 10 Hz, on one topic', _laser_pair(10.0), source='topic')
+    yield Case('two lasers of 180°, beams one by one, 10 Hz', _laser_pair(10.0, spinning=True))
     lidar = Laser(10.0, name='points')
     yield Case('3-D lidar, beams one by one, 10 Hz', (lidar,), source='cloud')
-    front, rear = pair(10.0)
+    front, rear = _laser_pair(10.0)
     yield Case('two lasers of 180°, 10 and 7 Hz', (front, replace(rear, rate=7.0)))
     yield Case('the laser ahead alone, 10 Hz', (replace(front, name=''),))
+
+
+def _laser_pair(rate: float, *, spinning: bool = False) -> tuple[Laser, ...]:
+    """Return two lasers of 180°, one ahead and one behind."""
+    return tuple(
+        Laser(rate, spinning, name=name, mount=mount, half=True)
+        for name, mount in (('front/scan', FRONT), ('rear/scan', REAR))
+    )
 
 
 def _odometry_cases() -> Iterator[Case]:
@@ -131,12 +135,12 @@ def _odometry_cases() -> Iterator[Case]:
         yield Case(title, odometry_turn=factor, odometry='wheels+gyro')
     title = 'wheels turn 1.4 x, and a gyroscope, from a bag'
     yield Case(title, odometry_turn=1.4, odometry='wheels+gyro', source='bag')
-    dead = Case('wheels never report motion', odometry_turn=0.0, odometry_distance=0.0)
-    yield dead
+    yield Case('wheels never report motion', odometry_turn=0.0, odometry_distance=0.0)
     for rate, turn_rate in itertools.product((5.5, 10.0), (0.9, 0.45)):
         title = f'no wheels, {rate:g} Hz, {turn_rate:g} rad/s'
         yield Case(title, (Laser(rate),), turn_rate, odometry='scan')
     yield Case('no wheels, 10 Hz, from a bag', (Laser(10.0),), odometry='scan', source='bag')
+    yield Case('no wheels, two lasers, 10 Hz', _laser_pair(10.0), odometry='scan')
     yield Case('no wheels, all beams at once, 5.5 Hz', (Laser(spinning=False),), odometry='scan')
     yield Case('no wheels, 10 Hz, not stated', (Laser(10.0, stated=False),), odometry='scan')
 

@@ -67,6 +67,7 @@ def test_a_recording_without_odometry_is_replayed_by_its_scans(bag):
     assert data.metrics['unusable'] == []
     note = 'robot1 has no odometry: its scans are taken for it (odometry: scan)'
     assert note in data.notes
+    assert 'robot1: its odometry is that of its scans (odometry: scan)' in data.notes
 
 
 def test_the_command_replays_it_too(bag, tmp_path):
@@ -153,3 +154,19 @@ def test_an_imu_is_found_by_its_type_and_several_are_left_alone():
     found, warnings = vehicle_topics({**one, '/camera/imu': imu})
     assert TopicKind.IMU not in {topic.kind for topic in found}
     assert any('several IMUs' in text and '--topic robot1.imu=' in text for text in warnings)
+
+
+@pytest.mark.data
+def test_the_turtlebot_drives_the_same_path_without_its_odometry(recordings):
+    folder = recordings('bags/turtlebot_lidar_turned')
+    with_wheels, without = (
+        replay_bag(folder, options={'particles': 50, 'odometry': odometry}).vehicles[0].estimated
+        for odometry in ('wheels', 'scan')
+    )
+    known = without.stamps >= with_wheels.stamps[0]
+    columns = with_wheels.poses[:, :2].T
+    at = np.stack([np.interp(without.stamps, with_wheels.stamps, c) for c in columns], axis=1)
+    apart = np.hypot(*(without.poses[:, :2] - at)[known].T)
+    assert known.sum() > 150
+    assert np.sqrt(np.mean(apart**2)) < 0.06
+    assert apart.max() < 0.10

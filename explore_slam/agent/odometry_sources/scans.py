@@ -29,9 +29,8 @@ from explore_slam.sweeps import LONGEST_SWEEP, deskewed
 
 logger = logging.getLogger(__name__)
 
-_GAP = (
-    1.0  # s without scans, after which the velocity from before says nothing; lidars turn at 1 Hz
-)
+# s without scans, after which the velocity from before says nothing; lidars turn at 1 Hz or faster
+_GAP = 1.0
 _WHEELS = 200  # readings; at 100 Hz those of 2 s, in which a sweep and its match are complete
 _PATH = 9  # poses by which a sweep is undone; between them, motion is linear
 _REFINEMENTS = 3  # at most, of the velocity within a sweep
@@ -72,8 +71,8 @@ class ScanSource(OdometrySource):
         end = new.end
         if not len(trajectory):
             # one reading before the scan, so that it is within the trajectory
-            stamps = (max(end - LONGEST_SWEEP, 0.0), end)
-            return [Motion(OdometryReading(stamp, IDENTITY)) for stamp in stamps]
+            stamps = {max(end - LONGEST_SWEEP, 0.0), end}
+            return [Motion(OdometryReading(stamp, IDENTITY)) for stamp in sorted(stamps)]
         pose, last = trajectory.pose, trajectory.last
         if last - end >= trajectory.clock_jump_threshold:  # it has jumped back
             return [Motion(OdometryReading(end, pose))]

@@ -132,3 +132,13 @@ def test_a_reset_begins_at_the_start_pose():
 def test_an_unknown_source_is_named():
     with pytest.raises(AgentError, match="odometry of a is 'sonar', expected one of"):
         Agent(FEW, {'a': Pose2(0.0, 0.0, 0.0)}, sources={'a': 'sonar'})
+
+
+def test_scans_that_are_not_matched_are_no_odometry():
+    off = with_values(FEW, {'scan_matching': False})
+    with pytest.raises(AgentError, match='odometry of a is scan and scan_matching is false'):
+        Agent(off, {'a': Pose2(0.0, 0.0, 0.0)}, sources={'a': 'scan'})
+    agent = Agent(FEW, {'a': Pose2(0.0, 0.0, 0.0)}, sources={'a': 'scan'})
+    with pytest.raises(AgentError, match='scan_matching is false'):
+        agent.configure(off)
+    assert agent.config == FEW
