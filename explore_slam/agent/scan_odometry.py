@@ -63,7 +63,8 @@ def _refine_by_clouds(
         track.clouds.append((stamp, cloud))
         before = track.odometry.at(since)
         if not restarted and not track.source.needs_scans:
-            track.slip.add_match(stamp, before.between(prior.pose), before.between(match.pose))
+            motions = before.between(prior.pose), before.between(match.pose)
+            track.slip.add_match(since, stamp, *motions)
         # where the map began anew, only odometry connects it with the last match
         drift = track.source.take_match(track.odometry, since, stamp, prior, match, restarted)
         wheels = prior.covariance

@@ -24,6 +24,7 @@ _MOVED = (0.05, 0.05)  # m, rad
 
 
 class _Motion(NamedTuple):
+    since: float
     stamp: float
     wheels: Pose2
     scans: Pose2
@@ -42,19 +43,18 @@ class SlipMonitor:
         self._moved = 0  # probes in succession that show a motion
         self.problem = ''
 
-    def add_match(self, stamp: float, wheels: Pose2, scans: Pose2) -> None:
-        """Compare the motions since the last match, of a scan at a stamp (s)."""
+    def add_match(self, since: float, stamp: float, wheels: Pose2, scans: Pose2) -> None:
+        """Compare the motions from the last match to a scan, both given by their stamps (s)."""
         if self.problem:
             return
         self._moved = 0
-        self._motions.append(_Motion(stamp, wheels, scans))
+        self._motions.append(_Motion(since, stamp, wheels, scans))
         while self._motions[0].stamp < stamp - _WINDOW:
             self._motions.popleft()
         by_wheels = _path([item.wheels for item in self._motions])
         by_scans = _path([item.scans for item in self._motions])
         if _differ(by_wheels, by_scans):
-            first = self._motions[0].stamp
-            self._name(by_wheels, by_scans, f'in {stamp - first:.1f} s')
+            self._name(by_wheels, by_scans, f'in {stamp - self._motions[0].since:.1f} s')
 
     def add_still_scan(
         self, stamp: float, matcher: ScanMatcher, cloud: PointCloud, pose: Pose2

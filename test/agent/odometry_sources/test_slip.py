@@ -13,7 +13,7 @@ LASER = Pose2(0.1, 0.0, 0.0)
 
 def compare(monitor, wheels, scans, scans_taken=40):
     for number in range(scans_taken):
-        monitor.add_match(0.1 * number, wheels, scans)
+        monitor.add_match(0.1 * number, 0.1 * number + 0.1, wheels, scans)
 
 
 @pytest.mark.parametrize('factor', [0.85, 1.0, 1.15])
@@ -29,7 +29,7 @@ def test_wheels_that_turn_too_far_are_named_with_the_amount_and_what_to_set(capl
     compare(monitor, Pose2(0.0, 0.0, 0.09 * 1.4), Pose2(0.0, 0.0, 0.09))
     assert len(caplog.records) == 1
     assert 'robot1: wheels slip, or are of another size' in caplog.text
-    assert '29°, the scans 0.00 m and 21°' in caplog.text
+    assert 'in 0.4 s, odometry has 0.00 m and 29°, the scans 0.00 m and 21°' in caplog.text
     assert 'set robot1.odometry: scan (or wheels+gyro' in caplog.text
     assert monitor.report() == {'problem': monitor.problem}
 
