@@ -35,6 +35,7 @@ _WHEELS = 200  # readings; at 100 Hz those of 2 s, in which a sweep and its matc
 _PATH = 9  # poses by which a sweep is undone; between them, motion is linear
 _REFINEMENTS = 3  # at most, of the velocity within a sweep
 _REFINED = 0.002  # rad within a sweep; less is noise of the alignment
+_NOTHING = 1e-9  # ratio of information that is none but for rounding
 _STEP = 0.05  # s between readings where motion is predicted: as odometry at 20 Hz
 
 
@@ -172,9 +173,11 @@ class ScanSource(OdometrySource):
         """Update the velocity; return what the error has grown by that scans leave open."""
         duration = stamp - since
         grown = self.filter.growth(duration)
-        posterior = np.linalg.inv(match.information + np.linalg.inv(prior.covariance))
-        left = posterior @ np.linalg.inv(prior.covariance)
-        self.filter.update(duration, np.asarray(prior.pose.between(match.pose)), posterior)
+        before = _apart_from_open_direction(prior.covariance, match.information)
+        posterior = np.linalg.inv(match.information + np.linalg.inv(before))
+        left = posterior @ np.linalg.inv(before)
+        shift = np.asarray(prior.pose.between(match.pose))
+        self.filter.update(duration, shift, before, posterior)
         self._at = stamp
         if restarted:
             return grown
@@ -204,3 +207,20 @@ class ScanSource(OdometrySource):
         """Return the velocity, and the gaps between scans."""
         vx, _, turn = self.filter.velocity.tolist()
         return {'speed_m_per_s': vx, 'turn_rate_rad_per_s': turn, 'gaps': float(self._gaps)}
+
+
+def _apart_from_open_direction(covariance: Array, information: Array) -> Array:
+    """Return the covariance (3, 3) of a prior, uncorrelated in a direction that a match left open.
+
+    The direction is noisy: matches that leave slightly different ones open would together seem to
+    measure the way along a corridor, were errors across it taken to tell of errors along it.
+    """
+    values, vectors = np.linalg.eigh(information[:2, :2])
+    if values[0] > _NOTHING * values[1]:
+        return covariance
+    turn = np.eye(3)
+    turn[:2, :2] = vectors.T  # into the open direction, the one across it, and the heading
+    parts = turn @ covariance @ turn.T
+    parts[0, 1:] = parts[1:, 0] = 0.0
+    apart: Array = turn.T @ parts @ turn
+    return apart

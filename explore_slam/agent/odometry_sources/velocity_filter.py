@@ -14,10 +14,12 @@ from explore_slam.geometry import Array, Pose2
 # m/s and 0.6 rad/s within the 0.2 s between two scans of a slow lidar: a TurtleBot3 Burger its
 # maximum of 0.22 m/s, accelerating by 2.5 m/s², and 3.2 rad/s² in its turn.
 _ACCELERATION = np.array([0.2, 0.2, 2.0])
-# Largest deviations of the velocity, m/s and rad/s: what vehicles indoors drive at (REP 147 and
-# ISO 3691-4 take walking pace, 1.2 m/s, as the limit beside people). Where nothing measures the
-# velocity, its uncertainty must not grow beyond what is possible.
-_LIMITS = np.array([1.2, 1.2, 2.0])
+# Largest velocity, m/s and rad/s: what vehicles indoors drive at (ISO 3691-4 takes walking pace,
+# 1.2 m/s, as the limit beside people). Where nothing measures the velocity, that is two standard
+# deviations, and its uncertainty does not grow beyond.
+_FASTEST = np.array([1.2, 1.2, 2.0])
+_LIMITS = 0.5 * _FASTEST
+_CORRELATION = 0.999  # of pose and velocity at most, so that the covariance stays positive
 
 
 class VelocityFilter:
@@ -71,20 +73,20 @@ class VelocityFilter:
         """Return the velocity after a time (s), at a pose that is shifted by (3,) as in update."""
         P = self.predicted(duration)
         gain = np.linalg.solve(P[:3, :3], P[:3, 3:]).T
-        velocity: Array = np.clip(self.velocity + gain @ shift, -_LIMITS, _LIMITS)
+        velocity: Array = np.clip(self.velocity + gain @ shift, -_FASTEST, _FASTEST)
         return velocity
 
-    def update(self, duration: float, shift: Array, posterior: Array) -> None:
+    def update(self, duration: float, shift: Array, before: Array, posterior: Array) -> None:
         """Continue at a measured pose after a time (s).
 
         shift (3,): from the predicted pose to the one that a measurement and the prediction give
-        together; posterior: its covariance (3, 3). What that says of the velocity follows from
-        the correlation of the two.
+        together; before, posterior: covariances (3, 3) of the two. What that says of the velocity
+        follows from its correlation with the pose.
         """
         P = self.predicted(duration)
-        gain = np.linalg.solve(P[:3, :3], P[:3, 3:]).T
-        self.velocity = self.velocity_after(duration, shift)
-        P[3:, 3:] -= gain @ (P[:3, :3] - posterior) @ gain.T
+        gain = np.linalg.solve(before, P[:3, 3:]).T
+        self.velocity = np.clip(self.velocity + gain @ shift, -_FASTEST, _FASTEST)
+        P[3:, 3:] -= gain @ (before - posterior) @ gain.T
         P[3:, :3] = gain @ posterior
         P[:3, 3:] = P[3:, :3].T
         P[:3, :3] = posterior
@@ -95,10 +97,18 @@ class VelocityFilter:
         self._limit(self.predicted(duration))
 
     def _limit(self, P: Array) -> None:
-        """Take a covariance, with the velocity as uncertain as it may be, equally correlated."""
-        scale = np.ones(6)
-        scale[3:] = np.minimum(1.0, _LIMITS / np.sqrt(np.maximum(np.diag(P)[3:], 1e-12)))
-        self.covariance = 0.5 * (P + P.T) * np.outer(scale, scale)
+        """Take a covariance, with the velocity no more uncertain than it may be.
+
+        Its covariance with the pose stays: a vehicle that drives at an unknown velocity gets as
+        far as that takes it, and not on a random walk.
+        """
+        P = 0.5 * (P + P.T)
+        scale = np.minimum(1.0, _LIMITS / np.sqrt(np.maximum(np.diag(P)[3:], 1e-12)))
+        P[3:, 3:] *= np.outer(scale, scale)
+        largest = _CORRELATION * np.sqrt(np.outer(np.diag(P)[:3], np.diag(P)[3:]).clip(0.0))
+        P[:3, 3:] = np.clip(P[:3, 3:], -largest, largest)
+        P[3:, :3] = P[:3, 3:].T
+        self.covariance = positive(P)
 
 
 def positive(covariance: Array) -> Array:

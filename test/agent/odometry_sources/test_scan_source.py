@@ -84,7 +84,7 @@ def test_the_way_along_a_corridor_without_features_is_unknown(seed):
         drive.go(6.25, 0.4)
         off = drive.pose.between(drive.agent.estimate('a')[0])
         covariance = drive.agent.estimate('a')[1]
-        assert abs(off.x) < 3.0 * math.sqrt(covariance[0, 0]) + 0.1
+        assert abs(off.x) < 2.0 * math.sqrt(covariance[0, 0]) + 0.1
     along, across = np.sqrt(np.diag(covariance)[:2])
     assert drive.pose.x == pytest.approx(40.0, abs=0.5)
     assert along > 10.0
