@@ -104,6 +104,26 @@ class OdometryReading:
             _check_shape(self, 'covariance', self.covariance, (3, 3))
 
 
+@dataclass(frozen=True)
+class ImuReading:
+    """Angular velocity (rad/s) of the vehicle about x, y, z of its frame, by a gyroscope."""
+
+    stamp: float
+    angular_velocity: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        _check_stamp(self, self.stamp)
+        if not all(map(math.isfinite, self.angular_velocity)):
+            raise DataError(
+                f'ImuReading: angular_velocity is {self.angular_velocity}, expected finite rad/s'
+            )
+
+    @property
+    def yaw_rate(self) -> float:
+        """Turn rate (rad/s) to the left."""
+        return self.angular_velocity[2]
+
+
 class SweepTiming(NamedTuple):
     """What is known of when a laser measures its beams, apart from its messages.
 

@@ -28,11 +28,19 @@ from explore_slam.agent.loop_closing import Join, LoopClosing
 from explore_slam.agent.measurement_queue import Stamped
 from explore_slam.agent.measurements import kind_of
 from explore_slam.agent.measurements.scans import release_sweeps
+from explore_slam.agent.odometry_sources import Motion, NewScan
 from explore_slam.agent.placement import DISPLACED
 from explore_slam.agent.scan_odometry import refine_by_scan
 from explore_slam.agent.team import KeyframeEvent, Team
 from explore_slam.agent.vehicle_track import VehicleTrack
-from explore_slam.data import OdometryReading, VehicleBody, VehicleState, VehicleStatus
+from explore_slam.data import (
+    ImuReading,
+    LaserScan,
+    OdometryReading,
+    VehicleBody,
+    VehicleState,
+    VehicleStatus,
+)
 from explore_slam.errors import AgentError
 from explore_slam.geometry import IDENTITY, Array, Pose2, rotated
 from explore_slam.mapping import LaserMap, OccupancyGrid, save_map
@@ -54,6 +62,8 @@ class Agent:
     paused: ignore measurements; odometry is still tracked.
     now: newest time (s) of the agent.
     bodies: size and speed of vehicles that are not standard.
+    sources: what the odometry of a vehicle is measured by: wheels (the default), scan, or
+    wheels+gyro.
     """
 
     def __init__(
@@ -62,6 +72,7 @@ class Agent:
         start_poses: Mapping[str, Pose2 | None],
         seed: int = 0,
         bodies: Mapping[str, VehicleBody] | None = None,
+        sources: Mapping[str, str] | None = None,
     ) -> None:
         if not start_poses:
             raise AgentError('start_poses is empty, expected a pose for every vehicle')
@@ -70,7 +81,8 @@ class Agent:
         self.paused = False
         self.now = 0.0
         self.bodies = dict(bodies or {})
-        self._team = Team(config, self.start_poses, seed, self.bodies)
+        self.sources = dict(sources or {})
+        self._team = Team(config, self.start_poses, seed, self.bodies, self.sources)
 
     @property
     def config(self) -> AgentConfig:
@@ -84,34 +96,40 @@ class Agent:
     def reset(self) -> None:
         """Forget filter, map and odometry; the vehicles are at their start poses again.
 
-        What the scans have shown of the sweeps of the lasers is kept.
+        What has been learnt of the sensors is kept: of the sweeps of the lasers, and of the IMU.
         """
         before = self.tracks
-        self._team = Team(self.config, self.start_poses, self.seed, self.bodies)
+        self._team = Team(self.config, self.start_poses, self.seed, self.bodies, self.sources)
         for name, track in self.tracks.items():
             track.sweeps.keep_knowledge(before[name].sweeps)
+            track.source.keep_knowledge(before[name].source)
         self.now = 0.0
 
     # -- records in ----------------------------------------------------------------------------
 
     def add(self, vehicle: str, record: Stamped) -> None:
-        """Add a record of a vehicle: an OdometryReading or a measurement of any kind.
+        """Add a record of a vehicle: an OdometryReading, an ImuReading or a measurement.
 
         AgentError if the vehicle or the type of the record is unknown; the state is unchanged.
         """
         track = self.track(vehicle)
-        if isinstance(record, OdometryReading):
-            self._add_odometry(track, record)
+        if isinstance(record, OdometryReading | ImuReading):
+            for motion in _motions(track, record):
+                self._add_motion(track, motion)
             return
         kind = kind_of(record)
         kind.check(self._team, record)
-        if self.paused:
+        motion_scan = record if track.source.needs_scans else None
+        track.unmapped = self.paused
+        if self.paused and not isinstance(motion_scan, LaserScan):
             track.count('ignored_while_paused')
             return
         if kind.draws_map and track.placement.displaced:
             track.count('scans_while_displaced')
             return
         kind.enqueue(self._team, track, record)
+        if isinstance(motion_scan, LaserScan):
+            self._cover(track, motion_scan)
         self._process(track)
 
     def advance(self, stamp: float) -> None:
@@ -145,17 +163,27 @@ class Agent:
                 f'nearest vehicle, expected at most maximum_map_side = {limit:g} m'
             )
 
-    def _add_odometry(self, track: VehicleTrack, reading: OdometryReading) -> None:
+    def _cover(self, track: VehicleTrack, scan: LaserScan) -> None:
+        """Extend the trajectory of a vehicle whose motion its scans show to a new scan."""
+        laser = scan.mount or self.config.laser_mount.pose
+        queue = track.sweeps.of(scan.sensor)
+        new = NewScan(scan, queue.judge.known_sweep(scan), queue.newest_end, laser)
+        for motion in track.source.cover(new, track.odometry, track.matcher):
+            self._add_motion(track, motion)
+
+    def _add_motion(self, track: VehicleTrack, motion: Motion) -> None:
+        reading = motion.reading
         before, restarts = track.odometry.last, track.odometry.restarts
         resets = track.odometry.resets
         if not len(track.odometry):
             track.placement.check_first_reading(reading.pose)
         if track.odometry.clock_jumps_back(reading):
             self._add_keyframe_here(track)  # the motion until now has stamps of the old clock
-        if not track.odometry.add(reading):
+        if not track.odometry.add(reading, motion.step):
             track.count('late_odometry')
             return
-        track.sweeps.add_odometry(reading, jumped=track.odometry.resets != resets)
+        reckoned = track.source.reckoned(reading)
+        track.sweeps.add_odometry(reckoned, jumped=track.odometry.resets != resets)
         if track.odometry.restarts != restarts:
             track.placement.displace()
             self.belief.displace(track.name, DISPLACED)
@@ -284,6 +312,13 @@ class Agent:
             for name, track in self.tracks.items()
         }
 
+    def odometry_sources(self) -> dict[str, dict[str, float | str]]:
+        """Return per vehicle what its odometry is measured by, and what is known of the sensor."""
+        return {
+            name: {'source': track.source.name, **track.source.report(), **track.slip.report()}
+            for name, track in self.tracks.items()
+        }
+
     def found_sweeps(self) -> dict[str, dict[str, Sweep]]:
         """Return vehicle -> laser -> when its beams are measured, where its scans have shown it.
 
@@ -347,3 +382,12 @@ class Agent:
     def save_map(self, base: Path) -> Path:
         """Write base.pgm and base.yaml for nav2's map_server; return the path of the YAML file."""
         return save_map(self.grid, base)
+
+
+def _motions(track: VehicleTrack, record: OdometryReading | ImuReading) -> list[Motion]:
+    """Return what a reading of the wheels, or of the IMU, extends the trajectory by."""
+    if isinstance(record, OdometryReading):
+        track.count('unused_odometry', int(track.source.needs_scans))
+        return track.source.add_odometry(record)
+    track.count('unused_imu', int(not track.source.uses_imu))
+    return track.source.add_imu(record)

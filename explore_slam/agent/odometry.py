@@ -3,13 +3,14 @@
 import logging
 import math
 from bisect import bisect_left, bisect_right
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 
 from explore_slam.data import OdometryReading
 from explore_slam.geometry import IDENTITY, Array, Pose2, rotated, wrap_angle
-from explore_slam.slam import OdometryNoise
+from explore_slam.slam import OdometryNoise, compound
 
 logger = logging.getLogger(__name__)
 
@@ -55,6 +56,15 @@ class Step(NamedTuple):
     def covariance_or(self, noise: OdometryNoise) -> Array:
         """Return the covariance (3, 3), by default that of the odometry noise model."""
         return noise.covariance(self.increment) if self.covariance is None else self.covariance
+
+
+def compound_steps(
+    pose: Pose2, covariance: Array, steps: Iterable[Step], noise: OdometryNoise
+) -> tuple[Pose2, Array]:
+    """Return pose and covariance (3, 3) after odometry steps, in the frame of the first pose."""
+    for step in steps:
+        pose, covariance = compound(pose, covariance, step.increment, step.covariance_or(noise))
+    return pose, covariance
 
 
 def _from_origin(pose: Pose2) -> float:
@@ -125,7 +135,7 @@ class OdometryBuffer:
         self.restarts = 0
         self._duration = duration
         self._jump_speed = jump_speed
-        self._clock_jump_threshold = clock_jump_threshold
+        self.clock_jump_threshold = clock_jump_threshold
         self._stamps: list[float] = []
         self._poses: list[Pose2] = []
         self._covariances: list[Array | None] = []  # of the step that ends at each pose
@@ -161,10 +171,14 @@ class OdometryBuffer:
 
     def clock_jumps_back(self, reading: OdometryReading) -> bool:
         """Return whether a reading is of a clock that has jumped back, and not merely late."""
-        return bool(self._stamps) and self.last - reading.stamp >= self._clock_jump_threshold
+        return bool(self._stamps) and self.last - reading.stamp >= self.clock_jump_threshold
 
-    def add(self, reading: OdometryReading) -> bool:
-        """Append a reading; return False if it was discarded because it is late or repeated."""
+    def add(self, reading: OdometryReading, step: Step | None = None) -> bool:
+        """Append a reading; return False if it was discarded because it is late or repeated.
+
+        step: the motion since the reading before, where another sensor has measured it, with its
+        covariance. The readings of the base then show its restarts and jumps alone.
+        """
         if self.clock_jumps_back(reading):
             self._restart_clock(reading)
             return True
@@ -179,6 +193,7 @@ class OdometryBuffer:
             )
             self.restarts += 1
             self._continue_from(reading)
+            step = None
         pose = self._trajectory_pose(reading)
         if self._stamps and self._is_jump(reading, pose):
             logger.warning(
@@ -192,7 +207,10 @@ class OdometryBuffer:
                 reading.stamp - self.last,
             )
             self._continue_from(reading)
-            pose = self.pose
+            pose, step = self.pose, None
+        if self._stamps and step is not None:
+            pose = self.pose.compose(step.increment)
+            self._correction = pose.compose(reading.pose.inverse())
         if self._stamps:
             # where readings were lost, all the motion may have been within the time of one
             intervals = max(self._lost_before(reading), 0) + 1
@@ -202,7 +220,7 @@ class OdometryBuffer:
             turn_rate = min(turned / duration, _JUMP_TURN_RATE)
             self._top_speed = max(self._top_speed, speed)
             self._top_turn_rate = max(self._top_turn_rate, turn_rate)
-        self._append(reading.stamp, pose)
+        self._append(reading.stamp, pose, None if step is None else step.covariance)
         self._number = reading.number
         return True
 
@@ -337,10 +355,10 @@ class OdometryBuffer:
         tolerance = _ORIGIN_TOLERANCE_LIMIT if is_another else _ORIGIN_TOLERANCE
         return _returns_to_origin(reading.pose, self.reading, tolerance)
 
-    def _append(self, stamp: float, pose: Pose2) -> None:
+    def _append(self, stamp: float, pose: Pose2, covariance: Array | None = None) -> None:
         self._stamps.append(stamp)
         self._poses.append(pose)
-        self._covariances.append(None)
+        self._covariances.append(covariance)
         # trimmed when twice the duration is held, so that the cost per reading stays constant
         if len(self._stamps) > _TRIM_MINIMUM and self._stamps[0] < stamp - 2.0 * self._duration:
             keep = bisect_left(self._stamps, stamp - self._duration)

@@ -3,23 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from explore_slam.agent.scan_sets import PlacedCloud
-from explore_slam.agent.vehicle_track import VehicleTrack, compound_steps
+from explore_slam.agent.vehicle_track import VehicleTrack
 from explore_slam.data import LaserScan
-from explore_slam.geometry import IDENTITY, Pose2, rotated
+from explore_slam.geometry import Pose2
 from explore_slam.registration import Refusal, ScanMatch, merged, scan_cloud
-from explore_slam.slam import FastSlamConfig, calibrated
-
-# Trace (m² + rad²) of the covariance of a motion below which the vehicle stands still: with the
-# default odometry noise, less than 0.01 mm.
-_STATIONARY_TRACE = 1e-8
-
-# rad; of the direction of the motion from the heading: the laser's yaw on the vehicle, and the
-# chord of a turn between two readings (`benchmarks/wheel_course.py`: 0.07 to 0.1 on Intel, ACES
-# and Belgioioso).
-_COURSE_DEVIATION = 0.1
+from explore_slam.slam import FastSlamConfig
 
 # Disc (x m, y m, radius m) in the vehicle frame that hides another vehicle.
 Disc = tuple[float, float, float]
@@ -37,8 +26,7 @@ def refine_by_scan(
     The scan of one of several lasers waits for those of the others.
 
     laser: its pose in the vehicle frame.
-    slam: noise and calibration of the wheel odometry. Between scans far apart its systematic
-    errors are larger than the noise: they are part of the prior as if they were unknown.
+    slam: noise and calibration of the wheel odometry.
     bodies: where other vehicles are, whose returns do not count.
     A scan that is refused leaves the odometry unchanged. While the vehicle stands still nothing is
     corrected, so that the noise of matching does not move it.
@@ -61,27 +49,25 @@ def _refine_by_clouds(
     if len(clouds) > 1:
         now = track.odometry.at(stamp)
         cloud = merged([c.moved(now.between(track.odometry.at(s))) for s, c in clouds])
-    motion, covariance = compound_steps(
-        IDENTITY, np.zeros((3, 3)), track.odometry.steps(since, stamp), slam.odometry_noise
-    )
-    if track.matcher.started and covariance.trace() < _STATIONARY_TRACE:
+    prior = track.source.prior(track.odometry, since, stamp, slam)
+    if track.matcher.started and prior.still:
+        track.slip.add_still_scan(stamp, track.matcher, cloud, prior.pose)
         track.matched_until = stamp
         track.clouds.append((stamp, cloud))
         return
-    prior = track.odometry.at(stamp)
-    systematic = calibrated(motion, np.zeros(3)).sensitivity * slam.calibration.deviations()
-    covariance = covariance + systematic @ systematic.T
-    sideways = _COURSE_DEVIATION * np.array([-motion.y, motion.x])
-    covariance[:2, :2] += np.outer(sideways, sideways)
-    wheels = rotated(covariance, motion.theta)
     restarts = track.matcher.restarts
-    match = track.matcher.match_cloud(cloud, prior, wheels)
+    match = track.matcher.match_cloud(cloud, prior.pose, prior.covariance)
     restarted = track.matcher.restarts != restarts
     if isinstance(match, ScanMatch):
         track.count('matched_scans')
         track.clouds.append((stamp, cloud))
-        # where the map began anew, only wheel odometry connects it with the last match
-        drift = match.drift + wheels if restarted else match.drift
+        before = track.odometry.at(since)
+        if not restarted and not track.source.needs_scans:
+            motions = before.between(prior.pose), before.between(match.pose)
+            track.slip.add_match(since, stamp, *motions)
+        # where the map began anew, only odometry connects it with the last match
+        drift = track.source.take_match(track.odometry, since, stamp, prior, match, restarted)
+        wheels = prior.covariance
         track.odometry.correct(since, stamp, match.pose, drift, match.white, wheels)
         if track.keyframe is not None:
             # the correction before the newest keyframe is already part of the filter's estimate

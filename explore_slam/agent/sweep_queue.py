@@ -45,6 +45,7 @@ class SweepQueues:
         # it knows the odometry from before the first scan, and becomes that of the first laser
         self._first = SweepQueue(vehicle)
         self._by_laser: dict[str, SweepQueue] = {}
+        self._may_hold = True
 
     def of(self, laser: str) -> 'SweepQueue':
         """Return the queue of a laser; '' is that of a vehicle with one laser."""
@@ -53,6 +54,8 @@ class SweepQueues:
             queue = SweepQueue(self._vehicle) if self._by_laser else self._first
             if laser:
                 queue.name(f'{self._vehicle}, {laser}')
+            if not self._may_hold:
+                queue.never_hold()
             self._by_laser[laser] = queue
         return queue
 
@@ -70,6 +73,10 @@ class SweepQueues:
     def first(self) -> float:
         """Stamp (s) at which the oldest waiting scan will count as measured; inf when empty."""
         return min(queue.first for queue in self.all)
+
+    def never_hold(self) -> None:
+        """Hold no scan back until its timing is known: scans are all that shows the motion."""
+        self._may_hold = False
 
     def found(self) -> dict[str, Sweep]:
         """Return laser -> what its scans have shown, where they have shown it."""
@@ -111,6 +118,11 @@ class SweepQueue:
         self._waiting: MeasurementQueue[_Waiting] = MeasurementQueue()
         self._held: deque[LaserScan] = deque()
         self._may_hold = True
+        self.newest_end = -np.inf  # s; of the last beam of the newest scan
+
+    def never_hold(self) -> None:
+        """Hold no scan back."""
+        self._may_hold = False
 
     def name(self, laser: str) -> None:
         """Name the laser in all messages."""
@@ -132,9 +144,11 @@ class SweepQueue:
         """
         sweep = self.judge.sweep_of(scan)
         test = 0.0 if self.detector.is_done else self.judge.doubtful(scan)
+        item = _Waiting(scan, sweep, test)
+        self.newest_end = item.end
         if sweep is None and not test and not len(self._waiting):
             return None  # else it waits behind earlier scans, so that they stay in order
-        return self._waiting.push(_Waiting(scan, sweep, test), capacity)
+        return self._waiting.push(item, capacity)
 
     def pop(self, odometry: OdometryBuffer, laser: Pose2) -> LaserScan | None:
         """Return the oldest scan whose sweep odometry covers, as of one moment, or None.
@@ -200,6 +214,7 @@ class SweepQueue:
 
     def clear(self) -> None:
         """Drop what waits: the clock has jumped."""
+        self.newest_end = -np.inf
         self._waiting.clear()
         self._held.clear()
         self.detector.clear()

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from explore_slam.agent.config import AgentConfig
 from explore_slam.agent.loop_closing import LoopClosing
 from explore_slam.agent.odometry import OdometryBuffer
+from explore_slam.agent.odometry_sources import make_source
 from explore_slam.agent.placement import Placement
 from explore_slam.agent.vehicle_track import Keyframe, VehicleTrack, merged_steps
 from explore_slam.data import LandmarkObservations, LaserScan, VehicleBody
@@ -54,9 +55,15 @@ class Team:
         start_poses: Mapping[str, Pose2 | None],
         seed: int,
         bodies: Mapping[str, VehicleBody] | None = None,
+        sources: Mapping[str, str] | None = None,
     ) -> None:
-        """Begin at the start poses; bodies: of vehicles that are not of the standard size."""
-        inputs = config.inputs
+        """Begin at the start poses.
+
+        bodies: of vehicles that are not of the standard size. sources: of their odometry, where
+        it is not that of the wheels.
+        """
+        inputs, noise = config.inputs, config.slam.odometry_noise
+        _check_sources(sources or {}, config)
         self.config = config
         self.start_poses = dict(start_poses)
         self.belief = TeamBelief(self.start_poses, config.slam, seed)
@@ -75,15 +82,21 @@ class Team:
                     inputs.clock_jump_threshold,
                 ),
                 KeyframeSelector(config.vision),
-                ScanMatcher(config.scan_matching),
+                ScanMatcher(config.scan_matching, open_ended=source.weak),
                 Placement(name, start_known=pose is not None),
                 body=(bodies or {}).get(name, VehicleBody()),
+                source=source,
             )
             for name, pose in self.start_poses.items()
+            for source in [make_source((sources or {}).get(name, 'wheels'), name, noise)]
         }
 
     def configure(self, config: AgentConfig) -> None:
-        """Replace the settings; those of filter and grid take effect with the next Team."""
+        """Replace the settings; those of filter and grid take effect with the next Team.
+
+        AgentError changes nothing.
+        """
+        _check_sources({name: track.source.name for name, track in self.tracks.items()}, config)
         self.extractor = FeatureExtractor(config.vision)
         self.config = config
         for track in self.tracks.values():
@@ -173,3 +186,13 @@ class Team:
         else:
             track.count('frames_without_landmarks')
         self.add_keyframe(track, observations.stamp, summary)
+
+
+def _check_sources(sources: Mapping[str, str], config: AgentConfig) -> None:
+    """Raise AgentError for a vehicle whose motion is measured by scans that are not matched."""
+    alone = sorted(name for name, source in sources.items() if source == 'scan')
+    if alone and not config.scan_matching.scan_matching:
+        raise AgentError(
+            f'odometry of {", ".join(alone)} is scan and scan_matching is false, expected true: '
+            'nothing else shows the motion'
+        )

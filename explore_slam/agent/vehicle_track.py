@@ -1,20 +1,19 @@
 """The agent's state of one vehicle, apart from the filter and the map."""
 
 from collections import deque
-from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from explore_slam.agent.measurement_queue import MeasurementQueue, Stamped
 from explore_slam.agent.odometry import OdometryBuffer, Step
+from explore_slam.agent.odometry_sources import OdometrySource, SlipMonitor, WheelSource
 from explore_slam.agent.placement import Placement
 from explore_slam.agent.scan_sets import ScanSets
 from explore_slam.agent.sweep_queue import SweepQueues
 from explore_slam.data import FollowerReport, LaserScan, Plan, VehicleBody, VehicleState
-from explore_slam.geometry import IDENTITY, Array, Pose2
+from explore_slam.geometry import IDENTITY, Pose2
 from explore_slam.registration import PointCloud, ScanMatcher, ScanMatchingConfig
-from explore_slam.slam import OdometryNoise, compound
 from explore_slam.vision import KeyframeSelector
 from explore_slam.vision.sections import KeyframeConfig
 
@@ -36,6 +35,9 @@ class VehicleTrack:
 
     start: its pose in the map, None: unknown.
     placement: whether its pose can be relied on.
+    source: what its odometry is measured by.
+    slip: whether odometry agrees with the scans.
+    unmapped: its scans are matched, but do not enter the map.
     body: its size and speed.
     last_scans: stamp (s) and odometry pose of the newest scan of each laser in the map.
     matched_until: stamp (s) up to which scan matching has refined the odometry.
@@ -56,6 +58,8 @@ class VehicleTrack:
     matcher: ScanMatcher
     placement: Placement
     body: VehicleBody = field(default_factory=VehicleBody)
+    source: OdometrySource = field(default_factory=WheelSource)
+    unmapped: bool = False
     keyframe: Keyframe | None = None
     last_scans: dict[str, tuple[float, Pose2]] = field(default_factory=dict)
     matched_until: float = -np.inf
@@ -71,9 +75,13 @@ class VehicleTrack:
     clouds: deque[tuple[float, PointCloud]] = field(default_factory=lambda: deque(maxlen=_CLOUDS))
     sets: ScanSets = field(default_factory=ScanSets)
     sweeps: SweepQueues = field(init=False)
+    slip: SlipMonitor = field(init=False)
 
     def __post_init__(self) -> None:
         self.sweeps = SweepQueues(self.name)
+        self.slip = SlipMonitor(self.name, self.source.name)
+        if self.source.needs_scans:
+            self.sweeps.never_hold()
         self._selectors: dict[str, KeyframeSelector] = {}
 
     def count(self, name: str, times: int = 1) -> None:
@@ -147,6 +155,8 @@ class VehicleTrack:
             selector.reset()
         self.sets.clear()
         self.matcher.reset()
+        self.source.restart_clock()
+        self.slip.clear()
         self.clouds.clear()
         self.last_scans.clear()
         self.last_seen = -np.inf
@@ -188,12 +198,3 @@ def merged_steps(steps: list[Step], most: int) -> list[Step]:
             merged.append(step)
             joined = 1
     return merged
-
-
-def compound_steps(
-    pose: Pose2, covariance: Array, steps: Iterable[Step], noise: OdometryNoise
-) -> tuple[Pose2, Array]:
-    """Return pose and covariance (3, 3) after odometry steps, in the frame of the first pose."""
-    for step in steps:
-        pose, covariance = compound(pose, covariance, step.increment, step.covariance_or(noise))
-    return pose, covariance

@@ -16,6 +16,7 @@ class FrameNames:
     base_suffix: str = 'base_link'
     laser_suffix: str = 'laser'
     camera_suffix: str = 'camera_optical_frame'
+    imu_suffix: str = 'imu_link'
 
     @property
     def odom(self) -> str:
@@ -31,6 +32,11 @@ class FrameNames:
     def laser(self) -> str:
         """Frame of the laser, e.g. 'robot1/laser'."""
         return f'{self.vehicle}/{self.laser_suffix}'
+
+    @property
+    def imu(self) -> str:
+        """Frame of the IMU, e.g. 'robot1/imu_link'."""
+        return f'{self.vehicle}/{self.imu_suffix}'
 
     def laser_frame(self, sensor: str) -> str:
         """Return the frame of one of several lasers, e.g. 'robot1/front_scan'; '': of the one."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from explore_slam.data import (
+    ImuReading,
     InterRobotObservation,
     LandmarkObservations,
     LaserScan,
@@ -24,7 +25,14 @@ logger = logging.getLogger(__name__)
 # topics whose records name their sensor
 _SENSOR_TOPICS = (TopicKind.SCAN, TopicKind.CLOUD, *COLOR_TOPICS, *DEPTH_TOPICS)
 
-Record = OdometryReading | LaserScan | RgbdFrame | LandmarkObservations | InterRobotObservation
+Record = (
+    OdometryReading
+    | ImuReading
+    | LaserScan
+    | RgbdFrame
+    | LandmarkObservations
+    | InterRobotObservation
+)
 TopicMessages = list[tuple[TopicKind, Any]]
 
 
@@ -92,6 +100,7 @@ class MeasurementKind:
     vision: the value of the setting `vision` with which it is expected; '' is any.
     laser: it is expected of vehicles with a laser scanner only, and there may be several.
     camera: it comes from a camera, of which there may be several.
+    sources: the values of the setting `odometry` with which it is expected; () is any.
     clock: the setting of the vehicle that is added to its stamps.
     high_bandwidth: subscribed to only with that setting, to save bandwidth.
     """
@@ -106,6 +115,7 @@ class MeasurementKind:
     high_bandwidth: bool = False
     laser: bool = False
     camera: bool = False
+    sources: tuple[str, ...] = ()
     clock: str = 'camera_time_offset'
 
     def topics_of(self, config: VehicleConfig) -> list[SensorTopic]:
@@ -114,10 +124,14 @@ class MeasurementKind:
             return config.laser_topics
         if self.camera:
             return config.camera_topics(self.topics)
+        if TopicKind.IMU in self.topics:
+            return [SensorTopic(TopicKind.IMU, config.imu)]
         return [SensorTopic(topic, topic.value) for topic in self.topics]
 
     def is_expected(self, config: VehicleConfig) -> bool:
         """Return whether it is expected of a vehicle with these settings."""
+        if self.sources and config.odometry not in self.sources:
+            return False
         return self.vision in ('', config.vision) and (config.use_laser or not self.laser)
 
     def is_accepted(self, config: VehicleConfig) -> bool:

@@ -66,5 +66,6 @@ ODOMETRY = MeasurementKind(
     ],
     queue_limit=2000,  # 20 s at 100 Hz
     expected=(TopicKind.ODOMETRY,),
+    sources=('wheels', 'wheels+gyro'),
     clock='odom_time_offset',
 )

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from explore_slam.data import LaserScan
-from explore_slam.geometry import Pose2, Pose3, roll_pitch_yaw, wrap_angle
+from explore_slam.geometry import Array, Pose2, Pose3, roll_pitch_yaw, wrap_angle
 from explore_slam.messages.base import OPTICAL
 from explore_slam.messages.cloud_scans import cloud_scan
 from explore_slam.messages.transforms import TransformTree, frame_name
@@ -142,6 +142,20 @@ class SensorMounts:
         if scan.timing.duration is not None:
             return scan
         return replace(scan, timing=config.sweep.record)
+
+    def imu_rotation(self, frame: str) -> Array | None:
+        """Return the rotation (3, 3) of the IMU in the vehicle frame; None: its axes are the same.
+
+        Nothing is said of an IMU without a mount: whether it turns as the vehicle does shows when
+        that turns (explore_slam.agent.odometry_sources.gyro_check).
+        """
+        found = self._tree.lookup(self.base, frame)
+        if found is None:
+            return self.config.imu_rotation
+        if frame not in self.used:
+            self.used[frame] = Mount('/tf_static', found)
+            logger.info('%s: mount of %s: %s', self.vehicle, frame, self.used[frame])
+        return found.rotation
 
     def optical_pose(self, frame: str, sensor: str = '') -> Pose3 | None:
         """Return the pose of a camera's optical frame; None: that of the team's settings.

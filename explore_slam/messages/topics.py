@@ -69,6 +69,7 @@ class TopicKind(Topic):
     # of a 3-D lidar; only where the settings name it, never by this name
     CLOUD = 'points', 'sensor_msgs/msg/PointCloud2'
     ODOMETRY = 'odom', _ODOMETRY, RELIABLE, SENSOR_BURST
+    IMU = 'imu', 'sensor_msgs/msg/Imu', RELIABLE, SENSOR_BURST
     COLOR = 'camera/rgb/image_raw', _IMAGE
     COLOR_COMPRESSED = 'camera/rgb/image_raw/compressed', _COMPRESSED_IMAGE
     DEPTH = 'camera/depth_registered/image_raw', _IMAGE
@@ -92,6 +93,8 @@ class VehicleTopic(Topic):
     PLAN = 'plan', 'nav_msgs/msg/Path', LATCHED, LATCHED
     TRAJECTORY = 'trajectory', 'nav_msgs/msg/Path', RELIABLE, RELIABLE
     PARTICLES = 'particles', 'geometry_msgs/msg/PoseArray', BEST_EFFORT
+    # odometry by scans, of a vehicle whose setting odometry is scan
+    SCAN_ODOMETRY = 'scan_odom', _ODOMETRY, RELIABLE, SENSOR_BURST
     AGENT_ALIVE = 'agent_alive', 'std_msgs/msg/Empty', BEST_EFFORT, BEST_EFFORT
     VELOCITY_COMMAND = 'cmd_vel', 'geometry_msgs/msg/Twist', NEWEST, NEWEST
     TELEOP_COMMAND = 'cmd_vel_teleop', 'geometry_msgs/msg/Twist', NEWEST, NEWEST

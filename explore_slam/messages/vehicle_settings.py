@@ -13,9 +13,9 @@ from typing import Any
 from explore_slam.battery import BatteryConfig
 from explore_slam.body import BodyConfig, ViewConfig
 from explore_slam.errors import ConfigError
-from explore_slam.geometry import Pose2, Pose3, quaternion_from_rotation, rotation_matrix
+from explore_slam.geometry import Array, Pose2, Pose3, quaternion_from_rotation, rotation_matrix
 from explore_slam.messages.base import OPTICAL
-from explore_slam.messages.topics import SensorTopic, TopicKind, sensor_topic
+from explore_slam.messages.topics import SensorTopic, Topic, TopicKind, VehicleTopic, sensor_topic
 from explore_slam.settings import Section, section, setting, unknown_name, values_of, with_values
 from explore_slam.sweeps import SweepConfig
 
@@ -35,6 +35,14 @@ class VehicleConfig(Section):
         choices=('agent', 'vehicle', 'none'),
         tier='basic',
     )
+    odometry: str = setting(
+        'wheels',
+        'What the odometry of the vehicle is measured by: its wheels (odom); wheels+gyro, with '
+        'the turns of a gyroscope (imu); scan, by matching the scans alone, for a vehicle without '
+        'wheel odometry or with one that is wrong',
+        choices=('wheels', 'scan', 'wheels+gyro'),
+    )
+    imu: str = setting('imu', 'Topic of its IMU (sensor_msgs/Imu), below its namespace')
     use_laser: bool = setting(True, 'Whether the vehicle has a laser scanner', tier='basic')
     scans: tuple[str, ...] = setting(
         ('scan',),
@@ -105,6 +113,11 @@ class VehicleConfig(Section):
         'NaN: camera_x to camera_yaw',
         tier='basic',
     )
+    imu_mount: tuple[float, ...] = setting(
+        _UNSET,
+        'Roll, pitch, yaw (rad) of the IMU in the vehicle frame, used if /tf_static does not '
+        'provide it; a single NaN: its axes are those of the vehicle (x forward, z up)',
+    )
     pairing_tolerance: float = setting(
         0.02,  # half the period of a Kinect at 30 Hz is 0.017 s; its sensors are not synchronized
         'Largest difference of the stamps of a colour and a depth image of one frame',
@@ -122,6 +135,9 @@ class VehicleConfig(Section):
     odom_time_offset: float = setting(
         0.0, 'Added to the stamps of odometry', unit='s', low=-1e10, high=1e10
     )
+    imu_time_offset: float = setting(
+        0.0, 'Added to the stamps of the IMU', unit='s', low=-1e10, high=1e10
+    )
     scan_time_offset: float = setting(
         0.0, 'Added to the stamps of scans', unit='s', low=-1e10, high=1e10
     )
@@ -138,6 +154,7 @@ class VehicleConfig(Section):
             ('laser_mount', 3, self.scans),
             ('cloud_mount', 6, self.clouds),
             ('camera_mount', 6, self.cameras),
+            ('imu_mount', 3, (self.imu,)),
         ):
             values = getattr(self, name)
             count = each * len(sensors)
@@ -145,6 +162,13 @@ class VehicleConfig(Section):
                 object.__setattr__(self, name, _UNSET)  # NaN equals no other one but itself
             elif not (len(values) == count and all(map(math.isfinite, values))):
                 raise ConfigError(f'{name} is {list(values)}, expected {count} finite numbers')
+        if not _NAME.fullmatch(self.imu):
+            raise ConfigError(
+                f'imu is {self.imu!r}, expected a name below the namespace of the vehicle, such '
+                "as 'imu/data', without a slash at the beginning or the end"
+            )
+        if self.odometry == 'scan' and not self.use_laser:
+            raise ConfigError('odometry is scan and use_laser false: scans are what it needs')
         if not self.cloud_lowest < self.cloud_highest:
             raise ConfigError(
                 f'cloud_lowest is {self.cloud_lowest} m and cloud_highest {self.cloud_highest} m, '
@@ -180,12 +204,25 @@ class VehicleConfig(Section):
         numbers = _mount_of(sensor, self.clouds, self.cloud_mount, 6)
         return None if numbers is None else _pose_in_space(numbers)
 
+    @property
+    def imu_rotation(self) -> Array | None:
+        """Rotation (3, 3) of the IMU in the vehicle frame, None where it is not set."""
+        if len(self.imu_mount) != 3:
+            return None
+        roll, pitch, yaw = self.imu_mount
+        return rotation_matrix(roll, pitch, yaw)
+
     def optical_pose(self, sensor: str = '') -> Pose3 | None:
         """Return the pose of a camera's optical frame, None where it is not set."""
         numbers = _mount_of(sensor, self.cameras, self.camera_mount, 6)
         if numbers is None:
             return None
         return _pose_in_space(numbers).compose(Pose3((0.0, 0.0, 0.0), OPTICAL))
+
+
+def odometry_topic(config: VehicleConfig) -> Topic:
+    """Return the topic of the odometry that is to be followed: of the base, or of its scans."""
+    return VehicleTopic.SCAN_ODOMETRY if config.odometry == 'scan' else TopicKind.ODOMETRY
 
 
 def _mount_of(

@@ -359,12 +359,16 @@ class VehicleInputs:
 
         Images may come on any of their topics, raw or compressed.
         """
-        silent = [
-            topic.name
+        hints = {
+            topic.name: f'; for a vehicle without wheel odometry set {self.vehicle}.odometry: scan'
+            * (topic.kind is TopicKind.ODOMETRY and self.config.use_laser)
             for topic in self._expected
             if not any(self.received[other.name] for other in _alternatives(topic))
-        ]
+        }
         name = self.config.battery_topic
         if self.config.battery.watched and not self.received[name]:
-            silent.append(name)
-        return [explain_silence(self._node, f'{self.vehicle}/{name}', SILENCE) for name in silent]
+            hints[name] = ''
+        return [
+            explain_silence(self._node, f'{self.vehicle}/{name}', SILENCE) + hint
+            for name, hint in hints.items()
+        ]

@@ -10,12 +10,14 @@ from rclpy.node import Node
 from std_msgs.msg import ColorRGBA, String
 from visualization_msgs.msg import Marker, MarkerArray
 
+from explore_slam.data import OdometryReading
 from explore_slam.exploration import Frontier
 from explore_slam.geometry import Array, Pose2
 from explore_slam.mapping import OccupancyGrid
 from explore_slam.messages import (
     cloud_message,
     estimate_message,
+    odometry_message,
     path_message,
     planar_transform_message,
     pose_array_message,
@@ -32,6 +34,7 @@ from explore_slam.sweeps import Sweep
 
 _RESULTS = (
     VehicleTopic.POSE, VehicleTopic.TRAJECTORY, VehicleTopic.PARTICLES, VehicleTopic.SWEEPS,
+    VehicleTopic.SCAN_ODOMETRY,
 )  # fmt: skip
 # what RViz shows: side of a cube (m), colours (red, green, blue) and opacity
 _MARKER_SIZE = 0.15
@@ -82,6 +85,20 @@ class AgentOutputs:
             planar_transform_message(MESSAGES, valid, self._config.map_frame, odom_frame, offset),
             vehicle,
         )
+
+    def scan_odometry(
+        self, vehicle: str, reading: OdometryReading, frames: tuple[str, str], transform: bool
+    ) -> None:
+        """Publish the odometry of a vehicle by its scans.
+
+        frames: of odometry and base. transform: publish odometry -> base, too: no base does.
+        """
+        message = odometry_message(MESSAGES, reading, *frames)
+        self._vehicle[vehicle, VehicleTopic.SCAN_ODOMETRY].publish(message)
+        if transform:
+            self._transforms.send(
+                planar_transform_message(MESSAGES, reading.stamp, *frames, reading.pose), vehicle
+            )
 
     def particles(self, vehicle: str, stamp: float, poses: Array) -> None:
         """Publish the poses (M, 3) of the particles, thinned to published_particles."""

@@ -21,12 +21,13 @@ from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
 from explore_slam.agent import Agent, TeamPlanner, explicit_mounts
-from explore_slam.data import BatteryReading, FollowerReport
+from explore_slam.data import BatteryReading, FollowerReport, OdometryReading
 from explore_slam.errors import DataError, ExploreSlamError
 from explore_slam.exploration import PlanningMode
 from explore_slam.geometry import Pose2
 from explore_slam.messages.clocks import NamedProblems, StampProblem
 from explore_slam.messages.frame_pairing import FRAME
+from explore_slam.messages.imu import IMU
 from explore_slam.messages.odometry import ODOMETRY
 from explore_slam.messages.sensor_mounts import SensorMounts, shared_frames
 from explore_slam.messages.sweep_status import SWEEP_KEY, named_sweeps
@@ -80,7 +81,8 @@ class AgentSession:
         self.config = config
         self._vehicle_configs = dict(vehicle_configs)
         bodies = {name: one.view.of(one.body.record) for name, one in vehicle_configs.items()}
-        self.agent = Agent(config.agent, config.poses(), config.seed, bodies)
+        sources = {name: one.odometry for name, one in vehicle_configs.items()}
+        self.agent = Agent(config.agent, config.poses(), config.seed, bodies, sources)
         batteries = {name: one.battery for name, one in vehicle_configs.items()}
         self.planner = TeamPlanner(self.agent, batteries)
         self.planner.pause(not config.explore)
@@ -236,8 +238,9 @@ class AgentSession:
     def _place(self, item: tuple[str, OperatorPose]) -> None:
         """Place a vehicle where the operator sees it now, however far behind the agent is."""
         vehicle, given = item
-        for motion in self.inbox.take_out(vehicle, ODOMETRY.name):
-            motion.take(motion.payload)
+        for kind in (IMU, ODOMETRY):
+            for motion in self.inbox.take_out(vehicle, kind.name):
+                motion.take(motion.payload)
         self.agent.set_pose(vehicle, given.pose, given.covariance)
         x, y, yaw = given.pose
         self._node.get_logger().info(
@@ -410,8 +413,13 @@ class AgentSession:
         self._posed[vehicle] = stamp
         pose, covariance = self.agent.estimate(vehicle)
         self.outputs.pose(vehicle, stamp, pose, covariance)
-        odom_frame = self._inputs[vehicle].mounts.odom
-        self.outputs.transform(vehicle, stamp, pose, track.odometry.reading, odom_frame)
+        mounts = self._inputs[vehicle].mounts
+        base_pose = track.source.base_pose(track.odometry)
+        if track.source.needs_scans:
+            reading = OdometryReading(stamp, base_pose)
+            frames = (mounts.odom, mounts.base)
+            self.outputs.scan_odometry(vehicle, reading, frames, not mounts.has_odometry)
+        self.outputs.transform(vehicle, stamp, pose, base_pose, mounts.odom)
 
     def _is_due(self, what: str, period: float, now: float) -> bool:
         if self._due[what] - period <= now < self._due[what]:
@@ -489,13 +497,15 @@ class AgentSession:
         return any(self._node.count_publishers(f'{vehicle}{topic.value}') for topic in topics)
 
     def _vehicle_figures(self) -> dict[str, dict[str, float | str]]:
-        """Return counts, odometry calibration and what the scans have shown, per vehicle."""
+        """Return counts, source and calibration of odometry, and the sweeps found, per vehicle."""
         counts, sweeps = self.agent.summary(), self.agent.found_sweeps()
+        sources = self.agent.odometry_sources()
         return {
             name: {
                 **counts[name],
                 **self._battery_figures(name),
                 **{f'odometry_{key}': value for key, value in calibration._asdict().items()},
+                **{f'odometry_{key}': value for key, value in sources[name].items()},
                 **{f'{SWEEP_KEY}{k}': words for k, words in named_sweeps(sweeps[name]).items()},
             }
             for name, calibration in self.agent.odometry_calibrations().items()

@@ -107,11 +107,12 @@ class AgentStatistics:
             problems = sorted(by_vehicle[name].clock_problems().items())
             clocks = [f'{topic}: {problem.text}' for topic, problem in problems]
             warning = warnings.get(name, '')
-            bad |= bool(clocks or warning)
+            poor = str(values.get('odometry_problem', ''))
+            bad |= bool(clocks or warning or poor)
             waits = planning.waiting.get(name, '')
             if status.state is VehicleState.UNLOCALIZED:
                 waits = 'start pose unknown, not found in the map yet'
-            reason = '; '.join(filter(None, [waits, warning, *clocks]))
+            reason = '; '.join(filter(None, [waits, warning, *clocks, poor]))
             text = status.state.value + (f': {reason}' if reason else '')
             parts[f'vehicle {name}'] = (WARN if bad else OK, text, values)
         return parts

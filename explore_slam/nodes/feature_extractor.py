@@ -23,7 +23,7 @@ from explore_slam.errors import ExploreSlamError
 from explore_slam.messages import landmarks_message, odometry_record
 from explore_slam.messages.frame_pairing import FRAME, FramePairing
 from explore_slam.messages.topics import GlobalTopic, SensorTopic, TopicKind
-from explore_slam.messages.vehicle_settings import VehicleConfig
+from explore_slam.messages.vehicle_settings import VehicleConfig, odometry_topic
 from explore_slam.mounts import LaserMountConfig
 from explore_slam.nodes.driver_parameters import DriverNodeConfig
 from explore_slam.nodes.endpoints import publisher, subscribe
@@ -47,7 +47,7 @@ from explore_slam.vision import FeatureExtractor, KeyframeSelector, VisionConfig
 
 _INPUTS = InputConfig()  # the defaults of the agent
 # settings of the vehicle, which the agent has too
-_VEHICLE_SETTINGS = ('cameras', 'camera_mount', 'odom_frame', 'robot_base_frame')
+_VEHICLE_SETTINGS = ('odometry', 'cameras', 'camera_mount', 'odom_frame', 'robot_base_frame')
 POLL_PERIOD = 0.2  # s that the worker waits for a frame before it looks at the time
 ODOMETRY_WAIT = 0.5  # s that a frame waits for odometry that reaches its stamp
 
@@ -92,7 +92,7 @@ class FeatureExtractorNode(Node):
         self._sent = 0
         self._busy = 0.0
         self._reported = time.monotonic()
-        subscribe(self, TopicKind.ODOMETRY, self._on_odometry)
+        subscribe(self, odometry_topic(sensors), self._on_odometry)
         for topic in topics:
             subscribe(self, topic.kind, partial(self._on_camera, topic), name=topic.name)
         self._landmarks = publisher(self, TopicKind.LANDMARKS)

@@ -45,7 +45,7 @@ from explore_slam.messages.topics import (
     TopicKind,
     VehicleTopic,
 )
-from explore_slam.messages.vehicle_settings import VehicleConfig
+from explore_slam.messages.vehicle_settings import VehicleConfig, odometry_topic
 from explore_slam.nodes.driver_parameters import DriverNodeConfig
 from explore_slam.nodes.endpoints import LatchedOrNotSubscription, publisher, subscribe
 from explore_slam.nodes.managed_node import ManagedNode
@@ -79,7 +79,7 @@ _QUIET_AFTER = 1.0  # s of zero commands, then none: another node may drive the 
 # settings of the vehicle, which the agent has too
 _AT_START = dict.fromkeys(
     [
-        *('use_laser', 'scans', 'laser_mount', 'odom_frame', 'robot_base_frame'),
+        *('odometry', 'use_laser', 'scans', 'laser_mount', 'odom_frame', 'robot_base_frame'),
         *('clouds', 'cloud_mount', 'cloud_lowest', 'cloud_highest'),
         *values_of(SweepConfig()),
     ],
@@ -88,8 +88,7 @@ _AT_START = dict.fromkeys(
 _TELEOP_SILENCE = 0.6  # s without a command by hand after which the vehicle is told to stand
 _FINE = (FollowerState.DRIVING, FollowerState.ARRIVED, FollowerState.TELEOPERATED)
 _TELEOP = FollowerReport(FollowerState.TELEOPERATED, 'driven by cmd_vel_teleop')
-_INPUTS = (VehicleTopic.PLAN, VehicleTopic.POSE, TopicKind.ODOMETRY, TopicKind.SCAN)
-_EXPECTED = (VehicleTopic.POSE, TopicKind.ODOMETRY)  # the agent need not have a plan yet
+_INPUTS = (VehicleTopic.PLAN, VehicleTopic.POSE, TopicKind.SCAN)
 
 
 class PathFollowerOutputs:
@@ -150,7 +149,9 @@ class ActiveFollower:
         self._since = 0.0  # s; since when the state holds
         self._driven = -1.0
         self._malformed = 0
-        self._counts: dict[Topic, int] = dict.fromkeys((*_INPUTS, VehicleTopic.SWEEPS), 0)
+        self._odometry = odometry_topic(sensors)
+        inputs = (*_INPUTS, VehicleTopic.SWEEPS, self._odometry)
+        self._counts: dict[Topic, int] = dict.fromkeys(inputs, 0)
         self._heartbeat: float | None = None  # monotonic s
         subscribe(node, VehicleTopic.AGENT_ALIVE, self._on_heartbeat)
         self._by_hand = VelocityInput(
@@ -161,7 +162,7 @@ class ActiveFollower:
         LatchedOrNotSubscription(node, VehicleTopic.PLAN, self._on_plan)
         subscribe(node, VehicleTopic.POSE, self._on_pose)
         # only the newest readings matter here: no burst is kept
-        subscribe(node, TopicKind.ODOMETRY, self._on_odometry, qos=SENSOR_DATA)
+        subscribe(node, self._odometry, self._on_odometry, qos=SENSOR_DATA)
         self._silent_lasers = sensors.laser_topics
         for topic in sensors.laser_topics:
             subscribe(node, topic.kind, partial(self._on_scan, topic), name=topic.name)
@@ -213,7 +214,7 @@ class ActiveFollower:
     def _on_odometry(self, message: Odometry) -> None:
         self._mounts.add_odometry(message)
         self._take(
-            TopicKind.ODOMETRY,
+            self._odometry,
             lambda now: self.follower.set_odometry(odometry_record(message), now),
         )
 
@@ -232,7 +233,8 @@ class ActiveFollower:
     def _explain_silence(self) -> None:
         """Log once which inputs are missing, and the possible causes."""
         self._silence_timer.cancel()
-        missing = [topic.value for topic in _EXPECTED if self._counts[topic] == 0]
+        expected = (VehicleTopic.POSE, self._odometry)  # the agent need not have a plan yet
+        missing = [topic.value for topic in expected if self._counts[topic] == 0]
         missing += [topic.name for topic in self._silent_lasers]
         for name in missing:
             self._node.get_logger().warning(explain_silence(self._node, name, SILENCE))

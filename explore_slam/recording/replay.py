@@ -52,6 +52,7 @@ START_TOLERANCE = (0.05, 0.05)
 # topics of poses in the map frame; from the first of each the start poses are taken
 POSE_KINDS = (TopicKind.INITIAL_POSE, TopicKind.GROUND_TRUTH)
 
+_SCANS = {TopicKind.SCAN, TopicKind.CLOUD}
 # kinds of which several messages may have one stamp: one for each vehicle, or one for each camera
 _SEVERAL_AT_ONCE = (TopicKind.INTER_ROBOT, TopicKind.LANDMARKS, TopicKind.CAMERA_INFO)
 
@@ -96,6 +97,9 @@ class Replay:
     settings: of the team and of single vehicles by name (messages.vehicle_settings); scans, clouds
     and cameras among them choose topics, too.
     team_mounts: mounts of the sensors that the settings of the team give explicitly.
+
+    sources: vehicle -> what its odometry is taken from, as in the settings; without odometry in
+    the bag, scan.
     """
 
     def __init__(
@@ -120,6 +124,7 @@ class Replay:
         self.tally = Tally()
         configs = settings_of_vehicles(settings or {}, self.vehicles)
         self.bodies = {name: config.body.record for name, config in configs.items()}
+        self.sources = {name: self._source(name, config) for name, config in configs.items()}
         trees = recorded_transforms(bag, self.vehicles)
         self.mounts = {
             name: SensorMounts(name, trees[name], configs[name], team_mounts)
@@ -142,6 +147,14 @@ class Replay:
         self._recorded = {
             name: pose for name, pose in (recorded_starts or {}).items() if name in self.vehicles
         }
+
+    def _source(self, vehicle: str, config: VehicleConfig) -> str:
+        """Return what the odometry of a vehicle is taken from: scans where there is no other."""
+        kinds = self.kinds(vehicle)
+        if TopicKind.ODOMETRY in kinds or not kinds & _SCANS or config.odometry == 'scan':
+            return config.odometry
+        self.note(f'{vehicle} has no odometry: its scans are taken for it (odometry: scan)')
+        return 'scan'
 
     @staticmethod
     def _offset(topic: RecordedTopic, configs: Mapping[str, VehicleConfig]) -> int:

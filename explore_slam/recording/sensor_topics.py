@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from explore_slam.messages.frame_pairing import FRAME
+from explore_slam.messages.imu import IMU
 from explore_slam.messages.scans import SCAN
 from explore_slam.messages.topics import COLOR_TOPICS, RecordedTopic, TopicKind
 from explore_slam.messages.vehicle_settings import VehicleConfig, settings_of_vehicles
@@ -32,13 +33,15 @@ def choices_of_settings(
             wanted += config.laser_topics
         if config.cameras != plain.cameras:
             wanted += config.camera_topics(_CAMERA_TOPICS)
+        if config.imu != plain.imu:
+            wanted += IMU.topics_of(config)
         missing = []
         for topic in wanted:
             names_there = (f'/{vehicle}/{topic.name}', f'/{topic.name}')
             full = next((name for name in names_there if name in topics), '')
             if full and topics[full] == topic.kind.message_type:
                 found.append(TopicChoice(vehicle, topic.kind, full))
-            elif topic.kind in _LASER_TOPICS:
+            elif topic.kind in (*_LASER_TOPICS, TopicKind.IMU):
                 missing.append(f'{topic.name} ({topic.kind.message_type})')
         if missing:
             notes.append(f'{vehicle}: the recording does not hold {", ".join(missing)}')

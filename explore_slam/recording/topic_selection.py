@@ -196,6 +196,7 @@ def _take_by_type(selection: _Selection, chosen: list[str]) -> None:
         _take_one(selection, vehicle, TopicKind.ODOMETRY, _odometry_names(selection, names))
         scans = [n for n in sorted(names) if selection.topics[n] == TopicKind.SCAN.message_type]
         _take_one(selection, vehicle, TopicKind.SCAN, scans)
+        _take_imu(selection, vehicle, names)
         _take_camera(selection, vehicle, names)
 
 
@@ -227,6 +228,20 @@ def _take_one(selection: _Selection, vehicle: str, kind: TopicKind, names: list[
         raise RecordingError(
             f'{len(names)} topics may be {vehicle}.{kind.name.lower()}: '
             f'{selection.listed(names)}; choose one, e.g. {example}'
+        )
+
+
+def _take_imu(selection: _Selection, vehicle: str, names: set[str]) -> None:
+    """Take the only IMU; of several none, since most vehicles need none."""
+    found = [n for n in sorted(names) if selection.topics[n] == TopicKind.IMU.message_type]
+    if TopicKind.IMU in selection.kinds(vehicle) or not found:
+        return
+    if len(found) == 1:
+        selection.add(found[0], vehicle, TopicKind.IMU, 'found by its type')
+    else:
+        selection.warnings.append(
+            f'{vehicle}: several IMUs {selection.listed(found)}: unused; choose with --topic '
+            f'{vehicle}.imu=...'
         )
 
 

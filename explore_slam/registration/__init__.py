@@ -9,9 +9,16 @@ from explore_slam.registration.cloud import PointCloud, merged, scan_cloud, thin
 from explore_slam.registration.config import ScanMatchingConfig
 from explore_slam.registration.correlation import Peak, SearchWindow
 from explore_slam.registration.local_map import LocalMap
-from explore_slam.registration.scan_matcher import Refusal, RefusedScan, ScanMatch, ScanMatcher
+from explore_slam.registration.scan_matcher import (
+    WINDOW_DRIFT,
+    Refusal,
+    RefusedScan,
+    ScanMatch,
+    ScanMatcher,
+)
 
 __all__ = [
+    'WINDOW_DRIFT',
     'Alignment',
     'LocalMap',
     'Peak',

@@ -15,7 +15,13 @@ import numpy as np
 from explore_slam.data import LaserScan
 from explore_slam.errors import RegistrationError
 from explore_slam.geometry import IDENTITY, Array, Pose2, moved_enough
-from explore_slam.registration.alignment import Alignment, Prior
+from explore_slam.registration.alignment import (
+    Alignment,
+    Prior,
+    keeping_prior,
+    open_direction,
+    without_direction,
+)
 from explore_slam.registration.cloud import PointCloud, scan_cloud
 from explore_slam.registration.config import ScanMatchingConfig
 from explore_slam.registration.correlation import SearchWindow
@@ -63,7 +69,8 @@ class ScanMatch:
     the error since the last match, a random walk: what the scan left open of the odometry's
     error, and the slow drift of the window of scans.
     information (3, 3): of the scan's geometry alone; overlap: fraction of the returns on known
-    surfaces; rms (m) of their distances.
+    surfaces; rms (m) of their distances. window_moved: the window's frame has moved since the
+    last match, which is part of the drift.
     """
 
     pose: Pose2
@@ -72,6 +79,7 @@ class ScanMatch:
     information: Array
     overlap: float
     rms: float
+    window_moved: bool = False
 
     @property
     def covariance(self) -> Array:
@@ -97,10 +105,15 @@ class RefusedScan:
 
 
 class ScanMatcher:
-    """The last scans kept of one vehicle, in its odometry frame, and the search in them."""
+    """The last scans kept of one vehicle, in its odometry frame, and the search in them.
 
-    def __init__(self, config: ScanMatchingConfig) -> None:
+    open_ended: the priors are so weak that what noise seems to measure along a corridor would
+    outweigh them: in such a direction the prior alone counts.
+    """
+
+    def __init__(self, config: ScanMatchingConfig, *, open_ended: bool = False) -> None:
         self.config = config
+        self._open_ended = open_ended
         self._kept: deque[PointCloud] = deque(maxlen=config.matching_window)  # placed
         self._last_kept = IDENTITY
         self._window_moved = False  # since the last match
@@ -163,6 +176,29 @@ class ScanMatcher:
             self._keep(cloud, found.pose)
         return found
 
+    def align(self, cloud: PointCloud, prior: Pose2, covariance: Array) -> Alignment | None:
+        """Align a cloud from a prior, without a search; nothing is kept. None where it fails."""
+        if not self._kept or len(cloud) < _MINIMUM_POINTS:
+            return None
+        information = np.linalg.inv(covariance + np.diag(_MINIMUM_DEVIATIONS**2))
+        local_map, weak = self._local_map(), Prior(prior, information)
+        found = local_map.align(cloud, prior, _REACH, weak)
+        return None if found is None else self._opened(local_map, cloud, found, weak)
+
+    def probe(self, cloud: PointCloud, pose: Pose2) -> Alignment | None:
+        """Return where a cloud fits best, in the widest window around a pose; nothing is kept.
+
+        None where there is no place that overlaps enough, or more than one.
+        """
+        if not self._kept or len(cloud) < _MINIMUM_POINTS:
+            return None
+        local_map, window = self._local_map(), SearchWindow(pose, *_MAXIMUM_WINDOW)
+        slipped = np.diag([*_MAXIMUM_WINDOW[:1] * 2, _MAXIMUM_WINDOW[1]]) ** 2
+        found = self._register(local_map, cloud, pose, slipped, window)
+        if found is None or found.overlap < _WIDE_OVERLAP:
+            return None
+        return None if _is_ambiguous(local_map, cloud, window, found.pose) else found
+
     def _refuse(self, cloud: PointCloud, prior: Pose2) -> None:
         """Hold a refused scan beside the map: its pose is the odometry's, not a match."""
         self._refused = (cloud, prior)
@@ -195,14 +231,14 @@ class ScanMatcher:
     ) -> ScanMatch | RefusedScan:
         """Search near the odometry first, and in the widest window where nothing fits there."""
         covariance = covariance + np.diag(_MINIMUM_DEVIATIONS**2)
-        near = _register(local_map, cloud, prior, covariance, _window(prior, covariance))
+        near = self._register(local_map, cloud, prior, covariance, _window(prior, covariance))
         likely = near is not None and _distance(near.pose, prior, covariance) < _UNLIKELY
         acceptable = near is not None and (likely or near.overlap >= _WIDE_OVERLAP)
         if near is not None and acceptable and near.overlap >= self.config.matching_overlap:
             return self._inflate_prior(local_map, cloud, near, prior, covariance)
         window = SearchWindow(prior, *_MAXIMUM_WINDOW)
         slipped = np.diag([*_MAXIMUM_WINDOW[:1] * 2, _MAXIMUM_WINDOW[1]]) ** 2
-        found = _register(local_map, cloud, prior, slipped, window)
+        found = self._register(local_map, cloud, prior, slipped, window)
         if found is None or found.overlap < _WIDE_OVERLAP:
             # Through a door, little of the map remains in sight, but wheel odometry is reliable.
             if (
@@ -215,6 +251,32 @@ class ScanMatcher:
         if _is_ambiguous(local_map, cloud, window, found.pose):
             return RefusedScan(Refusal.AMBIGUOUS, prior)
         return _scan_match(found, slipped, self._window_moved)
+
+    def _register(
+        self,
+        local_map: LocalMap,
+        cloud: PointCloud,
+        prior: Pose2,
+        covariance: Array,
+        window: SearchWindow,
+    ) -> Alignment | None:
+        """Correlate, then align from the peak with the odometry as prior."""
+        peak = local_map.find_peak(cloud.query_points, window, _MINIMUM_SCORE)
+        start = prior if peak is None else peak.pose
+        weak = Prior(prior, np.linalg.inv(covariance))
+        found = local_map.align(cloud, start, _REACH, weak)
+        return None if found is None else self._opened(local_map, cloud, found, weak)
+
+    def _opened(
+        self, local_map: LocalMap, cloud: PointCloud, found: Alignment, prior: Prior
+    ) -> Alignment:
+        """Return an alignment, without what it seems to measure along a corridor if asked for."""
+        direction = open_direction(found) if self._open_ended else None
+        if direction is None:
+            return found
+        start, kept = keeping_prior(found, prior, direction)
+        again = local_map.align(cloud, start, _LAST_REACH, kept)
+        return without_direction(again or found, direction)
 
     def _inflate_prior(
         self, local_map: LocalMap, cloud: PointCloud, found: Alignment, prior: Pose2, P: Array
@@ -229,7 +291,8 @@ class ScanMatcher:
         if scale > 1.0:
             P = scale * P
             weaker = Prior(prior, np.linalg.inv(P))
-            found = local_map.align(cloud, found.pose, _LAST_REACH, weaker) or found
+            again = local_map.align(cloud, found.pose, _LAST_REACH, weaker)
+            found = found if again is None else self._opened(local_map, cloud, again, weaker)
         return _scan_match(found, P, self._window_moved)
 
 
@@ -265,19 +328,6 @@ def _window(prior: Pose2, covariance: Array) -> SearchWindow:
     )
 
 
-def _register(
-    local_map: LocalMap,
-    cloud: PointCloud,
-    prior: Pose2,
-    covariance: Array,
-    window: SearchWindow,
-) -> Alignment | None:
-    """Correlate, then align from the peak with the odometry as prior."""
-    peak = local_map.find_peak(cloud.query_points, window, _MINIMUM_SCORE)
-    start = prior if peak is None else peak.pose
-    return local_map.align(cloud, start, _REACH, Prior(prior, np.linalg.inv(covariance)))
-
-
 def _is_ambiguous(
     local_map: LocalMap, cloud: PointCloud, window: SearchWindow, pose: Pose2
 ) -> bool:
@@ -304,7 +354,7 @@ def _scan_match(found: Alignment, covariance: Array, window_moved: bool) -> Scan
     drift = _transformed(left, certainty)
     if window_moved:
         drift = drift + WINDOW_DRIFT * white
-    return ScanMatch(found.pose, white, drift, information, found.overlap, found.rms)
+    return ScanMatch(found.pose, white, drift, information, found.overlap, found.rms, window_moved)
 
 
 def _transformed(transform: Array, information: Array) -> Array:

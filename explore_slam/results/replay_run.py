@@ -33,6 +33,10 @@ logger = logging.getLogger(__name__)
 COVERAGE_PERIOD = 5.0
 POSE_PERIOD = 0.2  # s between samples of the pose online: at 0.5 m/s one every 10 cm
 NAMED_NO_RETURNS = 0.01  # share of beams without return that a note tells
+_SOURCES = {
+    'scan': 'its scans (odometry: scan)',
+    'wheels+gyro': 'its wheels and a gyroscope (odometry: wheels+gyro)',
+}
 _RECORDED = {TopicKind.ODOMETRY, TopicKind.GROUND_TRUTH}
 
 
@@ -100,6 +104,8 @@ class _Collector:
             self._scan_counts[event.vehicle] = count + 1, empty
         elif event.kind in _RECORDED and isinstance(event.record, OdometryReading):
             if event.kind is TopicKind.ODOMETRY:
+                if self._agent.track(event.vehicle).source.needs_scans:
+                    return  # its odometry is that of the scans
                 self._recorder.add_odometry(event.vehicle, event.record)
             else:
                 self._recorder.add_truth(event.vehicle, event.stamp, event.record.pose)
@@ -109,6 +115,10 @@ class _Collector:
         for event in self._agent.take_events():
             if event.in_map:
                 self._recorder.add_keyframe(event)
+        for name, track in self._agent.tracks.items():
+            if track.source.needs_scans and len(track.odometry):
+                reading = OdometryReading(track.odometry.last, track.odometry.pose)
+                self._recorder.add_odometry(name, reading)
         for name in self._agent.vehicles if stamp >= self._next_pose else ():
             odometry = self._agent.track(name).odometry
             if len(odometry) and self._agent.is_in_map(name):
@@ -198,7 +208,7 @@ def replay_bag(
         if not _has_odometry(replay):
             return evaluate_frames(replay, effective, until)
         poses = replay.start_poses()
-        agent = Agent(effective, poses, seed, replay.bodies)
+        agent = Agent(effective, poses, seed, replay.bodies, replay.sources)
         recorder = RunRecorder(
             f'Replay of {path.name}', poses, effective.slam.particles, coverage_unit='m²'
         )
@@ -218,6 +228,7 @@ def replay_bag(
         *_mount_notes(replay),
         *_no_return_notes(no_returns, effective.mapping.no_return_range),
         *_sweep_notes(agent.found_sweeps()),
+        *_odometry_notes(agent.odometry_sources()),
         *_warn_without_sensors(replay),
         *_join_notes(agent, poses, apart),
     ):
@@ -237,6 +248,7 @@ def replay_bag(
             'odometry_calibration': {
                 name: found._asdict() for name, found in calibrations.items()
             },
+            'odometry_sources': agent.odometry_sources(),
             'sweeps': {
                 name: named_sweeps(lasers) for name, lasers in agent.found_sweeps().items()
             },
@@ -266,6 +278,23 @@ def _sweep_notes(found: Mapping[str, Mapping[str, Sweep]]) -> list[str]:
             name = f'{vehicle}, {laser}' if laser else vehicle
             shown = str(sweep) if sweep.duration else 'that all beams are measured at one moment'
             notes.append(f'{name}: the scans show {shown}')
+    return notes
+
+
+def _odometry_notes(sources: Mapping[str, Mapping[str, float | str]]) -> list[str]:
+    """Return what odometry is taken from, where scans disagree, and what gyroscopes show."""
+    notes = []
+    for vehicle, found in sources.items():
+        if found['source'] != 'wheels':
+            notes.append(f'{vehicle}: its odometry is that of {_SOURCES[str(found["source"])]}')
+        if 'problem' in found:
+            notes.append(f'{vehicle}: {found["problem"]}')
+        if 'gyro' in found:
+            notes.append(
+                f'{vehicle}: gyroscope {found["gyro"]}, bias '
+                f'{found["gyro_bias_rad_per_s"]:.4f} rad/s '
+                f'± {found["gyro_bias_deviation_rad_per_s"]:.4f}'
+            )
     return notes
 
 
@@ -329,15 +358,18 @@ def _warn_without_sensors(replay: Replay) -> list[str]:
 
 
 def _has_odometry(replay: Replay) -> bool:
-    """Return whether any vehicle has odometry; warn of those that have none."""
-    kinds = {vehicle: replay.kinds(vehicle) for vehicle in replay.vehicles}
-    without = [vehicle for vehicle in kinds if TopicKind.ODOMETRY not in kinds[vehicle]]
-    frames = any(kinds[v] & {TopicKind.COLOR, TopicKind.COLOR_COMPRESSED} for v in without)
-    if len(without) == len(kinds) and not frames:
+    """Return whether any vehicle has odometry or scans; warn of those that have neither."""
+    without = [
+        vehicle
+        for vehicle in replay.vehicles
+        if TopicKind.ODOMETRY not in replay.kinds(vehicle) and replay.sources[vehicle] != 'scan'
+    ]
+    images = {TopicKind.COLOR, TopicKind.COLOR_COMPRESSED}
+    if len(without) == len(replay.vehicles) and not any(replay.kinds(v) & images for v in without):
         raise RecordingError(
-            f'{replay.bag.path} holds no odometry (<vehicle>/{TopicKind.ODOMETRY.value}) of '
-            f'{without}, without which no vehicle can be localized'
+            f'{replay.bag.path} holds neither odometry (<vehicle>/{TopicKind.ODOMETRY.value}) nor '
+            f'scans of {without}, without which no vehicle can be localized'
         )
     for vehicle in without:
         replay.note(f'{vehicle} has no odometry: its observations are not mapped')
-    return len(without) < len(kinds)
+    return len(without) < len(replay.vehicles)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from explore_slam.data import LaserScan, OdometryReading, SweepTiming
+from explore_slam.data import ImuReading, LaserScan, OdometryReading, SweepTiming
 from explore_slam.geometry import IDENTITY, Array, Pose2, wrap_angle
 from explore_slam.simulation.worlds.walls import box, distances_along, line
 
@@ -26,6 +26,14 @@ LASER = Pose2(0.1, 0.0, 0.0)  # on the vehicle
 # Noise of wheel odometry beside the error of its turns: deviations (m, m, rad) of a reading.
 WHEEL_DEVIATIONS = np.array([3e-4, 1e-4, 5e-4])
 REST = 1.0  # s at the start pose
+# A MEMS gyroscope as in small robots (MPU-6050, specification PS-MPU-6000A-00, section 6.1): noise
+# of 0.05 °/s RMS, ten times as much on a vehicle that shakes; scale right to 3 % (two deviations);
+# a bias of several °/s, which drifts by 0.8 °/s in ten minutes.
+IMU_RATE = 100.0  # Hz
+RATE_DEVIATION = 0.009  # rad/s
+SCALE_DEVIATION = 0.015
+BIAS_DEVIATION = 0.05  # rad/s
+BIAS_WALK = 6e-4  # rad/s/√s
 
 # 14 m x 9 m: a room in the west, two in the east, furniture
 FLOOR = np.concatenate(
@@ -152,21 +160,40 @@ def _travelled(length: float, speed: float, acceleration: float, step: float) ->
 
 
 def odometry(
-    drive: Drive, turn_factor: float, random: np.random.Generator
+    drive: Drive, turn_factor: float, random: np.random.Generator, distance_factor: float = 1.0
 ) -> list[OdometryReading]:
-    """Return what the wheels measure: every turn is turn_factor times as large as in truth."""
+    """Return what the wheels measure: turns and distances are so many times those in truth."""
     stamps = np.arange(0.0, drive.duration, 1.0 / ODOMETRY_RATE)
     true = [Pose2.from_array(pose) for pose in drive.at(stamps)]
     reading, readings = IDENTITY, [OdometryReading(float(stamps[0]), IDENTITY)]
     for stamp, (before, after) in zip(stamps[1:], itertools.pairwise(true), strict=True):
         step = np.asarray(before.between(after))
         moves = bool(np.abs(step).max() > 1e-9)
-        step[2] *= turn_factor
-        if moves:
+        step *= (distance_factor, distance_factor, turn_factor)
+        if moves and step.any():
             step += WHEEL_DEVIATIONS * random.standard_normal(3)
         reading = reading.compose(Pose2.from_array(step))
         readings.append(OdometryReading(float(stamp), reading))
     return readings
+
+
+def gyroscope(drive: Drive, random: np.random.Generator) -> list[ImuReading]:
+    """Return what an IMU measures that is mounted level: the turn rate with bias, scale and noise.
+
+    The bias begins at random and drifts like a random walk.
+    """
+    period = 1.0 / IMU_RATE
+    stamps = np.arange(0.0, drive.duration, period)
+    # the sensor averages over its period
+    headings = drive.at(np.append(stamps - period, stamps[-1]).clip(0.0))[:, 2]
+    rates = np.diff(headings) / period
+    walk = BIAS_WALK * math.sqrt(period) * random.standard_normal(len(stamps)).cumsum()
+    bias = BIAS_DEVIATION * random.standard_normal() + walk
+    scale = 1.0 + SCALE_DEVIATION * random.standard_normal()
+    noise = RATE_DEVIATION * random.standard_normal((len(stamps), 3))
+    measured = scale * rates + bias + noise[:, 2]
+    rows = zip(stamps.tolist(), noise.tolist(), measured.tolist(), strict=True)
+    return [ImuReading(stamp, (tilt[0], tilt[1], rate)) for stamp, tilt, rate in rows]
 
 
 def scans(drive: Drive, laser: Laser, random: np.random.Generator) -> list[LaserScan]:
@@ -198,16 +225,16 @@ def scans(drive: Drive, laser: Laser, random: np.random.Generator) -> list[Laser
 
 
 def in_order_of_arrival(
-    readings: Sequence[OdometryReading],
+    readings: Sequence[OdometryReading | ImuReading],
     sweeps: Iterable[Sequence[LaserScan]],
     lasers: Iterable[Laser],
-) -> list[OdometryReading | LaserScan]:
+) -> list[OdometryReading | ImuReading | LaserScan]:
     """Return all records as they arrive: a scan when its last beam has been measured.
 
     sweeps: the scans of each laser.
     """
     arrivals = [(reading.stamp, 0, reading) for reading in readings]
-    records: list[tuple[float, int, OdometryReading | LaserScan]] = list(arrivals)
+    records: list[tuple[float, int, OdometryReading | ImuReading | LaserScan]] = list(arrivals)
     for scans_of_one, laser in zip(sweeps, lasers, strict=True):
         late = 0.0 if laser.last else float(laser.shares.max())
         records += [(scan.stamp + late, 1, scan) for scan in scans_of_one]

@@ -17,7 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from explore_slam.agent import Agent, AgentConfig, warm_up
-from explore_slam.data import LaserScan, OdometryReading
+from explore_slam.agent.odometry_sources import SOURCES as ODOMETRY
+from explore_slam.data import ImuReading, LaserScan, OdometryReading
 from explore_slam.errors import EvaluationError
 from explore_slam.files import write_text
 from explore_slam.geometry import Array, Pose2, quaternion_from_yaw, wrap_angle
@@ -41,6 +42,7 @@ from explore_slam.studies.sensor_rig import (
     START,
     Drive,
     Laser,
+    gyroscope,
     in_order_of_arrival,
     odometry,
     scans,
@@ -58,7 +60,10 @@ SOURCES = ('live', 'bag', 'topic', 'cloud')
 class Case:
     """One row of the table.
 
-    turn_rate: rad/s on the spot. odometry_turn: what the wheels measure of a turn of 1.
+    turn_rate: rad/s on the spot. odometry_turn, odometry_distance: what the wheels measure of a
+    turn and of a distance of 1.
+    odometry: what the agent takes the odometry from; there are no wheels with scan, and there is
+    an IMU with wheels+gyro.
     source: live, records in the order of arrival; bag, the messages of a bag through its replay;
     topic, likewise with all lasers on the topic scan, told apart by header.frame_id; cloud,
     likewise with the laser as a 3-D lidar, whose clouds hold the floor and the ceiling, too.
@@ -68,11 +73,15 @@ class Case:
     lasers: tuple[Laser, ...] = (Laser(),)
     turn_rate: float = 0.9
     odometry_turn: float = 1.05
+    odometry_distance: float = 1.0
+    odometry: str = 'wheels'
     source: str = 'live'
 
     def __post_init__(self) -> None:
         if self.source not in SOURCES:
             raise EvaluationError(f'source is {self.source!r}, expected one of {SOURCES}')
+        if self.odometry not in ODOMETRY:
+            raise EvaluationError(f'odometry is {self.odometry!r}, expected one of {ODOMETRY}')
 
 
 def _sweep_cases() -> Iterator[Case]:
@@ -97,29 +106,50 @@ def _sweep_cases() -> Iterator[Case]:
 
 def _laser_cases() -> Iterator[Case]:
     """Yield the cases of several lasers on one vehicle."""
-
-    def pair(rate: float, *, spinning: bool = False) -> tuple[Laser, ...]:
-        return tuple(
-            Laser(rate, spinning, name=name, mount=mount, half=True)
-            for name, mount in (('front/scan', FRONT), ('rear/scan', REAR))
-        )
-
     for rate, turn_rate in itertools.product((5.5, 10.0), (0.9, 0.45)):
         title = f'two lasers of 180°, {rate:g} Hz, {turn_rate:g} rad/s'
-        yield Case(title, pair(rate), turn_rate)
-    yield Case('two lasers of 180°, 10 Hz, from a bag', pair(10.0), source='bag')
-    yield Case('two lasers of 180°, 10 Hz, on one topic', pair(10.0), source='topic')
-    yield Case('two lasers of 180°, beams one by one, 10 Hz', pair(10.0, spinning=True))
+        yield Case(title, _laser_pair(rate), turn_rate)
+    yield Case('two lasers of 180°, 10 Hz, from a bag', _laser_pair(10.0), source='bag')
+    yield Case('two lasers of 180°, 10 Hz, on one topic', _laser_pair(10.0), source='topic')
+    yield Case('two lasers of 180°, beams one by one, 10 Hz', _laser_pair(10.0, spinning=True))
     lidar = Laser(10.0, name='points')
     yield Case('3-D lidar, beams one by one, 10 Hz', (lidar,), source='cloud')
-    front, rear = pair(10.0)
+    front, rear = _laser_pair(10.0)
     yield Case('two lasers of 180°, 10 and 7 Hz', (front, replace(rear, rate=7.0)))
     yield Case('the laser ahead alone, 10 Hz', (replace(front, name=''),))
+
+
+def _laser_pair(rate: float, *, spinning: bool = False) -> tuple[Laser, ...]:
+    """Return two lasers of 180°, one ahead and one behind."""
+    return tuple(
+        Laser(rate, spinning, name=name, mount=mount, half=True)
+        for name, mount in (('front/scan', FRONT), ('rear/scan', REAR))
+    )
+
+
+def _odometry_cases() -> Iterator[Case]:
+    """Yield the cases of poor odometry, or none."""
+    for factor in (0.7, 1.2, 1.4):
+        yield Case(f'wheels turn {factor:g} x', odometry_turn=factor)
+    for factor in (0.7, 0.85, 1.0, 1.2, 1.4):
+        title = f'wheels turn {factor:g} x, and a gyroscope'
+        yield Case(title, odometry_turn=factor, odometry='wheels+gyro')
+    title = 'wheels turn 1.4 x, and a gyroscope, from a bag'
+    yield Case(title, odometry_turn=1.4, odometry='wheels+gyro', source='bag')
+    yield Case('wheels never report motion', odometry_turn=0.0, odometry_distance=0.0)
+    for rate, turn_rate in itertools.product((5.5, 10.0), (0.9, 0.45)):
+        title = f'no wheels, {rate:g} Hz, {turn_rate:g} rad/s'
+        yield Case(title, (Laser(rate),), turn_rate, odometry='scan')
+    yield Case('no wheels, 10 Hz, from a bag', (Laser(10.0),), odometry='scan', source='bag')
+    yield Case('no wheels, two lasers, 10 Hz', _laser_pair(10.0), odometry='scan')
+    yield Case('no wheels, all beams at once, 5.5 Hz', (Laser(spinning=False),), odometry='scan')
+    yield Case('no wheels, 10 Hz, not stated', (Laser(10.0, stated=False),), odometry='scan')
 
 
 CASES: dict[str, tuple[Case, ...]] = {
     'sweeps': tuple(_sweep_cases()),
     'lasers': tuple(_laser_cases()),
+    'odometry': tuple(_odometry_cases()),
 }
 
 
@@ -141,6 +171,7 @@ class CaseRun(NamedTuple):
     matched: int
     unmatched: int
     scan_ms: float
+    named: str = ''
 
 
 @dataclass(frozen=True)
@@ -212,9 +243,14 @@ def run_case(case: Case, seed: int, config: AgentConfig) -> tuple[CaseRun, Occup
     warm_up()
     random = np.random.default_rng(seed)
     drive = Drive(case.turn_rate)
-    readings = odometry(drive, case.odometry_turn, random)
+    wheels = odometry(drive, case.odometry_turn, random, case.odometry_distance)
     sweeps = [scans(drive, laser, random) for laser in case.lasers]
-    watch = _Watch(Agent(config, {VEHICLE: START}, seed))
+    readings: list[OdometryReading | ImuReading] = []
+    if case.odometry != 'scan':
+        readings += wheels
+    if case.odometry == 'wheels+gyro':
+        readings = sorted([*readings, *gyroscope(drive, random)], key=lambda item: item.stamp)
+    watch = _Watch(Agent(config, {VEHICLE: START}, seed, sources={VEHICLE: case.odometry}))
     if case.source == 'live':
         for record in in_order_of_arrival(readings, sweeps, case.lasers):
             watch.add(VEHICLE, record)
@@ -237,13 +273,14 @@ def run_case(case: Case, seed: int, config: AgentConfig) -> tuple[CaseRun, Occup
         counts.get('matched_scans', 0),
         counts.get('unmatched_scans', 0),
         1e3 * watch.seconds / max(watch.scans, 1),
+        str(watch.agent.odometry_sources()[VEHICLE].get('problem', '')),
     )
     return run, grid
 
 
 def _replay(
     watch: _Watch,
-    readings: Sequence[OdometryReading],
+    readings: Sequence[OdometryReading | ImuReading],
     sweeps: Sequence[Sequence[LaserScan]],
     case: Case,
 ) -> None:
@@ -253,7 +290,7 @@ def _replay(
         with BagWriter(path) as writer:
             _write_mounts(writer, case.lasers)
             streams: list[Iterable[Event]] = [
-                (Event(item.stamp, VEHICLE, TopicKind.ODOMETRY, item) for item in readings),
+                (Event(item.stamp, VEHICLE, _topic_of(item), item) for item in readings),
                 *((Event(i.stamp, VEHICLE, TopicKind.SCAN, i) for i in scans) for scans in sweeps),
             ]
             for event in heapq.merge(*streams, key=lambda event: event.stamp):
@@ -267,6 +304,7 @@ def _replay(
         settings: dict[str, Any] = {
             'sweep_direction': timing.direction,
             'sweep_stamp': timing.stamp,
+            'odometry': case.odometry,
         }
         if case.source == 'bag' and len(case.lasers) > 1:
             settings['scans'] = [laser.name for laser in case.lasers]
@@ -274,6 +312,10 @@ def _replay(
             settings |= {'scans': [''], 'clouds': [laser.name for laser in case.lasers]}
         with BagReader(path) as bag:
             Replay(bag, starts={VEHICLE: START}, settings=settings).feed(watch)
+
+
+def _topic_of(reading: OdometryReading | ImuReading) -> TopicKind:
+    return TopicKind.IMU if isinstance(reading, ImuReading) else TopicKind.ODOMETRY
 
 
 def _write_mounts(writer: BagWriter, lasers: Iterable[Laser]) -> None:

@@ -6,9 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from explore_slam.agent.odometry import OdometryBuffer, Step
+from explore_slam.agent.odometry import OdometryBuffer, Step, compound_steps
 from explore_slam.agent.placement import Placement
-from explore_slam.agent.vehicle_track import Keyframe, VehicleTrack, compound_steps, merged_steps
+from explore_slam.agent.vehicle_track import Keyframe, VehicleTrack, merged_steps
 from explore_slam.data import LandmarkObservations, LaserScan, OdometryReading
 from explore_slam.geometry import IDENTITY, Pose2
 from explore_slam.registration import ScanMatcher, ScanMatchingConfig

@@ -7,6 +7,7 @@ import pytest
 
 from explore_slam.agent import Agent, AgentConfig
 from explore_slam.data import (
+    ImuReading,
     InterRobotObservation,
     Intrinsics,
     LandmarkObservations,
@@ -27,6 +28,7 @@ from explore_slam.recording.rosbags_types import MESSAGES as BAG_MESSAGES
 
 RECORDS = {
     'odometry': OdometryReading(2.5, Pose2(1.0, -2.0, 0.0), np.diag([0.1, 0.2, 0.3])),
+    'imu': ImuReading(2.5, (0.1, -0.2, 0.3)),
     'scan': LaserScan(2.5, -1.5, 0.75, np.array([1.0, np.inf, np.nan], np.float32), 0.25, 8.0),
     'frame': RgbdFrame(
         2.5,

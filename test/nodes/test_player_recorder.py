@@ -18,6 +18,7 @@ from ros_domain import own_domain
 from rosgraph_msgs.msg import Clock
 
 from explore_slam.data import (
+    ImuReading,
     Intrinsics,
     LandmarkObservations,
     LaserScan,
@@ -62,6 +63,8 @@ def make_bag(path: Path, seconds: float = 2.0) -> Path:
         for index in range(round(10 * seconds)):
             stamp = 50.0 + 0.1 * index
             write_event(writer, odometry_event('robot1', stamp, Pose2(0.01 * index, 0, 0)))
+            turning = ImuReading(stamp, (0.01, -0.02, 0.1 * index))
+            write_event(writer, Event(stamp, 'robot1', TopicKind.IMU, turning))
             scan = LaserScan(stamp, -1.57, 0.01744, ranges, 0.1, 8.0)
             write_event(writer, Event(stamp, 'robot1', TopicKind.SCAN, scan))
             if index % 5 == 0:

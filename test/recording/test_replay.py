@@ -243,9 +243,10 @@ def test_a_truncated_bag_is_replayed_up_to_the_cut(team_bag, tmp_path):
 
 
 def test_a_bag_without_odometry_or_sensors_is_refused_by_name(tmp_path):
-    only = [e for e in team_events(1.0) if e.kind is TopicKind.SCAN]
-    with pytest.raises(RecordingError, match=r'no odometry \(<vehicle>/odom\)'):
-        replay_bag(write(tmp_path / 'scans', only))
+    only = [e for e in team_events(1.0) if e.kind is TopicKind.LANDMARKS]
+    assert only
+    with pytest.raises(RecordingError, match=r'neither odometry \(<vehicle>/odom\) nor scans'):
+        replay_bag(write(tmp_path / 'landmarks', only))
     truth = [e for e in team_events(1.0) if e.kind is TopicKind.GROUND_TRUTH]
     with pytest.raises(RecordingError, match='no topic of a vehicle'):
         replay_bag(write(tmp_path / 'truth', truth))

@@ -14,6 +14,9 @@ from explore_slam.registration.alignment import (
     NORMAL_DEVIATION,
     _noise,
     _without_normal_noise,
+    keeping_prior,
+    open_direction,
+    without_direction,
 )
 
 ROOM = np.vstack([box(-3.0, -2.0, 3.0, 2.0), polyline((1.0, -2.0), (1.0, -0.5))])
@@ -78,6 +81,32 @@ def test_along_a_corridor_the_prior_decides_and_the_information_says_so():
     assert abs(direction[0]) > 0.99
     assert deviation > 0.2
     assert 1.0 / math.sqrt(found.information[1, 1]) < 0.02
+
+
+@pytest.mark.parametrize('seed', range(6))
+def test_along_a_corridor_nothing_counts_as_measured_however_weak_the_prior(seed):
+    """Noise alone seems to fix the position along it to a centimetre, a metre off."""
+    local_map = map_of(CORRIDOR, IDENTITY, Pose2(0.4, 0.0, 0.0), Pose2(0.8, 0.0, 0.0))
+    random = np.random.default_rng(seed)
+    cloud = scan_cloud(scan_of(CORRIDOR, Pose2(1.2, 0.0, 0.0), 0.01, random))
+    prior = Pose2(1.1, 0.06, 0.04)
+    weak = Prior(prior, np.diag([1e-3, 100.0, 100.0]))
+    found = local_map.align(cloud, prior, 0.4, weak)
+    assert found.pose.x < 0.5
+    assert found.weakest_direction()[1] < 0.02
+    direction = open_direction(found)
+    start, kept = keeping_prior(found, weak, direction)
+    opened = without_direction(local_map.align(cloud, start, 0.15, kept), direction)
+    assert opened.pose.x == pytest.approx(prior.x, abs=0.02)
+    assert opened.pose.y == pytest.approx(0.0, abs=0.01)
+    values = np.linalg.eigvalsh(opened.information[:2, :2])
+    assert values[0] < 1e-9 * values[1]
+
+
+def test_in_a_room_every_direction_counts():
+    local_map, cloud = map_of(ROOM, IDENTITY), scan_cloud(scan_of(ROOM, IDENTITY))
+    found = local_map.align(cloud, Pose2(0.1, 0.05, 0.02), 0.4)
+    assert open_direction(found) is None
 
 
 def test_the_two_faces_of_a_thin_wall_are_not_taken_for_each_other():

@@ -36,6 +36,23 @@ def started(world, pose=IDENTITY):
     return matcher
 
 
+@pytest.mark.parametrize('seed', range(4))
+def test_with_a_weak_prior_the_way_along_a_corridor_stays_open(seed):
+    matcher = ScanMatcher(ScanMatchingConfig(), open_ended=True)
+    random = np.random.default_rng(seed)
+    weak = np.diag([3.0, 0.05, 0.05]) ** 2
+    for number in range(12):
+        prior = Pose2(0.1 * number, 0.02, 0.01) if number else IDENTITY
+        scan = scan_of(CORRIDOR, Pose2(0.3 * number, 0.0, 0.0), 0.01, random)
+        match = matcher.match(scan, IDENTITY, prior, weak)
+        if number:
+            assert isinstance(match, ScanMatch)
+            assert match.pose.x == pytest.approx(prior.x, abs=0.05)
+            assert match.pose.y == pytest.approx(0.0, abs=0.02)
+            assert math.sqrt(match.covariance[0, 0]) > 1.0
+            assert math.sqrt(match.covariance[1, 1]) < 0.05
+
+
 @pytest.mark.parametrize('turn', [math.radians(10.0), math.radians(-10.0)])
 @pytest.mark.parametrize('shift', [(0.5, 0.0), (-0.3, 0.4), (0.0, -0.5)])
 def test_wheels_that_are_off_by_half_a_metre_and_ten_degrees_are_put_right(shift, turn):

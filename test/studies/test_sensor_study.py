@@ -120,6 +120,47 @@ def test_two_lasers_and_a_3d_lidar_give_a_right_map(title):
     assert run.matched == pytest.approx(138, abs=3)  # those of two lasers together
 
 
+@pytest.mark.usefixtures('short_tour')
+def test_a_gyroscope_measures_the_turns_with_a_bias():
+    drive = Drive(0.9)
+    readings = sensor_rig.gyroscope(drive, np.random.default_rng(1))
+    stamps = np.array([reading.stamp for reading in readings])
+    rates = np.array([reading.yaw_rate for reading in readings])
+    rest = rates[stamps < sensor_rig.REST - 0.02]
+    assert np.diff(stamps) == pytest.approx(1.0 / sensor_rig.IMU_RATE)
+    assert np.std(rest) == pytest.approx(sensor_rig.RATE_DEVIATION, rel=0.3)
+    turned = np.sum(rates - rest.mean()) / sensor_rig.IMU_RATE
+    true = drive.poses[-1, 2] - drive.poses[0, 2]
+    assert turned == pytest.approx(true, rel=3.0 * sensor_rig.SCALE_DEVIATION)
+    assert abs(rest.mean()) > 0.003
+
+
+@pytest.mark.usefixtures('short_tour')
+@pytest.mark.parametrize(
+    ('title', 'largest'),
+    [
+        ('1.4 x, and a gyroscope, from a bag', 0.02),
+        ('0.7 x, and a gyroscope', 0.02),
+        ('no wheels, 5.5 Hz, 0.9 rad/s', 0.02),
+        ('no wheels, two lasers', 0.02),
+    ],
+)
+def test_poor_odometry_or_none_gives_a_right_map(title, largest):
+    (case,) = SensorStudy(groups=['odometry'], titles=[title]).cases()[:1]
+    run, _ = run_case(case, 0, AgentConfig())
+    assert run.position_rms <= largest
+    assert run.wrong_cells <= 0.01
+    assert run.unmatched <= 1
+    assert run.named == ''
+
+
+@pytest.mark.usefixtures('short_tour')
+def test_wheels_that_never_report_motion_are_named():
+    (case,) = SensorStudy(groups=['odometry'], titles=['never report']).cases()
+    run, _ = run_case(case, 0, AgentConfig())
+    assert 'odometry does not move while the scans do' in run.named
+
+
 def test_the_table_has_a_row_per_case_and_the_range_of_its_seeds():
     runs = [
         sensor_study.CaseRun('a', 0, 0.01, 0.001, 0.0, 900, 50, 0, 4.0),
@@ -150,6 +191,7 @@ def test_the_command_writes_figures_and_pictures(tmp_path, capsys):
         (lambda: SensorStudy(groups=('wheels',)), r"groups \['wheels'\], expected some of"),
         (lambda: SensorStudy(titles=('none such',)), 'no title of a case contains'),
         (lambda: Case('a', source='radio'), "source is 'radio'"),
+        (lambda: Case('a', odometry='sonar'), "odometry is 'sonar'"),
     ],
 )
 def test_a_study_that_cannot_be_is_refused(make, words):

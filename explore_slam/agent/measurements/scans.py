@@ -32,7 +32,10 @@ def _enqueue_scan_of_one_moment(team: Team, track: VehicleTrack, scan: LaserScan
     """Queue a scan for the map and, if scan matching is on, for matching."""
     if team.config.scan_matching.scan_matching:
         track.unmatched.push(scan, team.config.inputs.measurement_queue_length)
-    enqueue(team, track, scan)
+    if track.unmapped:
+        track.count('ignored_while_paused')
+    else:
+        enqueue(team, track, scan)
 
 
 def process(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
