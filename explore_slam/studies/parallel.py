@@ -98,7 +98,7 @@ def _cluster(address: str) -> Iterator[Any]:
     except ImportError as error:
         raise EvaluationError(
             f'--cluster needs the packages dask and distributed ({error}): '
-            "pip install 'explore_slam[cluster]'"
+            'pip install dask distributed'
         ) from error
     try:
         client = Client(address, timeout=_CONNECTION_TIMEOUT, set_as_default=True)

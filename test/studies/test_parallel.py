@@ -94,7 +94,7 @@ def test_an_address_without_a_scheduler_is_named(address, monkeypatch):
 
 def test_without_the_packages_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, 'distributed', None)
-    with pytest.raises(EvaluationError, match=r"pip install 'explore_slam\[cluster\]'"):
+    with pytest.raises(EvaluationError, match='pip install dask distributed'):
         list(make_runs(square, NUMBERS, Workers(cluster='tcp://127.0.0.1:8786')))
 
 
