@@ -168,5 +168,5 @@ def test_the_turtlebot_drives_the_same_path_without_its_odometry(recordings):
     at = np.stack([np.interp(without.stamps, with_wheels.stamps, c) for c in columns], axis=1)
     apart = np.hypot(*(without.poses[:, :2] - at)[known].T)
     assert known.sum() > 150
-    assert np.sqrt(np.mean(apart**2)) < 0.06
-    assert apart.max() < 0.10
+    assert np.sqrt(np.mean(apart**2)) < 0.08
+    assert apart.max() < 0.12
