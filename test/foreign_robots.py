@@ -100,9 +100,10 @@ class Robots:
         self.robots = {robot.name: robot for robot in robots}
         self.rng = np.random.default_rng(11)
         self.heard, self.transforms, self.tree = {}, {}, TransformTree()
+        self.stamps = {}  # topic -> stamps (s) of all messages heard there
         for topic, (kind, qos) in subscriptions.items():
             self.node.create_subscription(
-                kind, topic, lambda m, topic=topic: self.heard.update({topic: m}), qos
+                kind, topic, lambda m, topic=topic: self.hear(topic, m), qos
             )
         sensors = qos_profile_sensor_data
         self.out = {
@@ -111,6 +112,10 @@ class Robots:
             for topic, kind in (('odom', Odometry), ('scan', LaserScan))
         }
         self.static = []
+
+    def hear(self, topic, message):
+        self.heard[topic] = message
+        self.stamps.setdefault(topic, []).append(messages.seconds(message.header.stamp))
 
     def publish_transforms(self):
         """Publish the mounts: one broadcaster and one latched message per robot."""
