@@ -17,7 +17,7 @@ logger = logging.getLogger(__name__)
 # m; slack of the speed limit, for stamps that jitter: 0.03 s at the default limit of 3 m/s
 _JUMP_SLACK = 0.1
 # rad/s and rad; faster than any base turns (a Create 3: 1.9, a TurtleBot3 Burger: 2.8)
-_JUMP_TURN_RATE = 20.0
+JUMP_TURN_RATE = 20.0
 _JUMP_TURN_SLACK = 0.3
 _RESTART_GAP = 0.4  # s without readings; no driver restarts faster, and they come at 10 Hz or more
 _RESTART_INTERVALS = 2.0  # usual intervals between readings; a shorter gap is none for that driver
@@ -217,7 +217,7 @@ class OdometryBuffer:
             duration = max((reading.stamp - self.last) / intervals, _STAMP_JITTER)
             moved, turned = self._motion_to(pose)
             speed = min(moved / duration, self._jump_speed)
-            turn_rate = min(turned / duration, _JUMP_TURN_RATE)
+            turn_rate = min(turned / duration, JUMP_TURN_RATE)
             self._top_speed = max(self._top_speed, speed)
             self._top_turn_rate = max(self._top_turn_rate, turn_rate)
         self._append(reading.stamp, pose, None if step is None else step.covariance)
@@ -404,7 +404,7 @@ class OdometryBuffer:
         duration = reading.stamp - self.last
         if (
             moved > self._jump_speed * duration + _JUMP_SLACK
-            or turned > _JUMP_TURN_RATE * duration + _JUMP_TURN_SLACK
+            or turned > JUMP_TURN_RATE * duration + _JUMP_TURN_SLACK
         ):
             return True
         # a reading where odometry begins is motion only if the base was fast enough for it

@@ -1,5 +1,7 @@
 """What the odometry of a vehicle is measured by; another source is a module and a line here."""
 
+from collections.abc import Callable, Mapping
+
 from explore_slam.agent.odometry_sources.gyro import GyroSource
 from explore_slam.agent.odometry_sources.scans import ScanSource
 from explore_slam.agent.odometry_sources.slip import SlipMonitor
@@ -24,15 +26,16 @@ __all__ = [
     'make_source',
 ]
 
-SOURCES = ('wheels', 'scan', 'wheels+gyro')
+_MAKERS: Mapping[str, Callable[[str, OdometryNoise], OdometrySource]] = {
+    WheelSource.name: lambda _vehicle, _noise: WheelSource(),
+    ScanSource.name: lambda vehicle, _noise: ScanSource(vehicle),
+    GyroSource.name: GyroSource,
+}
+SOURCES = tuple(_MAKERS)
 
 
 def make_source(kind: str, vehicle: str, noise: OdometryNoise) -> OdometrySource:
     """Return the source of a vehicle's odometry; noise: of its wheels. AgentError if unknown."""
-    if kind == 'wheels':
-        return WheelSource()
-    if kind == 'wheels+gyro':
-        return GyroSource(vehicle, noise)
-    if kind == 'scan':
-        return ScanSource(vehicle)
-    raise AgentError(f'odometry of {vehicle} is {kind!r}, expected one of {SOURCES}')
+    if kind not in _MAKERS:
+        raise AgentError(f'odometry of {vehicle} is {kind!r}, expected one of {SOURCES}')
+    return _MAKERS[kind](vehicle, noise)

@@ -114,5 +114,5 @@ class VelocityFilter:
 def positive(covariance: Array) -> Array:
     """Return the nearest covariance without negative eigenvalues."""
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
-    positive: Array = (vectors * values.clip(0.0)) @ vectors.T
-    return positive
+    nearest: Array = (vectors * values.clip(0.0)) @ vectors.T
+    return nearest
