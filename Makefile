@@ -14,6 +14,8 @@ endif
 # What of the user's shell must not reach pip, Python and ROS here is named in one table.
 FOREIGN := $(shell sed -n "s/^    '\([A-Z_]*\)',$$/\1/p" explore_slam/environment.py)
 unexport $(FOREIGN)
+# some hundred processes of one run would each compile the package's modules again
+unexport PYTHONDONTWRITEBYTECODE
 export PIP_USER := 0
 export PIP_NO_WARN_SCRIPT_LOCATION := 1
 

@@ -176,7 +176,7 @@ class ManagedNode(LifecycleNode):
         # that were added later belong to what it holds
         later = _entities(self) - self._before_activation
         subscriptions = {item for item in later if isinstance(item, Subscription)}
-        _destroy(self, (self._activated & later) | subscriptions)
+        self._destroy_unused((self._activated & later) | subscriptions)
         self._activated = set()
 
     def _clean_up(self) -> None:
@@ -184,13 +184,16 @@ class ManagedNode(LifecycleNode):
         try:
             self.clean_up()
         finally:
-            later = _entities(self) - self._before
-            services = {item for item in later if isinstance(item, Service)}
-            _destroy(self, later - services)
-            if self.executor is None or self._is_ending:
-                _destroy(self, services)
-            else:
-                self.executor.create_task(_destroy_after_answers, self, services)
+            self._destroy_unused(_entities(self) - self._before)
+
+    def _destroy_unused(self, entities: set[Any]) -> None:
+        """Destroy entities; services once the calls that were waiting have their answers."""
+        services = {item for item in entities if isinstance(item, Service)}
+        _destroy(self, entities - services)
+        if self.executor is None or self._is_ending:
+            _destroy(self, services)
+        elif services:
+            self.executor.create_task(_destroy_after_answers, self, services)
 
     def _tear_down(self) -> None:
         try:

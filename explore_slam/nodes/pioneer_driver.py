@@ -154,6 +154,10 @@ class DriverSession:
         patient: do not wait; a device that is absent is tried again and again. Otherwise
         VehicleError names those that cannot be opened, and all are closed.
         """
+        if self.base is not None:  # an inactive driver refuses, instead of leaving a call waiting
+            self._node.create_service(
+                SetBool, 'enable_motors', self._on_enable_motors, callback_group=self._motor_calls
+            )
         for supervisor in self.supervisors.values():
             supervisor.start(patient)
         if patient:
@@ -180,12 +184,6 @@ class DriverSession:
                     self._node, {'': self._on_teleoperation}, VehicleTopic.TELEOP_COMMAND
                 ),
             ]
-            self._node.create_service(
-                SetBool,
-                'enable_motors',
-                self._on_enable_motors,
-                callback_group=self._motor_calls,
-            )
         if self.laser is None and self.config.watch_scan_topic:
             name, laser = self._vehicle, self.config.driver.laser_mount
             base = self.config.frames(name).base if self.base is not None else ''
@@ -262,6 +260,10 @@ class DriverSession:
     async def _on_enable_motors(self, request: Any, response: Any) -> Any:
         """Answer with what the base reports afterwards, or why it does not."""
         self._answer_motor_request(False, 'replaced by a later call')
+        if not self._active:
+            response.success = False
+            response.message = 'the driver is inactive'
+            return response
         wanted = bool(request.data)
         health = self.supervisors['base'].health
         if not health.connected:
@@ -279,9 +281,16 @@ class DriverSession:
         return response
 
     def _answer_motor_request(self, success: bool, message: str) -> None:
-        """Answer the call of enable_motors that waits, if any."""
+        """Answer the call of enable_motors that waits, if any.
+
+        What was refused stays refused: a repetition that the base has not obeyed yet would switch
+        the motors on after the answer, so they are switched off.
+        """
         with self._lock:
             request, self._motor_request = self._motor_request, None
+            if request is not None and not success:
+                self._motors_wanted = False
+                self._motors_asked = 0.0  # the thread of the base passes it on
         if request is not None:
             request.answer.set_result((success, message))
             if self._node.executor is not None:
@@ -298,8 +307,6 @@ class DriverSession:
             return
         if now - request.since < _MOTOR_TIMEOUT:
             return
-        with self._lock:
-            self._motors_wanted = False
         health = self.supervisors['base'].health
         if not health.connected:
             text = f'base not connected: {health.message}'
@@ -391,16 +398,19 @@ class DriverSession:
     def _watch_motors(self, on: bool) -> None:
         """Switch the motors as requested; accept that they are switched off at the robot later."""
         assert self.base is not None
-        now = time.monotonic()
-        if self._motors_asked == 0.0:
-            self._motors_asked = now
-            self.base.enable_motors(bool(self._motors_wanted))
-        elif self._motor_request is not None:
-            if on != self._motor_request.on and now - self._motors_asked > _MOTOR_REPEAT:
+        now, switched_off = time.monotonic(), False
+        with self._lock:
+            since, request = now - self._motors_asked, self._motor_request
+            first = self._motors_asked == 0.0
+            repeat = request is not None and on != request.on and since > _MOTOR_REPEAT
+            if first or repeat:
                 self._motors_asked = now
-                self.base.enable_motors(self._motor_request.on)
-        elif self._motors_wanted and not on and now - self._motors_asked > _MOTOR_GRACE:
-            self._motors_wanted = False
+            elif request is None and self._motors_wanted and not on and since > _MOTOR_GRACE:
+                self._motors_wanted, switched_off = False, True
+            wanted = bool(self._motors_wanted)
+        if first or repeat:
+            self.base.enable_motors(wanted)
+        if switched_off:
             self._node.get_logger().warning(
                 'base: motors were switched off at the robot; call enable_motors to continue'
             )

@@ -12,6 +12,7 @@ from explore_slam.vision.sections import DepthConfig
 
 _METRES_PER_MILLIMETRE = np.float32(0.001)
 _MEDIAN_WINDOW = 3  # pixels; removes single wild values
+_COMPLETE = np.ones((_MEDIAN_WINDOW, _MEDIAN_WINDOW), np.uint8)  # readings a median is taken of
 _EDGE_WINDOW = np.ones((5, 5), np.uint8)  # reaches an edge before the centre of a feature does
 _FAR = np.float32(1e6)  # m; in place of missing values where the smallest depth is searched
 
@@ -37,6 +38,8 @@ def analyse_depth(
     """Return depth without speckle and values out of range, and its local spread.
 
     Speckle is removed by a median of 3 x 3, edges are detected by the range over 5 x 5 pixels.
+    The median is taken of complete windows: near the camera's maximum range, the readings that
+    are left are those which noise has shortened, and walls would be measured too near.
     Depths out of range count for the spread: a feature in front of a far wall is on an edge,
     though the wall itself is not a valid measurement.
     """
@@ -44,7 +47,8 @@ def analyse_depth(
     smooth = cv2.medianBlur(metres, _MEDIAN_WINDOW)
     highest = cv2.dilate(metres, _EDGE_WINDOW)
     lowest = cv2.erode(np.where(metres > 0.0, metres, _FAR), _EDGE_WINDOW)
-    valid = (metres > 0.0) & (smooth >= config.min_depth) & (smooth <= config.max_depth)
+    complete = cv2.erode(metres, _COMPLETE) > 0.0
+    valid = complete & (smooth >= config.min_depth) & (smooth <= config.max_depth)
     zero = np.float32(0.0)
     return DepthLayers(np.where(valid, smooth, zero), np.where(valid, highest - lowest, zero))
 

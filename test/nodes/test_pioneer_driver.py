@@ -11,6 +11,8 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Twist
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from nav_msgs.msg import Odometry
 from ros_domain import own_domain
 from sensor_msgs.msg import BatteryState, LaserScan, PointCloud2
@@ -20,6 +22,7 @@ from explore_slam.messages import odometry_record, scan_record, twist_message
 from explore_slam.nodes.ros_types import MESSAGES
 from explore_slam.simulation.emulators.kinematic_body import KinematicBody
 from explore_slam.simulation.emulators.vehicle_emulator import VehicleEmulator
+from explore_slam.vehicle.arcos_packets import Command
 
 DOMAIN = own_domain(72)
 PACKET = 0.1  # s between status packets
@@ -101,6 +104,11 @@ class Rig:
         future = self.motors.call_async(SetBool.Request(data=on))
         assert self.spin(5.0, future.done)
         return future.result()
+
+    def motor_commands(self):
+        """Return the arguments of all ENABLE commands that have reached the robot."""
+        commands = list(self.emulator.robot.commands)
+        return [value for _, command, value in commands if command == Command.ENABLE]
 
     def drive(self, linear=0.4, angular=0.0):
         self.command = (linear, angular)
@@ -256,6 +264,8 @@ def test_honest_answers_and_teleoperation_before_the_follower(rig):
     refused = rig.enable()
     assert not refused.success
     assert 'still reports motors off: emergency stop pressed' in refused.message
+    # a repetition of the request may still be on its way
+    assert rig.spin(3.0, lambda: rig.motor_commands()[-1] == 0)
     robot.faults.emergency_stop = False
     count = len(rig.got['odom'])
     assert rig.spin(3.0, lambda: len(rig.got['odom']) > count + 2)
@@ -277,3 +287,21 @@ def test_honest_answers_and_teleoperation_before_the_follower(rig):
     rig.emulator.base_line.unplug()
     assert rig.spin(5.0, lambda: rig.message('safety').startswith('base not connected: '))
     assert not rig.enable().success
+
+
+def test_a_request_that_a_deactivation_refuses_is_not_obeyed_later(rig):
+    rig.start()
+    assert rig.spin(20.0, lambda: rig.got['odom'])
+    rig.emulator.robot.faults.emergency_stop = True
+    change = rig.node.create_client(ChangeState, 'pioneer_driver/change_state')
+    assert rig.motors.wait_for_service(10.0) and change.wait_for_service(10.0)
+    asked = rig.motors.call_async(SetBool.Request(data=True))
+    assert rig.spin(5.0, lambda: 1 in rig.motor_commands())
+    transition = Transition(id=Transition.TRANSITION_DEACTIVATE)
+    changed = change.call_async(ChangeState.Request(transition=transition))
+    assert rig.spin(5.0, lambda: changed.done() and asked.done())
+    assert changed.result().success
+    assert (asked.result().success, asked.result().message) == (False, 'the driver is deactivated')
+    assert rig.spin(3.0, lambda: rig.motor_commands()[-1] == 0)
+    again = rig.enable()
+    assert (again.success, again.message) == (False, 'the driver is inactive')

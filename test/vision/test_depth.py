@@ -56,6 +56,19 @@ def test_missing_depths_do_not_count_for_the_spread_but_depths_out_of_range_do()
     assert layers.depth[10, 15] == layers.spread[10, 15] == 0.0
 
 
+def test_walls_at_the_end_of_the_range_do_not_seem_nearer():
+    rng = np.random.default_rng(0)
+    for wall in (3.40, 3.44, 3.48, 3.52):  # m; the camera ends at 3.5 m
+        sigma = 0.003 * wall**2
+        depth = (wall + sigma * rng.standard_normal((240, 320))).astype(np.float32)
+        depth[depth > 3.5] = 0.0
+        measured = analyse_depth(depth, DepthConfig()).depth
+        valid = measured > 0.0
+        assert abs((measured[valid] - wall).sum()) <= 0.1 * sigma * depth.size
+        assert valid.mean() > 0.9 or wall > 3.4
+        assert valid.mean() < 0.01 or wall < 3.5
+
+
 def test_rays_and_points_of_the_pinhole_model():
     pixels = np.array([[160.0, 120.0], [410.0, 120.0], [160.0, -140.0]])
     np.testing.assert_allclose(camera_rays(pixels, CAMERA), [[0, 0], [1, 0], [0, -1]])
