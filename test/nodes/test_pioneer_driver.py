@@ -294,7 +294,8 @@ def test_a_request_that_a_deactivation_refuses_is_not_obeyed_later(rig):
     assert rig.spin(20.0, lambda: rig.got['odom'])
     rig.emulator.robot.faults.emergency_stop = True
     change = rig.node.create_client(ChangeState, 'pioneer_driver/change_state')
-    assert rig.motors.wait_for_service(10.0) and change.wait_for_service(10.0)
+    assert rig.motors.wait_for_service(10.0)
+    assert change.wait_for_service(10.0)
     asked = rig.motors.call_async(SetBool.Request(data=True))
     assert rig.spin(5.0, lambda: 1 in rig.motor_commands())
     transition = Transition(id=Transition.TRANSITION_DEACTIVATE)
