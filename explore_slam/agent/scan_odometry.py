@@ -64,7 +64,7 @@ def _refine_by_clouds(
         before = track.odometry.at(since)
         if not restarted and not track.source.needs_scans:
             motions = before.between(prior.pose), before.between(match.pose)
-            track.slip.add_match(since, stamp, *motions)
+            track.slip.add_match(since, stamp, *motions, slam.odometry_noise)
         # where the map began anew, only odometry connects it with the last match
         drift = track.source.take_match(track.odometry, since, stamp, prior, match, restarted)
         wheels = prior.covariance

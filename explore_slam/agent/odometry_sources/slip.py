@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from explore_slam.geometry import Pose2
 from explore_slam.registration import PointCloud, ScanMatcher
+from explore_slam.slam import OdometryNoise
 
 logger = logging.getLogger(__name__)
 
@@ -16,6 +17,7 @@ _WINDOW = 3.0  # s over which motions are added up
 # the sensor rig is wrong.
 _LEAST_DISTANCE, _LEAST_TURN = 0.5, 0.5
 _DIFFERENCE = 0.25
+_SIGMAS = 3.0  # of the drift that the odometry is known to have, beside that share
 _DEAD = 0.05  # share of the motion that scans show, below which odometry does not move
 # A standing vehicle's scans, compared now and then: it has moved when it is this far from where it
 # stood, twice in succession. At rest, matches differ by millimetres and milliradians.
@@ -43,8 +45,13 @@ class SlipMonitor:
         self._moved = 0  # probes in succession that show a motion
         self.problem = ''
 
-    def add_match(self, since: float, stamp: float, wheels: Pose2, scans: Pose2) -> None:
-        """Compare the motions from the last match to a scan, both given by their stamps (s)."""
+    def add_match(
+        self, since: float, stamp: float, wheels: Pose2, scans: Pose2, noise: OdometryNoise
+    ) -> None:
+        """Compare the motions from the last match to a scan, both given by their stamps (s).
+
+        noise: of the odometry, whose drift is no slip.
+        """
         if self.problem:
             return
         self._moved = 0
@@ -53,7 +60,7 @@ class SlipMonitor:
             self._motions.popleft()
         by_wheels = _path([item.wheels for item in self._motions])
         by_scans = _path([item.scans for item in self._motions])
-        if _differ(by_wheels, by_scans):
+        if _differ(by_wheels, by_scans, noise):
             self._name(by_wheels, by_scans, f'in {stamp - self._motions[0].since:.1f} s')
 
     def add_still_scan(
@@ -113,10 +120,18 @@ def _path(motions: list[Pose2]) -> tuple[float, float]:
     return distance, abs(sum(motion.theta for motion in motions))
 
 
-def _differ(wheels: tuple[float, float], scans: tuple[float, float]) -> bool:
-    """Return whether two paths differ in length or turn by more than _DIFFERENCE."""
+def _differ(wheels: tuple[float, float], scans: tuple[float, float], noise: OdometryNoise) -> bool:
+    """Return whether two paths differ in length or turn by more than can be expected.
+
+    Expected is a share of them, and beside it the drift of odometry over the distance driven.
+    """
+    driven = max(wheels[0], scans[0])
+    drifts = (
+        _SIGMAS * math.sqrt(noise.forward_variance_per_metre * driven),
+        _SIGMAS * math.sqrt(noise.heading_variance_per_metre * driven),
+    )
     least = (_LEAST_DISTANCE, _LEAST_TURN)
     return any(
-        max(w, s) > enough and abs(w - s) > _DIFFERENCE * max(w, s)
-        for w, s, enough in zip(wheels, scans, least, strict=True)
+        max(w, s) > enough and abs(w - s) > math.hypot(_DIFFERENCE * max(w, s), drift)
+        for w, s, enough, drift in zip(wheels, scans, least, drifts, strict=True)
     )

@@ -7,13 +7,14 @@ from synthetic import SyntheticWorld
 from explore_slam.agent.odometry_sources import SlipMonitor
 from explore_slam.geometry import IDENTITY, Pose2
 from explore_slam.registration import ScanMatcher, ScanMatchingConfig, scan_cloud
+from explore_slam.slam import OdometryNoise
 
 LASER = Pose2(0.1, 0.0, 0.0)
 
 
 def compare(monitor, wheels, scans, scans_taken=40):
     for number in range(scans_taken):
-        monitor.add_match(0.1 * number, 0.1 * number + 0.1, wheels, scans)
+        monitor.add_match(0.1 * number, 0.1 * number + 0.1, wheels, scans, OdometryNoise())
 
 
 @pytest.mark.parametrize('factor', [0.85, 1.0, 1.15])
@@ -22,6 +23,16 @@ def test_wheels_that_are_a_little_off_are_not_named(factor, caplog):
     compare(monitor, Pose2(0.04 * factor, 0.0, 0.09 * factor), Pose2(0.04, 0.0, 0.09))
     assert monitor.problem == ''
     assert caplog.text == ''
+
+
+def test_drift_of_the_heading_while_driving_is_not_slip(caplog):
+    """Over 1.2 m, odometry with the default noise drifts by 3 degrees (one sigma)."""
+    monitor = SlipMonitor('robot1', 'wheels')
+    step = 0.04, np.radians(0.75), np.radians(1.05)  # in 3 s 1.2 m, 22 and 31 degrees
+    compare(monitor, Pose2(step[0], 0.0, step[1]), Pose2(step[0], 0.0, step[2]))
+    assert monitor.problem == ''
+    compare(monitor, Pose2(step[0], 0.0, step[1]), Pose2(step[0], 0.0, 2.0 * step[2]))
+    assert 'wheels slip' in caplog.text
 
 
 def test_wheels_that_turn_too_far_are_named_with_the_amount_and_what_to_set(caplog):
