@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from explore_slam.data import Plan
 from explore_slam.exploration import ExplorationConfig, Planner, VehicleSnapshot, warm_up
 from explore_slam.geometry import Pose2
 from explore_slam.mapping import GridConfig, OccupancyGrid
@@ -62,9 +63,7 @@ def office(side: int, random: np.random.Generator) -> NDArray[np.bool_]:
     return solid
 
 
-def _furnish(
-    solid: NDArray[np.bool_], row: int, col: int, random: np.random.Generator
-) -> None:
+def _furnish(solid: NDArray[np.bool_], row: int, col: int, random: np.random.Generator) -> None:
     for _ in range(3):
         height, width = random.integers(8, 26, 2)
         top, left = row + int(random.integers(22, 60)), col + int(random.integers(8, 70))
@@ -139,9 +138,9 @@ def measure(side: int, vehicles: int, cycles: int, seed: int, profile: bool) -> 
     del solid, known, levels
     planner = Planner(ExplorationConfig())
     peak = MemoryPeak()
-    profiler = cProfile.Profile()
+    profiler = cProfile.Profile(time.process_time)
     times: list[float] = []
-    frontiers = plans = 0
+    plans: dict[str, Plan] = {}
     for cycle in range(WARM + cycles):
         for _ in range(SCANS):
             for _ in range(round(0.5 / simulator.config.time_step)):
@@ -156,16 +155,16 @@ def measure(side: int, vehicles: int, cycles: int, seed: int, profile: bool) -> 
         result = planner.plan(grid, simulator.time, snapshots)
         times.append(time.process_time() - begun)
         profiler.disable()
-        frontiers, plans = len(result.frontiers), len(result.plans)
         for name in simulator.vehicles:
-            if result.plans.get(name) is not None or not simulator.is_idle(name):
+            if result.plans.get(name) is not plans.get(name):
                 simulator.set_plan(name, result.plans.get(name))
+        plans = dict(result.plans)
     warm = times[WARM:]
     load = os.getloadavg()[0]
     print(
         f'{side * side / 1e6:.0f} Mcells, {vehicles} vehicles: first cycle {times[0]:.2f} s, warm '
         f'{np.median(warm):.3f} s (median of {cycles}; {min(warm):.3f} to {max(warm):.3f}), '
-        f'{peak.above():.0f} MB above the grid; {frontiers} frontiers, {plans} plans, '
+        f'{peak.above():.0f} MB above the grid; {len(result.frontiers)} frontiers, {len(plans)} plans, '
         f'load {load:.1f}',
         flush=True,
     )

@@ -23,6 +23,11 @@ class _TinyGrid:
         seen[:, :14] = True
         return seen
 
+    def levels(self) -> tuple[NDArray[np.int16], NDArray[np.float32]]:
+        table = np.full(65536, 0.1, np.float32)
+        table[0] = np.nan
+        return self.known().astype(np.int16), table
+
     def to_cell(self, points: ArrayLike) -> NDArray[np.int64]:
         cells = np.floor(np.asarray(points, np.float64).reshape(-1, 2) / self.resolution)
         return np.ascontiguousarray(cells[:, ::-1]).astype(np.int64)

@@ -34,6 +34,39 @@ def _cheapest(
                 target[at] = min(target[at], cost[row, col])
 
 
+@kernel
+def _cheapest_in(
+    cost: Costs,
+    reach: NDArray[np.bool_],
+    row_shift: int,
+    col_shift: int,
+    block: int,
+    padded: Costs,
+    todo: NDArray[np.bool_],
+    tile: int,
+) -> None:
+    """Set the blocks that share cells with some tiles, as _cheapest does."""
+    height, width = cost.shape
+    for tile_row in range(todo.shape[0]):
+        for tile_col in range(todo.shape[1]):
+            if not todo[tile_row, tile_col]:
+                continue
+            last_row = min(height, (tile_row + 1) * tile) - 1 + row_shift
+            last_col = min(width, (tile_col + 1) * tile) - 1 + col_shift
+            for i in range((tile_row * tile + row_shift) // block, last_row // block + 1):
+                top = max(0, i * block - row_shift)
+                bottom = min(height, (i + 1) * block - row_shift)
+                for j in range((tile_col * tile + col_shift) // block, last_col // block + 1):
+                    left = max(0, j * block - col_shift)
+                    right = min(width, (j + 1) * block - col_shift)
+                    low = np.float32(np.inf)
+                    for row in range(top, bottom):
+                        for col in range(left, right):
+                            if reach[row, col]:
+                                low = min(low, cost[row, col])
+                    padded[i + 1, j + 1] = low
+
+
 class RouteGrid:
     """The coarse grid of one planning cycle, over the cells that some vehicle can reach.
 
@@ -57,11 +90,20 @@ class RouteGrid:
         self.block, self.unit = block, unit * block
         self.first = (first[0] // block, first[1] // block)
         self._world = first
-        shift = (first[0] % block, first[1] % block)
+        shift = self._shift = (first[0] % block, first[1] % block)
         height = -(-(cost.shape[0] + shift[0]) // block)
         width = -(-(cost.shape[1] + shift[1]) // block)
         self.padded = np.full((height + 2, width + 2), np.inf, np.float32)
         _cheapest(cost, reach, shift[0], shift[1], block, self.padded)
+
+    def renew(
+        self, cost: Costs, reach: NDArray[np.bool_], todo: NDArray[np.bool_], tile: int
+    ) -> None:
+        """Take costs and reachable cells (H, W) that have changed in some tiles.
+
+        todo (R, C): which tiles; tile: cells along the side of a tile. The grid is the same.
+        """
+        _cheapest_in(cost, reach, *self._shift, self.block, self.padded, todo, tile)
 
     def blocks(self, cells: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the blocks (N, 2), counted from the origin of the map, of cells (N, 2)."""
