@@ -164,8 +164,8 @@ def measure(side: int, vehicles: int, cycles: int, seed: int, profile: bool) -> 
     print(
         f'{side * side / 1e6:.0f} Mcells, {vehicles} vehicles: first cycle {times[0]:.2f} s, warm '
         f'{np.median(warm):.3f} s (median of {cycles}; {min(warm):.3f} to {max(warm):.3f}), '
-        f'{peak.above():.0f} MB above the grid; {len(result.frontiers)} frontiers, {len(plans)} plans, '
-        f'load {load:.1f}',
+        f'{peak.above():.0f} MB above the grid; {len(result.frontiers)} frontiers, '
+        f'{len(plans)} plans, load {load:.1f}',
         flush=True,
     )
     if profile:

@@ -36,6 +36,7 @@ _WIDE = 1.5  # m; a frontier as long as this shows all that is in sight behind i
 _DOORWAY = 0.9  # m; a frontier that a vehicle can pass, with a room behind, counts as this long
 _NARROW_FACTOR = 0.6  # on the gain of a frontier through which no vehicle fits
 _POCKET_AREA = 6.0  # m²; smaller unknown areas are measured instead of estimated
+_LARGEST_MARK = 2**30  # then the marks begin anew
 _LOOKS_AROUND = 3  # cells from a cell to those that decide whether a frontier begins there
 
 
@@ -109,6 +110,7 @@ class FrontierCache:
     def __init__(self, region: int, tiles: tuple[int, ...]) -> None:
         self.region = region
         self.todo = np.zeros(tiles, np.bool_)
+        self._marks, self._mark = np.zeros((0, 0), np.int32), 0
         self._config: tuple[FrontierConfig, float] | None = None
         self._known: dict[bytes, tuple[list[_Candidate], _Box]] = {}
         self._seen: dict[bytes, tuple[list[_Candidate], _Box]] = {}
@@ -135,8 +137,18 @@ class FrontierCache:
         """Store the candidates of a cluster (N, 2), which depend on the cells of a box."""
         self._seen[cells.tobytes()] = found, box
 
-    def end(self) -> None:
-        """End a search: clusters that were not part of it are forgotten."""
+    def marks(self, shape: tuple[int, int]) -> tuple[NDArray[np.int32], int]:
+        """Return scratch memory (H, W) for the searches, and the largest value in it."""
+        if self._marks.shape != shape or self._mark > _LARGEST_MARK:
+            self._marks, self._mark = np.zeros(shape, np.int32), 0
+        return self._marks, self._mark
+
+    def end(self, mark: int) -> None:
+        """End a search: clusters that were not part of it are forgotten.
+
+        mark: largest value in the scratch memory.
+        """
+        self._mark = mark
         self._known, self._seen = self._seen, {}
         self.todo[:] = False
 
@@ -181,11 +193,13 @@ def _frontiers_of(
     scale = grid.resolution
     smallest = max(1, round(config.min_frontier_size / scale))
     largest = max(1, round(config.max_frontier_size / scale))
-    marks = np.zeros(costs.free.shape, np.int32)
     candidates: list[_Candidate] = []
-    end, mark = 0, 1
-    if cache is not None:
+    end = 0
+    if cache is None:
+        marks, mark = np.zeros(grid.shape, np.int32), 0
+    else:
         cache.begin(config, scale)
+        marks, mark = cache.marks(grid.shape)
     for length in lengths.tolist():
         start, end = end, end + length
         if length < smallest:
@@ -204,7 +218,7 @@ def _frontiers_of(
                 cache.set(cluster, known, box)
         candidates += known
     if cache is not None:
-        cache.end()
+        cache.end(mark)
     return _records(grid, candidates)
 
 

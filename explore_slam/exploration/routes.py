@@ -15,6 +15,12 @@ from explore_slam.compiled import kernel
 from explore_slam.exploration.value_iteration import Costs, spread
 from explore_slam.geometry import Array
 
+# 16 MB for the fields of the 60 targets of the default strategy: 80 x 80 m in blocks of 0.3 m
+_LARGEST_FIELD = 70_000
+# Chosen by hand, see benchmarks/planning_cycles.py
+_NEW_ROWS = 2  # targets per cycle from which costs are computed to all others on a large map
+_NEAR = 15.0  # m from the other new targets, up to which costs are exact
+
 
 @kernel
 def _cheapest(
@@ -110,12 +116,14 @@ class RouteGrid:
         blocks: NDArray[np.int64] = (cells + np.array(self._world)) // self.block
         return blocks
 
-    def values_from(self, block: NDArray[np.int64]) -> 'Field':
-        """Return the travel cost (m) from a block."""
+    def values_from(self, block: NDArray[np.int64], limit: float = math.inf) -> 'Field':
+        """Return the travel cost (m) from a block; inf to those to which it is above a limit."""
         row, col = (block - np.array(self.first) + 1).tolist()
         rows, cols = np.array([row], np.int64), np.array([col], np.int64)
-        values = spread(self.padded, rows, cols)
+        values = spread(self.padded, rows, cols, limit=limit / self.unit)
         values *= np.float32(self.unit)
+        if limit < math.inf:
+            values[values > limit] = np.inf
         return Field(values, self.first)
 
 
@@ -135,35 +143,107 @@ class Field:
         return result
 
 
+class _Row:
+    """Travel cost from one block to those of some targets: what is needed of a field."""
+
+    def __init__(self, blocks: NDArray[np.int64], field: Field) -> None:
+        keys, first = np.unique(_keys(blocks), return_index=True)
+        self._keys, self._values = keys, field.at(blocks[first])
+
+    def at(self, blocks: NDArray[np.int64]) -> Array:
+        """Return the travel cost (N,) m to blocks (N, 2); inf to those that are not among them."""
+        wanted = _keys(blocks)
+        index = np.minimum(np.searchsorted(self._keys, wanted), len(self._keys) - 1)
+        found: Array = np.where(self._keys[index] == wanted, self._values[index], np.inf)
+        return found
+
+
+def _keys(blocks: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return a number (N,) for each block (N, 2)."""
+    keys: NDArray[np.int64] = blocks[:, 0] * 2**32 + blocks[:, 1]
+    return keys
+
+
 class RouteCache:
     """Travel costs between targets, kept between planning cycles.
 
     As the map grows, costs from an old target to new ones go out of date; costs are taken from
     whichever of the two targets knows the shorter way.
+
+    On a large map, a field takes as much memory and time as a whole cycle should. Then only the
+    costs to the frontiers that exist are kept of it, and only a few fields are made per cycle:
+    those of new targets first, then the oldest. From the others, costs are exact to what is near,
+    and the way to what is far leads over a vehicle. New targets are near vehicles, so that this is
+    not much longer.
     """
 
-    def __init__(self, lifetime: int = 40) -> None:
-        """Create an empty cache; costs are computed anew after `lifetime` cycles."""
-        self._fields: dict[tuple[int, int], tuple[int, Field]] = {}
-        self._lifetime = lifetime
+    def __init__(self, lifetime: int = 40, largest_field: int = _LARGEST_FIELD) -> None:
+        """Create an empty cache; costs are computed anew after `lifetime` cycles.
+
+        largest_field: number of blocks up to which fields are kept.
+        """
+        self._fields: dict[tuple[int, int], tuple[int, Field | _Row]] = {}
+        self._lifetime, self._largest_field = lifetime, largest_field
         self._cycle = 0
 
-    def between(self, grid: RouteGrid, blocks: NDArray[np.int64]) -> Array:
-        """Return the costs (F, F) m between targets in blocks (F, 2)."""
+    def between(
+        self,
+        grid: RouteGrid,
+        blocks: NDArray[np.int64],
+        targets: NDArray[np.int64] | None = None,
+        costs: Array | None = None,
+    ) -> Array:
+        """Return the costs (F, F) m between frontiers in blocks (N, 2), of which F are targets.
+
+        targets (F,): which; by default all. costs (V, N): from vehicles to the frontiers (m).
+        """
         self._cycle += 1
-        keys = [(int(row), int(col)) for row, col in blocks]
-        wanted = set(keys)
-        oldest = self._cycle - self._lifetime
+        chosen = np.arange(len(blocks)) if targets is None else targets
+        wanted = blocks[chosen]
+        keys = [(int(row), int(col)) for row, col in wanted]
+        large = grid.padded.size > self._largest_field
+        matrix = self._of_rows(grid, blocks, keys) if large else self._of_fields(grid, keys)
+        symmetric: Array = np.minimum(matrix, matrix.T)
+        if large and costs is not None:
+            for row in costs[:, chosen]:
+                symmetric = np.minimum(symmetric, row[:, None] + row[None])
+            np.fill_diagonal(symmetric, 0.0)
+        return symmetric
+
+    def _of_fields(self, grid: RouteGrid, keys: list[tuple[int, int]]) -> Array:
+        """Return the costs (F, F) m between blocks by fields, which are kept."""
+        wanted, oldest = set(keys), self._cycle - self._lifetime
         self._fields = {
             key: item for key, item in self._fields.items() if key in wanted and item[0] >= oldest
         }
-        matrix = np.full((len(keys), len(keys)), np.inf)
-        for i, key in enumerate(keys):
+        blocks = np.array(keys)
+        for key, block in zip(keys, blocks, strict=True):
             if key not in self._fields:
-                self._fields[key] = (self._cycle, grid.values_from(blocks[i]))
-            matrix[i] = self._fields[key][1].at(blocks)
-        symmetric: Array = np.minimum(matrix, matrix.T)
-        return symmetric
+                self._fields[key] = (self._cycle, grid.values_from(block))
+        return np.array([self._fields[key][1].at(blocks) for key in keys])
+
+    def _of_rows(
+        self, grid: RouteGrid, every: NDArray[np.int64], keys: list[tuple[int, int]]
+    ) -> Array:
+        """Return the costs (F, F) m between blocks by rows, which are kept; inf if unknown.
+
+        every (N, 2): blocks of all that may become targets.
+        """
+        existing = {(int(row), int(col)) for row, col in every}
+        self._fields = {key: item for key, item in self._fields.items() if key in existing}
+        new = [key for key in dict.fromkeys(keys) if key not in self._fields]
+        oldest = self._cycle - self._lifetime
+        old = [key for key, item in self._fields.items() if item[0] < oldest and key in keys]
+        old.sort(key=lambda key: self._fields[key][0])
+        whole = _NEW_ROWS if self._fields else len(new)
+        for key in [*new, *old][:whole]:
+            field = grid.values_from(np.array(key))
+            self._fields[key] = (self._cycle, _Row(every, field))
+        blocks = np.array(keys)
+        rows = {key: self._fields[key][1] for key in keys if key in self._fields}
+        for key in new[whole:]:
+            rows[key] = grid.values_from(np.array(key), _NEAR)
+        return np.array([rows[key].at(blocks) for key in keys])
 
 
 def block_size(width: float, radius: float, resolution: float) -> int:

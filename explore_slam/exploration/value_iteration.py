@@ -96,11 +96,16 @@ def check_cell(padded: Costs, name: str, cell: Cell) -> Cell:
 
 
 def spread(
-    padded: Costs, rows: NDArray[np.int64], cols: NDArray[np.int64], charge_left: bool = False
+    padded: Costs,
+    rows: NDArray[np.int64],
+    cols: NDArray[np.int64],
+    charge_left: bool = False,
+    limit: float = math.inf,
 ) -> Costs:
     """Return V (H + 2, W + 2) over padded costs, from source cells in padded indices.
 
     charge_left: charge the cell that a step comes from instead of the one it leads to.
+    limit: larger values need not be exact, nor finite.
     """
     low, high = _finite_range(padded.ravel())
     costliest_move = high * math.sqrt(2.0)
@@ -111,7 +116,15 @@ def spread(
     sources = rows * padded.shape[1] + cols
     final = width < low
     _sweep(
-        padded.ravel(), values.ravel(), padded.shape[1], sources, width, count, final, charge_left
+        padded.ravel(),
+        values.ravel(),
+        padded.shape[1],
+        sources,
+        width,
+        count,
+        final,
+        charge_left,
+        limit,
     )
     return values
 
@@ -137,8 +150,9 @@ def _sweep(
     count: int,
     final: bool,
     charge_left: bool,
+    limit: float,
 ) -> None:
-    """Update cells bucket by bucket until the queue is empty.
+    """Update cells bucket by bucket until the queue is empty, or its values are above a limit.
 
     width, count: of the buckets. final: no move is cheaper than a bucket is wide, so that a value
     is final when its bucket is processed; otherwise a cell is queued again when its value falls.
@@ -154,7 +168,7 @@ def _sweep(
     queue[0, : sources.size] = sources
     filled[0] = sources.size
     pending, number, slot = sources.size, 0, 0
-    while pending > 0:
+    while pending > 0 and number * width <= limit:
         taken = 0
         while taken < filled[slot]:
             cell = queue[slot, taken]
@@ -164,14 +178,18 @@ def _sweep(
                 continue  # processed in an earlier bucket
             for k in range(8):
                 other = cell + offsets[k]
+                before = values[other]
+                if before <= value:
+                    continue  # costs are not negative
                 entered = cost[cell] if charge_left and cost[other] < np.inf else cost[other]
                 reached = np.float32(value + entered * lengths[k])
-                before = values[other]
                 if reached < before:
                     values[other] = reached
                     bucket = int(reached * scale)
                     if not (final and before < np.inf and int(before * scale) == bucket):
-                        target = bucket % count
+                        target = slot + bucket - number
+                        if target >= count:
+                            target -= count
                         if filled[target] == capacity:
                             queue = np.concatenate((queue, np.empty_like(queue)), axis=1)
                             capacity *= 2

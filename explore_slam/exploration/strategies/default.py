@@ -83,13 +83,16 @@ class DefaultStrategy:
         that sees a narrower one has to drive more.
         """
         config, slowness = self._config, situation.slowness
-        cells = np.array([situation.frontiers[i].target_cell for i in targets])
+        every = np.array([frontier.target_cell for frontier in situation.frontiers])
         between: dict[float, Array] = {}
         for name, body in zip(situation.vehicles, situation.kinds, strict=True):
             if body.envelope not in between:
                 routes = situation.scene.routes(name)
                 cache = self._caches.setdefault(body.envelope, RouteCache())
-                between[body.envelope] = cache.between(routes, routes.blocks(cells))
+                alike = [body.envelope == other.envelope for other in situation.kinds]
+                between[body.envelope] = cache.between(
+                    routes, routes.blocks(every), np.array(targets), situation.costs[alike]
+                )
         each = np.array([between[body.envelope] for body in situation.kinds])
         strips = 2.0 * np.maximum(situation.side_ranges(self._sensor_range), _SHORTEST_SIDE_RANGE)
         per_area = slowness * np.maximum(config.work_per_area, 1.0 / strips)
