@@ -102,6 +102,11 @@ class RouteGrid:
         self.padded = np.full((height + 2, width + 2), np.inf, np.float32)
         _cheapest(cost, reach, shift[0], shift[1], block, self.padded)
 
+    @property
+    def size(self) -> int:
+        """Number of blocks."""
+        return int(self.padded.size)
+
     def renew(
         self, cost: Costs, reach: NDArray[np.bool_], todo: NDArray[np.bool_], tile: int
     ) -> None:
@@ -201,7 +206,7 @@ class RouteCache:
         chosen = np.arange(len(blocks)) if targets is None else targets
         wanted = blocks[chosen]
         keys = [(int(row), int(col)) for row, col in wanted]
-        large = grid.padded.size > self._largest_field
+        large = grid.size > self._largest_field
         matrix = self._of_rows(grid, blocks, keys) if large else self._of_fields(grid, keys)
         symmetric: Array = np.minimum(matrix, matrix.T)
         if large and costs is not None:
