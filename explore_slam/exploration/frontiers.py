@@ -26,6 +26,7 @@ from explore_slam.exploration.frontier_kernels import (
 )
 from explore_slam.exploration.records import Cell, Frontier, Grid
 from explore_slam.exploration.sections import FrontierConfig
+from explore_slam.exploration.sparse_memory import SparseArray
 from explore_slam.geometry import Array
 
 # Chosen by hand; `explore_slam benchmark exploration` measures what another value does
@@ -36,7 +37,7 @@ _WIDE = 1.5  # m; a frontier as long as this shows all that is in sight behind i
 _DOORWAY = 0.9  # m; a frontier that a vehicle can pass, with a room behind, counts as this long
 _NARROW_FACTOR = 0.6  # on the gain of a frontier through which no vehicle fits
 _POCKET_AREA = 6.0  # m²; smaller unknown areas are measured instead of estimated
-_LARGEST_MARK = 2**30  # then the marks begin anew
+_LARGEST_MARK = 3 * 5000  # of 5000 pieces of clusters; then the scratch memory is given back
 _LOOKS_AROUND = 3  # cells from a cell to those that decide whether a frontier begins there
 
 
@@ -110,7 +111,7 @@ class FrontierCache:
     def __init__(self, region: int, tiles: tuple[int, ...]) -> None:
         self.region = region
         self.todo = np.zeros(tiles, np.bool_)
-        self._marks, self._mark = np.zeros((0, 0), np.int32), 0
+        self._marks, self._mark = SparseArray(0, np.int32), 0
         self._config: tuple[FrontierConfig, float] | None = None
         self._known: dict[bytes, tuple[list[_Candidate], _Box]] = {}
         self._seen: dict[bytes, tuple[list[_Candidate], _Box]] = {}
@@ -139,9 +140,13 @@ class FrontierCache:
 
     def marks(self, shape: tuple[int, int]) -> tuple[NDArray[np.int32], int]:
         """Return scratch memory (H, W) for the searches, and the largest value in it."""
-        if self._marks.shape != shape or self._mark > _LARGEST_MARK:
-            self._marks, self._mark = np.zeros(shape, np.int32), 0
-        return self._marks, self._mark
+        size = shape[0] * shape[1]
+        if self._marks.values.size != size:
+            self._marks, self._mark = SparseArray(size, np.int32), 0
+        elif self._mark > _LARGEST_MARK:
+            self._marks.clear()
+            self._mark = 0
+        return self._marks.values.reshape(shape), self._mark
 
     def end(self, mark: int) -> None:
         """End a search: clusters that were not part of it are forgotten.

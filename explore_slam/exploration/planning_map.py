@@ -109,6 +109,8 @@ class PlanningMap:
         The layer of each of them has to be renewed before the next update.
         """
         cells, table = grid.levels()
+        cells = cells.view()
+        cells.flags.writeable = False  # always of one kind, so that nothing is compiled later
         scale, (x, y) = grid.resolution, grid.origin
         factors = {
             envelope: clearance_factors(one, scale, soft=not self._probability_costs)

@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.compiled import kernel
-from explore_slam.exploration.value_iteration import Costs, spread
+from explore_slam.exploration.value_iteration import Costs, padded_costs, spread
 from explore_slam.geometry import Array
 
 # 16 MB for the fields of the 60 targets of the default strategy: 80 x 80 m in blocks of 0.3 m
 _LARGEST_FIELD = 70_000
 # Chosen by hand, see benchmarks/planning_cycles.py
 _NEW_ROWS = 2  # targets per cycle from which costs are computed to all others on a large map
-_NEAR = 15.0  # m from the other new targets, up to which costs are exact
+_NEAR = 15.0  # m from the other new targets, within which ways are searched for
 
 
 @kernel
@@ -121,15 +121,29 @@ class RouteGrid:
         blocks: NDArray[np.int64] = (cells + np.array(self._world)) // self.block
         return blocks
 
-    def values_from(self, block: NDArray[np.int64], limit: float = math.inf) -> 'Field':
-        """Return the travel cost (m) from a block; inf to those to which it is above a limit."""
-        row, col = (block - np.array(self.first) + 1).tolist()
+    def values_from(self, block: NDArray[np.int64]) -> 'Field':
+        """Return the travel cost (m) from a block."""
+        return self._spread(self.padded, block, self.first)
+
+    def values_near(self, block: NDArray[np.int64], reach: float) -> 'Field':
+        """Return the travel cost (m) from a block, for blocks within a reach (m) to all sides.
+
+        A way that leaves this window for a while is not found.
+        """
+        half = max(1, round(reach / self.unit))
+        row, col = (block - np.array(self.first)).tolist()
+        low_row, low_col = max(0, row - half), max(0, col - half)
+        window = self.padded[1:-1, 1:-1][low_row : row + half + 1, low_col : col + half + 1]
+        first = self.first[0] + low_row, self.first[1] + low_col
+        return self._spread(padded_costs(window, math.inf), block, first)
+
+    def _spread(self, padded: Costs, block: NDArray[np.int64], first: tuple[int, int]) -> 'Field':
+        """Return the travel cost (m) from a block over padded costs that begin at a block."""
+        row, col = (block - np.array(first) + 1).tolist()
         rows, cols = np.array([row], np.int64), np.array([col], np.int64)
-        values = spread(self.padded, rows, cols, limit=limit / self.unit)
+        values = spread(padded, rows, cols)
         values *= np.float32(self.unit)
-        if limit < math.inf:
-            values[values > limit] = np.inf
-        return Field(values, self.first)
+        return Field(values, first)
 
 
 class Field:
@@ -177,8 +191,8 @@ class RouteCache:
 
     On a large map, a field takes as much memory and time as a whole cycle should. Then only the
     costs to the frontiers that exist are kept of it, and only a few fields are made per cycle:
-    those of new targets first, then the oldest. From the others, costs are exact to what is near,
-    and the way to what is far leads over a vehicle. New targets are near vehicles, so that this is
+    those of new targets first, then the oldest. From the others, ways are searched for nearby, and
+    the way to what is far leads over a vehicle. New targets are near vehicles, so that this is
     not much longer.
     """
 
@@ -247,7 +261,7 @@ class RouteCache:
         blocks = np.array(keys)
         rows = {key: self._fields[key][1] for key in keys if key in self._fields}
         for key in new[whole:]:
-            rows[key] = grid.values_from(np.array(key), _NEAR)
+            rows[key] = grid.values_near(np.array(key), _NEAR)
         return np.array([rows[key].at(blocks) for key in keys])
 
 

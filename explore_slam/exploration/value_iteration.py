@@ -96,16 +96,11 @@ def check_cell(padded: Costs, name: str, cell: Cell) -> Cell:
 
 
 def spread(
-    padded: Costs,
-    rows: NDArray[np.int64],
-    cols: NDArray[np.int64],
-    charge_left: bool = False,
-    limit: float = math.inf,
+    padded: Costs, rows: NDArray[np.int64], cols: NDArray[np.int64], charge_left: bool = False
 ) -> Costs:
     """Return V (H + 2, W + 2) over padded costs, from source cells in padded indices.
 
     charge_left: charge the cell that a step comes from instead of the one it leads to.
-    limit: larger values need not be exact, nor finite.
     """
     low, high = _finite_range(padded.ravel())
     costliest_move = high * math.sqrt(2.0)
@@ -116,15 +111,7 @@ def spread(
     sources = rows * padded.shape[1] + cols
     final = width < low
     _sweep(
-        padded.ravel(),
-        values.ravel(),
-        padded.shape[1],
-        sources,
-        width,
-        count,
-        final,
-        charge_left,
-        limit,
+        padded.ravel(), values.ravel(), padded.shape[1], sources, width, count, final, charge_left
     )
     return values
 
@@ -150,9 +137,8 @@ def _sweep(
     count: int,
     final: bool,
     charge_left: bool,
-    limit: float,
 ) -> None:
-    """Update cells bucket by bucket until the queue is empty, or its values are above a limit.
+    """Update cells bucket by bucket until the queue is empty.
 
     width, count: of the buckets. final: no move is cheaper than a bucket is wide, so that a value
     is final when its bucket is processed; otherwise a cell is queued again when its value falls.
@@ -168,7 +154,7 @@ def _sweep(
     queue[0, : sources.size] = sources
     filled[0] = sources.size
     pending, number, slot = sources.size, 0, 0
-    while pending > 0 and number * width <= limit:
+    while pending > 0:
         taken = 0
         while taken < filled[slot]:
             cell = queue[slot, taken]

@@ -134,6 +134,16 @@ def test_on_a_large_map_the_way_from_many_new_targets_leads_over_a_vehicle():
     assert found[3, 4] == pytest.approx(exact[3, 4] + 2 * 2 * grid.unit)  # from 64 over 66 to 10
 
 
+def test_values_near_a_block_are_those_of_the_whole_grid_there():
+    grid = grid_of_costs(8, 80, first=(-4, 6))
+    block = np.array([-1, 10])
+    near = grid.values_near(block, 5.0)
+    blocks = np.array([[-1, 10], [1, 5], [-2, 15], [1, 3], [0, 16], [-1, 4]])
+    exact = grid.values_from(block).at(blocks)
+    assert near.at(blocks[:3]).tolist() == exact[:3].tolist()
+    assert np.isinf(near.at(blocks[4:])).all()
+
+
 def test_rows_of_targets_that_are_gone_are_forgotten():
     cache = RouteCache(largest_field=10)
     grid = grid_of_costs(8, 20)
