@@ -5,8 +5,8 @@ python benchmarks/planning_cycles.py [--side 200] [--vehicles 4,16] [--cycles 5]
 The map is an office of rooms and corridors, 200 x 200 m in cells of 0.05 m: 16 million. All of it
 is known but for the rooms along its edge and some within. The vehicles start spread out beside
 what is unknown, and explore in the grid simulator; a cycle follows every two seconds of their
-laser scans. Times are CPU seconds of the planner alone. The memory is the peak of the process
-during all cycles, above what it held before the first one, the grid included.
+laser scans. Times are CPU seconds of the planner alone. The memory is what the planner holds at
+most, above grid and simulator.
 """
 
 import argparse
@@ -107,23 +107,31 @@ def start_poses(
     return {f'robot{i + 1}': Pose2(x, y, 0.0) for i, (x, y) in enumerate(points)}
 
 
-class MemoryPeak:
-    """Largest resident memory (MB) of this process since its creation, above that at creation."""
+class PlannerMemory:
+    """Largest memory (MB) that the planner has held: what it keeps, and what a cycle adds.
+
+    Between the cycles, grid and simulator grow too: pages are taken when they are first written.
+    """
 
     def __init__(self) -> None:
+        self.peak = self._kept = self._before = 0.0
+
+    def begin(self) -> None:
+        """Begin a cycle."""
         gc.collect()
         Path('/proc/self/clear_refs').write_text('5')  # the peak is now the present value
         self._before = self._read('VmRSS')
 
-    def above(self) -> float:
-        """Return it."""
-        return self._read('VmHWM') - self._before
+    def end(self) -> None:
+        """End a cycle."""
+        self.peak = max(self.peak, self._kept + self._read('VmHWM') - self._before)
+        self._kept += self._read('VmRSS') - self._before
 
     @staticmethod
     def _read(name: str) -> float:
         for line in Path('/proc/self/status').read_text().splitlines():
             if line.startswith(f'{name}:'):
-                return float(line.split()[1]) / 1024.0
+                return float(line.split()[1]) * 1024.0 / 1e6
         raise OSError(f'/proc/self/status has no {name}')
 
 
@@ -137,7 +145,7 @@ def measure(side: int, vehicles: int, cycles: int, seed: int, profile: bool) -> 
     grid = OccupancyGrid.from_levels(levels, LEVELS, config=GridConfig(resolution=RESOLUTION))
     del solid, known, levels
     planner = Planner(ExplorationConfig())
-    peak = MemoryPeak()
+    memory = PlannerMemory()
     profiler = cProfile.Profile(time.process_time)
     times: list[float] = []
     plans: dict[str, Plan] = {}
@@ -149,12 +157,14 @@ def measure(side: int, vehicles: int, cycles: int, seed: int, profile: bool) -> 
                 grid.insert_scan(simulator.known_pose(name), simulator.scan(name))
         poses = {name: simulator.known_pose(name) for name in simulator.vehicles}
         snapshots = {name: VehicleSnapshot(pose) for name, pose in poses.items()}
+        memory.begin()
         if profile and cycle >= WARM:
             profiler.enable()
         begun = time.process_time()
         result = planner.plan(grid, simulator.time, snapshots)
         times.append(time.process_time() - begun)
         profiler.disable()
+        memory.end()
         for name in simulator.vehicles:
             if result.plans.get(name) is not plans.get(name):
                 simulator.set_plan(name, result.plans.get(name))
@@ -164,7 +174,7 @@ def measure(side: int, vehicles: int, cycles: int, seed: int, profile: bool) -> 
     print(
         f'{side * side / 1e6:.0f} Mcells, {vehicles} vehicles: first cycle {times[0]:.2f} s, warm '
         f'{np.median(warm):.3f} s (median of {cycles}; {min(warm):.3f} to {max(warm):.3f}), '
-        f'{peak.above():.0f} MB above the grid; {len(result.frontiers)} frontiers, '
+        f'{memory.peak:.0f} MB above the grid; {len(result.frontiers)} frontiers, '
         f'{len(plans)} plans, load {load:.1f}',
         flush=True,
     )

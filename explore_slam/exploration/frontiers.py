@@ -113,8 +113,9 @@ class FrontierCache:
         self.todo = np.zeros(tiles, np.bool_)
         self._marks, self._mark = SparseArray(0, np.int32), 0
         self._config: tuple[FrontierConfig, float] | None = None
-        self._known: dict[bytes, tuple[list[_Candidate], _Box]] = {}
-        self._seen: dict[bytes, tuple[list[_Candidate], _Box]] = {}
+        # by the cells of a cluster: what was found, and the squares on which that depends
+        self._known: dict[bytes, tuple[list[_Candidate], tuple[slice, slice]]] = {}
+        self._seen: dict[bytes, tuple[list[_Candidate], tuple[slice, slice]]] = {}
 
     def begin(self, config: FrontierConfig, scale: float) -> None:
         """Begin a search with some settings and cells of a size (m)."""
@@ -126,17 +127,14 @@ class FrontierCache:
         """Return the candidates of a cluster (N, 2) if nothing has changed around it."""
         key = cells.tobytes()
         known = self._known.get(key)
-        if known is None:
-            return None
-        low_row, high_row, low_col, high_col = (max(0, side) // SQUARE for side in known[1])
-        if self.todo[low_row : high_row + 1, low_col : high_col + 1].any():
+        if known is None or self.todo[known[1]].any():
             return None
         self._seen[key] = known
         return known[0]
 
     def set(self, cells: NDArray[np.int64], found: list[_Candidate], box: '_Box') -> None:
         """Store the candidates of a cluster (N, 2), which depend on the cells of a box."""
-        self._seen[cells.tobytes()] = found, box
+        self._seen[cells.tobytes()] = found, box.squares()
 
     def marks(self, shape: tuple[int, int]) -> tuple[NDArray[np.int32], int]:
         """Return scratch memory (H, W) for the searches, and the largest value in it."""
@@ -167,13 +165,29 @@ class _Box(NamedTuple):
     high_col: int
 
     @classmethod
-    def around(cls, cells: NDArray[np.int64], margin: int) -> '_Box':
-        """Return the box around cells (N, 2), with a margin (cells)."""
-        (low_row, low_col), (high_row, high_col) = cells.min(axis=0), cells.max(axis=0)
-        return cls(
-            int(low_row) - margin, int(high_row) + margin,
-            int(low_col) - margin, int(high_col) + margin,
-        )  # fmt: skip
+    def around(cls, cells: NDArray[np.int64]) -> '_Box':
+        """Return the box around cells (N, 2)."""
+        (low_row, low_col), (high_row, high_col) = (
+            cells.min(axis=0).tolist(),
+            cells.max(axis=0).tolist(),
+        )
+        return cls(low_row, high_row, low_col, high_col)
+
+    def extended(self, margin: int) -> '_Box':
+        """Return the box with a margin (cells)."""
+        return _Box(
+            self.low_row - margin,
+            self.high_row + margin,
+            self.low_col - margin,
+            self.high_col + margin,
+        )
+
+    def squares(self) -> tuple[slice, slice]:
+        """Return the squares of cells that share cells with the box."""
+        return (
+            slice(max(0, self.low_row) // SQUARE, self.high_row // SQUARE + 1),
+            slice(max(0, self.low_col) // SQUARE, self.high_col // SQUARE + 1),
+        )
 
     def joined(self, other: '_Box') -> '_Box':
         """Return the box around both."""
@@ -244,7 +258,7 @@ def _candidate(
     """
     area = scale * scale
     reach = round(config.viewpoint_distance / scale)
-    box = _Box.around(part, reach + _LOOKS_AROUND)
+    box = _Box.around(part).extended(reach + _LOOKS_AROUND)
     viewpoints = Viewpoints(possible, costs.squared)
     row, col = find_viewpoint(costs.free, viewpoints, costs.roomy, marks, mark, part, reach)
     if row < 0:
@@ -253,12 +267,12 @@ def _candidate(
         return None, box
     limit = round(_POCKET_AREA / area)
     pocket, *behind, around = pocket_size(costs.unknown, marks, mark + 2, part, limit)
-    box = box.joined(_Box.around(around.reshape(2, 2).T, _LOOKS_AROUND))
+    box = box.joined(_Box(*around.tolist()).extended(_LOOKS_AROUND))
     gain = area * pocket
     close = int(min(_NEAR_RANGE, config.sensor_range) / scale)
     near = area * visible_unknown(costs.free, costs.unknown, row, col, close, _NEAR_RAYS)
-    viewpoint = np.array([[row, col]])
-    box = box.joined(_Box.around(viewpoint, close + 1))
+    viewpoint = _Box(row, row, col, col)
+    box = box.joined(viewpoint.extended(close + 1))
     size, leads_on = len(part) * scale, bool(possible[part[:, 0], part[:, 1]].any())
     if leads_on and pocket >= limit:
         size = max(size, _DOORWAY)
@@ -269,7 +283,7 @@ def _candidate(
         # The area in sight of the viewpoint is a rough estimate: it ranks frontiers, and drops
         # only narrow ones, through which no vehicle fits.
         sensor = int(config.sensor_range / scale)
-        box = box.joined(_Box.around(viewpoint, sensor + 1))
+        box = box.joined(viewpoint.extended(sensor + 1))
         seen = visible_unknown(costs.free, costs.unknown, row, col, sensor, _RAYS)
         gain = expected_area(area * seen, config.sensor_range)
         if not leads_on:

@@ -90,9 +90,11 @@ def mark_box(todo: Mask, low_row: int, high_row: int, low_col: int, high_col: in
 def _differs(one: NDArray[np.int16], other: NDArray[np.int16], area: Area) -> bool:
     """Return whether two arrays (H, W) differ in an area."""
     for row in range(area.top, area.bottom):
-        bits = np.int16(0)  # as narrow as the cells, so that the loop becomes vector instructions
-        for col in range(area.left, area.right):
-            bits = np.int16(bits | (one[row, col] ^ other[row, col]))
+        # slices, so that the loop becomes vector instructions: indices from 0 cannot be negative
+        first, second = one[row, area.left : area.right], other[row, area.left : area.right]
+        bits = np.int16(0)
+        for k in range(first.size):
+            bits |= first[k] ^ second[k]
         if bits != 0:
             return True
     return False

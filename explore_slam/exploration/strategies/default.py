@@ -152,13 +152,16 @@ def merge_frontiers(
     points = np.array([frontier.target for frontier in frontiers])
     radius = np.maximum(merge_distance, _MERGE_FRACTION * away)
     stops: list[Stop] = []
+    places = np.empty((len(frontiers), 2))  # of the stops
     for index in dict.fromkeys(order):
         if stops and index not in current:
-            gaps = np.hypot(*(points[[stop.target for stop in stops]] - points[index]).T)
+            away_x, away_y = (places[: len(stops)] - points[index]).T
+            gaps = np.hypot(away_x, away_y)
             nearest = int(np.argmin(gaps))
             if gaps[nearest] <= radius[index] or len(stops) >= _MAXIMUM_STOPS:
                 stops[nearest].members.append(index)
                 continue
+        places[len(stops)] = points[index]
         stops.append(Stop(index, [index]))
     return stops
 
