@@ -17,6 +17,7 @@ BENCHMARKS: list[tuple[str, list[str], str | None]] = [
     ('mapping_speed', [], None),
     ('mapping_intel', [], 'intel_lab'),
     ('planning_speed', [], None),
+    ('planning_cycles', [], None),
     ('simulation_speed', [], None),
     ('vehicle_following', [], None),
     ('vehicle_faults', [], None),

@@ -14,6 +14,8 @@ from explore_slam.errors import AgentError
 from explore_slam.exploration import Grid
 from explore_slam.geometry import Array
 
+_OUT_OF_BOUNDS = 32767  # the highest level, which is occupied in every grid
+
 
 def checked_polygon(points: ArrayLike) -> Array:
     """Return the corners (N, 2) m of a polygon; AgentError unless it encloses an area."""
@@ -133,6 +135,13 @@ class BoundedGrid:
     def known(self) -> NDArray[np.bool_]:
         """Return whether each cell (H, W) is known; out of bounds there is nothing to find out."""
         return self._grid.known() | self._mask
+
+    def levels(self) -> tuple[NDArray[np.int16], NDArray[np.float32]]:
+        """Return the level (H, W) of each cell, the highest one out of bounds; see Grid."""
+        levels, table = self._grid.levels()
+        bounded = table.copy()
+        bounded[_OUT_OF_BOUNDS] = 1.0
+        return np.where(self._mask, np.int16(_OUT_OF_BOUNDS), levels), bounded
 
     def to_cell(self, points: ArrayLike) -> NDArray[np.int64]:
         """Return the cells (N, 2) of points (N, 2) m."""

@@ -95,6 +95,8 @@ class Blacklist:
 
     def _entry_at(self, place: Point, vehicle: str | None) -> _Failure | None:
         """Return the failure at a place that counts for a vehicle, or None."""
+        if not self._failures:
+            return None
         known = [f for f in self._failures if vehicle is None or f.vehicle in (None, vehicle)]
         return self._nearest(known, place)
 

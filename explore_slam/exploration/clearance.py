@@ -1,14 +1,17 @@
 """Distance to obstacles, and the cost map on which vehicles plan."""
 
 import math
-from dataclasses import replace
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.compiled import kernel
 from explore_slam.data import VehicleBody
+from explore_slam.exploration.frontier_kernels import FrontierCells
 from explore_slam.exploration.records import Grid
 from explore_slam.exploration.sections import LARGEST_PLANNING_RADIUS, PathConfig
 
@@ -18,23 +21,34 @@ _TIGHT_FACTOR = 20.0  # by which cells within planning_radius of an obstacle cos
 _SQUEEZE = 2.0  # further increase towards the obstacle, so that the middle of a gap is cheapest
 
 
-class CostMap(NamedTuple):
+@dataclass(frozen=True)
+class CostMap:
     """Cost (H, W) per length of travel, inf where impassable, and what it is made of.
 
-    tight_cost: the same for trapped vehicles: cells between minimum_planning_radius and
-    planning_radius of an obstacle are passable at a high price.
+    make_tight: see tight_cost.
     free: known cells (H, W) that are not obstacles, whether or not a vehicle fits there.
     unknown: cells (H, W) that have never been observed.
     squared: squared distance (H, W) in cells to the nearest obstacle.
     roomy: from this squared distance (cells) on, there is room for the errors of a vehicle.
+    frontiers: which cells are frontier cells, if that is known.
     """
 
     cost: NDArray[np.float32]
-    tight_cost: NDArray[np.float32]
+    make_tight: Callable[[], NDArray[np.float32]]
     free: NDArray[np.bool_]
     unknown: NDArray[np.bool_]
-    squared: NDArray[np.int32]
+    squared: NDArray[Any]
     roomy: int = 0
+    frontiers: FrontierCells | None = None
+
+    @cached_property
+    def tight_cost(self) -> NDArray[np.float32]:
+        """The cost (H, W) for trapped vehicles, which is made when it is asked for.
+
+        Cells between minimum_planning_radius and planning_radius of an obstacle are passable at a
+        high price.
+        """
+        return self.make_tight()
 
 
 @kernel
@@ -105,22 +119,29 @@ def _charge(
     free: NDArray[np.bool_],
     squared: NDArray[np.int32],
     factors: NDArray[np.float32],
-    tight: NDArray[np.float32],
     floor: float,
     scale: float,
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the cost of free cells by the factors of either map; inf elsewhere."""
+) -> NDArray[np.float32]:
+    """Return the cost of free cells by factors on it; inf elsewhere."""
     cost = np.full(probability.shape, np.inf, np.float32)
-    tight_cost = np.full(probability.shape, np.inf, np.float32)
     last = factors.size - 1
     for row in range(cost.shape[0]):
         for col in range(cost.shape[1]):
             if free[row, col]:
                 base = max(probability[row, col], floor) * scale
-                near = min(squared[row, col], last)
-                cost[row, col] = base * factors[near]
-                tight_cost[row, col] = base * tight[near]
-    return cost, tight_cost
+                cost[row, col] = base * factors[min(squared[row, col], last)]
+    return cost
+
+
+def distance_limit(factors: NDArray[np.float32]) -> int:
+    """Return the distance (cells) up to which obstacles count for factors of clearance_factors."""
+    return math.isqrt(factors.size) + 1
+
+
+def roomy_from(config: PathConfig, resolution: float) -> int:
+    """Return the squared distance (cells) from which on there is room for errors."""
+    with_room = (config.planning_radius + config.planning_margin) / resolution
+    return int(with_room * with_room) + 1
 
 
 def make_cost_map(grid: Grid, config: PathConfig, *, probability_costs: bool = False) -> CostMap:
@@ -128,18 +149,21 @@ def make_cost_map(grid: Grid, config: PathConfig, *, probability_costs: bool = F
 
     Cells nearer to an obstacle than planning_radius are impassable. With probability_costs the
     others cost their probability of occupation, as in the paper; otherwise
-    max(probability, cost_floor) / cost_floor, and more near obstacles.
+    max(probability, cost_floor) / cost_floor, and more near obstacles. PlanningMap keeps the same
+    from cycle to cycle.
     """
     probability, known = grid.probability(), grid.known()
     obstacles, free, unknown = _classify(probability, known, config.occ_max)
     factors, tight = clearance_factors(config, grid.resolution, soft=not probability_costs)
-    limit = math.isqrt(factors.size) + 1
-    squared = squared_distance(obstacles, limit)
+    squared = squared_distance(obstacles, distance_limit(factors))
     floor = 0.0 if probability_costs else config.cost_floor
     scale = 1.0 if probability_costs else 1.0 / config.cost_floor
-    cost, tight_cost = _charge(probability, free, squared, factors, tight, floor, scale)
-    with_room = (config.planning_radius + config.planning_margin) / grid.resolution
-    return CostMap(cost, tight_cost, free, unknown, squared, int(with_room * with_room) + 1)
+    cost = _charge(probability, free, squared, factors, floor, scale)
+
+    def make_tight() -> NDArray[np.float32]:
+        return _charge(probability, free, squared, tight, floor, scale)
+
+    return CostMap(cost, make_tight, free, unknown, squared, roomy_from(config, grid.resolution))
 
 
 def paths_of(config: PathConfig, body: VehicleBody) -> PathConfig:

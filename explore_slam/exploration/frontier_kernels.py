@@ -1,5 +1,7 @@
 """Kernels of the search for frontiers."""
 
+from typing import Any, NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -8,6 +10,16 @@ from explore_slam.compiled import kernel
 Mask = NDArray[np.bool_]
 Cells = NDArray[np.int64]
 _MINIMUM_CLUSTER = 3  # unknown cells in a 3 x 3 window; fewer are gaps between far beams
+
+
+SQUARE = 64  # cells; the side of the squares in which frontier cells are counted
+
+
+class FrontierCells(NamedTuple):
+    """Which cells (H, W) are frontier cells, and how many of each square of 64 x 64 cells are."""
+
+    mask: Mask
+    counts: NDArray[np.int32]
 
 
 @kernel
@@ -24,66 +36,90 @@ def _is_unexplored(unknown: Mask, row: int, col: int) -> bool:
 
 
 @kernel
-def _frontier_cells(free: Mask, unknown: Mask) -> tuple[Mask, int]:
-    """Return the free cells (H, W) with an unexplored 4-neighbour, and their number."""
-    height, width = free.shape
-    edge = np.zeros((height, width), np.bool_)
-    total = 0
-    for row in range(height):
-        for col in range(width):
-            if not free[row, col]:
-                continue
-            if (
-                _is_unexplored(unknown, row - 1, col)
-                or _is_unexplored(unknown, row + 1, col)
-                or _is_unexplored(unknown, row, col - 1)
-                or _is_unexplored(unknown, row, col + 1)
-            ):
-                edge[row, col] = True
-                total += 1
-    return edge, total
+def is_frontier_cell(free: Mask, unknown: Mask, row: int, col: int) -> bool:
+    """Return whether a cell is free and has an unexplored 4-neighbour."""
+    return bool(
+        free[row, col]
+        and (
+            _is_unexplored(unknown, row - 1, col)
+            or _is_unexplored(unknown, row + 1, col)
+            or _is_unexplored(unknown, row, col - 1)
+            or _is_unexplored(unknown, row, col + 1)
+        )
+    )
 
 
 @kernel
-def frontier_clusters(free: Mask, unknown: Mask) -> tuple[Cells, Cells]:
-    """Return the frontier cells (N, 2) cluster by cluster, and the size of each cluster."""
+def frontier_cells(free: Mask, unknown: Mask) -> FrontierCells:
+    """Return the frontier cells of a whole grid (H, W)."""
     height, width = free.shape
-    edge, total = _frontier_cells(free, unknown)
+    mask = np.zeros((height, width), np.bool_)
+    counts = np.zeros((-(-height // SQUARE), -(-width // SQUARE)), np.int32)
+    for row in range(height):
+        for col in range(width):
+            if is_frontier_cell(free, unknown, row, col):
+                mask[row, col] = True
+                counts[row // SQUARE, col // SQUARE] += 1
+    return FrontierCells(mask, counts)
+
+
+@kernel
+def frontier_clusters(frontiers: FrontierCells) -> tuple[Cells, Cells]:
+    """Return the frontier cells (N, 2) cluster by cluster, and the size of each cluster."""
+    edge, counts = frontiers
+    height, width = edge.shape
+    total = counts.sum()
     cells = np.empty((total, 2), np.int64)
     lengths = np.empty(total, np.int64)
     clusters, filled = 0, 0
     for row in range(height):
-        for col in range(width):
-            if not edge[row, col]:
+        for square in range(counts.shape[1]):
+            if counts[row // SQUARE, square] == 0:
                 continue
-            head = filled
-            edge[row, col] = False
-            cells[filled, 0], cells[filled, 1] = row, col
-            filled += 1
-            first = head
-            while head < filled:
-                r, c = cells[head, 0], cells[head, 1]
-                head += 1
-                for nr in range(max(0, r - 1), min(height, r + 2)):
-                    for nc in range(max(0, c - 1), min(width, c + 2)):
-                        if edge[nr, nc]:
-                            edge[nr, nc] = False
-                            cells[filled, 0], cells[filled, 1] = nr, nc
-                            filled += 1
-            lengths[clusters] = filled - first
-            clusters += 1
+            for col in range(square * SQUARE, min(width, (square + 1) * SQUARE)):
+                if not edge[row, col]:
+                    continue
+                head = filled
+                edge[row, col] = False  # taken, until the end
+                cells[filled, 0], cells[filled, 1] = row, col
+                filled += 1
+                first = head
+                while head < filled:
+                    r, c = cells[head, 0], cells[head, 1]
+                    head += 1
+                    for nr in range(max(0, r - 1), min(height, r + 2)):
+                        for nc in range(max(0, c - 1), min(width, c + 2)):
+                            if edge[nr, nc]:
+                                edge[nr, nc] = False
+                                cells[filled, 0], cells[filled, 1] = nr, nc
+                                filled += 1
+                lengths[clusters] = filled - first
+                clusters += 1
+    for i in range(filled):
+        edge[cells[i, 0], cells[i, 1]] = True
     return cells, lengths[:clusters]
+
+
+class Viewpoints(NamedTuple):
+    """Cells (H, W) that will do as viewpoints, squared distances (H, W) to obstacles (cells)."""
+
+    cells: Mask
+    squared: NDArray[Any]
 
 
 @kernel
 def _nearest_viewpoint(
-    viewpoints: Mask, cells: Cells, first: int, last: int, row: float, col: float
+    viewpoints: Viewpoints, roomy: int, cells: Cells, first: int, last: int, row: float, col: float
 ) -> int:
-    """Return which of the cells first to last is the viewpoint nearest to a place, or -1."""
+    """Return which of the cells first to last is the viewpoint nearest to a place, or -1.
+
+    roomy: smallest squared distance to obstacles.
+    """
     best, found = np.inf, -1
     for i in range(first, last):
-        if viewpoints[cells[i, 0], cells[i, 1]]:
-            distance = (cells[i, 0] - row) ** 2 + (cells[i, 1] - col) ** 2
+        r, c = cells[i, 0], cells[i, 1]
+        if viewpoints.cells[r, c] and viewpoints.squared[r, c] >= roomy:
+            distance = (r - row) ** 2 + (c - col) ** 2
             if distance < best:
                 best, found = distance, i
     return found
@@ -108,16 +144,23 @@ def _grow(
 
 @kernel
 def find_viewpoint(
-    free: Mask, viewpoints: Mask, marks: NDArray[np.int32], mark: int, cells: Cells, reach: int
+    free: Mask,
+    viewpoints: Viewpoints,
+    roomy: int,
+    marks: NDArray[np.int32],
+    mark: int,
+    cells: Cells,
+    reach: int,
 ) -> tuple[int, int]:
     """Return the viewpoint of a cluster (N, 2): in it, nearest to its centre, or else near it.
 
     The search spreads from the cluster over free cells, so never through a wall, up to `reach`
-    steps; (-1, -1) if there is no viewpoint. marks (H, W) must not contain mark.
+    steps; (-1, -1) if there is no viewpoint. roomy: squared distance (cells) to obstacles that it
+    keeps at least. marks (H, W) must not contain mark.
     """
     row, col = cells[:, 0].mean(), cells[:, 1].mean()
     count = cells.shape[0]
-    found = _nearest_viewpoint(viewpoints, cells, 0, count, row, col)
+    found = _nearest_viewpoint(viewpoints, roomy, cells, 0, count, row, col)
     if found >= 0:
         return cells[found, 0], cells[found, 1]
     queue = np.empty((count + 4 * (reach + 1) * (reach + count), 2), np.int64)
@@ -129,7 +172,7 @@ def find_viewpoint(
         fresh = end
         for at in range(start, fresh):
             end = _grow(free, marks, mark, queue, at, end)
-        found = _nearest_viewpoint(viewpoints, queue, fresh, end, row, col)
+        found = _nearest_viewpoint(viewpoints, roomy, queue, fresh, end, row, col)
         if found >= 0:
             return queue[found, 0], queue[found, 1]
         start = fresh
@@ -139,10 +182,11 @@ def find_viewpoint(
 @kernel
 def pocket_size(
     unknown: Mask, marks: NDArray[np.int32], mark: int, cells: Cells, limit: int
-) -> tuple[int, float, float]:
-    """Return the number of connected unknown cells behind a frontier, and their centre.
+) -> tuple[int, float, float, Cells]:
+    """Return the number of connected unknown cells behind a frontier, their centre and their box.
 
-    Counted up to a limit, nearest first; the centre (row, col) is of those that were counted.
+    Counted up to a limit, nearest first; the centre (row, col) is of those that were counted, and
+    so is the box: first and last row, first and last column.
     """
     queue = np.empty((limit + 4, 2), np.int64)
     end = 0
@@ -159,8 +203,11 @@ def pocket_size(
         end = _grow(unknown, marks, mark, queue, at, end)
         at += 1
     if end == 0:
-        return 0, cells[0, 0], cells[0, 1]
-    return min(end, limit), queue[:end, 0].mean(), queue[:end, 1].mean()
+        row, col = cells[0, 0], cells[0, 1]
+        return 0, row, col, np.array([row, row, col, col])
+    rows, cols = queue[:end, 0], queue[:end, 1]
+    box = np.array([rows.min(), rows.max(), cols.min(), cols.max()])
+    return min(end, limit), rows.mean(), cols.mean(), box
 
 
 @kernel

@@ -16,13 +16,17 @@ from numpy.typing import NDArray
 from explore_slam.exploration.clearance import CostMap, make_cost_map
 from explore_slam.exploration.config import ExplorationConfig
 from explore_slam.exploration.frontier_kernels import (
+    SQUARE,
+    Viewpoints,
     find_viewpoint,
+    frontier_cells,
     frontier_clusters,
     pocket_size,
     visible_unknown,
 )
 from explore_slam.exploration.records import Cell, Frontier, Grid
 from explore_slam.exploration.sections import FrontierConfig
+from explore_slam.exploration.sparse_memory import SparseArray
 from explore_slam.geometry import Array
 
 # Chosen by hand; `explore_slam benchmark exploration` measures what another value does
@@ -33,6 +37,8 @@ _WIDE = 1.5  # m; a frontier as long as this shows all that is in sight behind i
 _DOORWAY = 0.9  # m; a frontier that a vehicle can pass, with a room behind, counts as this long
 _NARROW_FACTOR = 0.6  # on the gain of a frontier through which no vehicle fits
 _POCKET_AREA = 6.0  # m²; smaller unknown areas are measured instead of estimated
+_LARGEST_MARK = 3 * 5000  # of 5000 pieces of clusters; then the scratch memory is given back
+_LOOKS_AROUND = 3  # cells from a cell to those that decide whether a frontier begins there
 
 
 def expected_area(unknown: float, reach: float) -> float:
@@ -66,18 +72,20 @@ def find_frontiers(
     config: ExplorationConfig | None = None,
     cost_map: CostMap | None = None,
     reachable: NDArray[np.bool_] | None = None,
+    cache: 'FrontierCache | None' = None,
 ) -> list[Frontier]:
     """Return the frontiers of a grid that have a viewpoint, in the order of their cells.
 
     cost_map: by default that of make_cost_map.
     reachable (H, W): cells that some vehicle can get to; by default all cells where one fits.
+    cache: of the last search with the same settings, so that only what has changed is evaluated.
     """
     settings = config or ExplorationConfig()
     if 0 in grid.shape:
         return []
     costs = cost_map or make_cost_map(grid, settings.paths)
     viewpoints = np.isfinite(costs.cost) if reachable is None else reachable
-    return _frontiers_of(grid, settings.frontiers, costs, viewpoints)
+    return _frontiers_of(grid, settings.frontiers, costs, viewpoints, cache)
 
 
 class _Candidate(NamedTuple):
@@ -93,26 +101,143 @@ class _Candidate(NamedTuple):
     showing: float
 
 
+class FrontierCache:
+    """What was found out about clusters of frontier cells in the last search.
+
+    todo (R, C): squares of 64 x 64 cells in which something has changed since. region: which cells
+    were possible viewpoints, as a number.
+    """
+
+    def __init__(self, region: int, tiles: tuple[int, ...]) -> None:
+        self.region = region
+        self.todo = np.zeros(tiles, np.bool_)
+        self._marks, self._mark = SparseArray(0, np.int32), 0
+        self._config: tuple[FrontierConfig, float] | None = None
+        # by the cells of a cluster: what was found, and the squares on which that depends
+        self._known: dict[bytes, tuple[list[_Candidate], tuple[slice, slice]]] = {}
+        self._seen: dict[bytes, tuple[list[_Candidate], tuple[slice, slice]]] = {}
+
+    def begin(self, config: FrontierConfig, scale: float) -> None:
+        """Begin a search with some settings and cells of a size (m)."""
+        if self._config != (config, scale):
+            self._known.clear()
+        self._config, self._seen = (config, scale), {}
+
+    def get(self, cells: NDArray[np.int64]) -> list[_Candidate] | None:
+        """Return the candidates of a cluster (N, 2) if nothing has changed around it."""
+        key = cells.tobytes()
+        known = self._known.get(key)
+        if known is None or self.todo[known[1]].any():
+            return None
+        self._seen[key] = known
+        return known[0]
+
+    def set(self, cells: NDArray[np.int64], found: list[_Candidate], box: '_Box') -> None:
+        """Store the candidates of a cluster (N, 2), which depend on the cells of a box."""
+        self._seen[cells.tobytes()] = found, box.squares()
+
+    def marks(self, shape: tuple[int, int]) -> tuple[NDArray[np.int32], int]:
+        """Return scratch memory (H, W) for the searches, and the largest value in it."""
+        size = shape[0] * shape[1]
+        if self._marks.values.size != size:
+            self._marks, self._mark = SparseArray(size, np.int32), 0
+        elif self._mark > _LARGEST_MARK:
+            self._marks.clear()
+            self._mark = 0
+        return self._marks.values.reshape(shape), self._mark
+
+    def end(self, mark: int) -> None:
+        """End a search: clusters that were not part of it are forgotten.
+
+        mark: largest value in the scratch memory.
+        """
+        self._mark = mark
+        self._known, self._seen = self._seen, {}
+        self.todo[:] = False
+
+
+class _Box(NamedTuple):
+    """Cells on which something depends: first and last row, first and last column."""
+
+    low_row: int
+    high_row: int
+    low_col: int
+    high_col: int
+
+    @classmethod
+    def around(cls, cells: NDArray[np.int64]) -> '_Box':
+        """Return the box around cells (N, 2)."""
+        (low_row, low_col), (high_row, high_col) = (
+            cells.min(axis=0).tolist(),
+            cells.max(axis=0).tolist(),
+        )
+        return cls(low_row, high_row, low_col, high_col)
+
+    def extended(self, margin: int) -> '_Box':
+        """Return the box with a margin (cells)."""
+        return _Box(
+            self.low_row - margin,
+            self.high_row + margin,
+            self.low_col - margin,
+            self.high_col + margin,
+        )
+
+    def squares(self) -> tuple[slice, slice]:
+        """Return the squares of cells that share cells with the box."""
+        return (
+            slice(max(0, self.low_row) // SQUARE, self.high_row // SQUARE + 1),
+            slice(max(0, self.low_col) // SQUARE, self.high_col // SQUARE + 1),
+        )
+
+    def joined(self, other: '_Box') -> '_Box':
+        """Return the box around both."""
+        return _Box(
+            min(self.low_row, other.low_row),
+            max(self.high_row, other.high_row),
+            min(self.low_col, other.low_col),
+            max(self.high_col, other.high_col),
+        )
+
+
 def _frontiers_of(
-    grid: Grid, config: FrontierConfig, costs: CostMap, viewpoints: NDArray[np.bool_]
+    grid: Grid,
+    config: FrontierConfig,
+    costs: CostMap,
+    viewpoints: NDArray[np.bool_],
+    cache: FrontierCache | None,
 ) -> list[Frontier]:
-    cells, lengths = frontier_clusters(costs.free, costs.unknown)
+    cells, lengths = frontier_clusters(
+        costs.frontiers or frontier_cells(costs.free, costs.unknown)
+    )
     scale = grid.resolution
     smallest = max(1, round(config.min_frontier_size / scale))
     largest = max(1, round(config.max_frontier_size / scale))
-    marks = np.zeros(costs.free.shape, np.int32)
-    roomy = viewpoints & (costs.squared >= costs.roomy)
     candidates: list[_Candidate] = []
-    end, mark = 0, 1
+    end = 0
+    if cache is None:
+        marks, mark = np.zeros(grid.shape, np.int32), 0
+    else:
+        cache.begin(config, scale)
+        marks, mark = cache.marks(grid.shape)
     for length in lengths.tolist():
         start, end = end, end + length
         if length < smallest:
             continue
-        for part in _split(cells[start:end], largest):
-            mark += 3  # one for each of the three searches
-            candidate = _candidate(part, scale, config, costs, (roomy, viewpoints), marks, mark)
-            if candidate is not None:
-                candidates.append(candidate)
+        cluster = cells[start:end]
+        known = None if cache is None else cache.get(cluster)
+        if known is None:
+            known, box = [], None
+            for part in _split(cluster, largest):
+                mark += 3  # one for each of the three searches
+                candidate, needed = _candidate(part, scale, config, costs, viewpoints, marks, mark)
+                box = needed if box is None else box.joined(needed)
+                if candidate is not None:
+                    known.append(candidate)
+            if cache is not None and box is not None:
+                cache.set(cluster, known, box)
+        candidates += known
+    if cache is not None:
+        cache.end(mark)
     return _records(grid, candidates)
 
 
@@ -121,46 +246,52 @@ def _candidate(
     scale: float,
     config: FrontierConfig,
     costs: CostMap,
-    viewpoints: tuple[NDArray[np.bool_], NDArray[np.bool_]],
+    possible: NDArray[np.bool_],
     marks: NDArray[np.int32],
     mark: int,
-) -> _Candidate | None:
+) -> tuple[_Candidate | None, _Box]:
     """Return viewpoint and gain of a piece of a cluster (N, 2), None if it is not worth a visit.
 
-    scale: side of a cell (m). viewpoints: cells (H, W) with room for errors, and all that will
-    do. marks (H, W): scratch, without the values from mark to mark + 2.
+    scale: side of a cell (m). possible: cells (H, W) that will do as viewpoints; those with room
+    for errors are preferred. marks (H, W): scratch, without the values from mark to mark + 2.
+    The box holds all cells that the result depends on.
     """
     area = scale * scale
     reach = round(config.viewpoint_distance / scale)
-    roomy, possible = viewpoints
-    row, col = find_viewpoint(costs.free, roomy, marks, mark, part, reach)
+    box = _Box.around(part).extended(reach + _LOOKS_AROUND)
+    viewpoints = Viewpoints(possible, costs.squared)
+    row, col = find_viewpoint(costs.free, viewpoints, costs.roomy, marks, mark, part, reach)
     if row < 0:
-        row, col = find_viewpoint(costs.free, possible, marks, mark + 1, part, reach)
+        row, col = find_viewpoint(costs.free, viewpoints, 0, marks, mark + 1, part, reach)
     if row < 0:
-        return None
+        return None, box
     limit = round(_POCKET_AREA / area)
-    pocket, *behind = pocket_size(costs.unknown, marks, mark + 2, part, limit)
+    pocket, *behind, around = pocket_size(costs.unknown, marks, mark + 2, part, limit)
+    box = box.joined(_Box(*around.tolist()).extended(_LOOKS_AROUND))
     gain = area * pocket
     close = int(min(_NEAR_RANGE, config.sensor_range) / scale)
     near = area * visible_unknown(costs.free, costs.unknown, row, col, close, _NEAR_RAYS)
+    viewpoint = _Box(row, row, col, col)
+    box = box.joined(viewpoint.extended(close + 1))
     size, leads_on = len(part) * scale, bool(possible[part[:, 0], part[:, 1]].any())
     if leads_on and pocket >= limit:
         size = max(size, _DOORWAY)
     showing = expected_showing(min(gain, near), size)
     if showing < config.min_frontier_gain:
-        return None
+        return None, box
     if pocket >= limit:
         # The area in sight of the viewpoint is a rough estimate: it ranks frontiers, and drops
         # only narrow ones, through which no vehicle fits.
         sensor = int(config.sensor_range / scale)
+        box = box.joined(viewpoint.extended(sensor + 1))
         seen = visible_unknown(costs.free, costs.unknown, row, col, sensor, _RAYS)
         gain = expected_area(area * seen, config.sensor_range)
         if not leads_on:
             gain *= _NARROW_FACTOR
             if gain < config.min_frontier_gain:
-                return None
+                return None, box
         gain = max(gain, config.min_frontier_gain)
-    return _Candidate(part, (row, col), (behind[0], behind[1]), gain, showing)
+    return _Candidate(part, (row, col), (behind[0], behind[1]), gain, showing), box
 
 
 def _records(grid: Grid, candidates: list[_Candidate]) -> list[Frontier]:

@@ -12,6 +12,7 @@ from scipy import ndimage
 
 from explore_slam.exploration.clearance import CostMap, squared_distance
 from explore_slam.exploration.records import Grid
+from explore_slam.exploration.tiles import TILE, moved, tiles_of
 
 Mask = NDArray[np.bool_]
 
@@ -28,15 +29,25 @@ class KnownWays:
         self._first = (0, 0)  # row and column of cell [0, 0], from the origin of the map frame
         self._resolution = 0.0
 
-    def update(self, grid: Grid, costs: CostMap) -> None:
-        """Add the cells (H, W) of a grid that are passable now."""
+    def update(self, grid: Grid, costs: CostMap, changed: Mask | None = None) -> None:
+        """Add the cells (H, W) of a grid that are passable now.
+
+        changed (R, C): tiles whose costs have changed since the last update; by default all.
+        """
         scale, (x, y) = grid.resolution, grid.origin
         first = round(y / scale), round(x / scale)
         if (first, grid.shape, scale) != (self._first, self._passable.shape, self._resolution):
-            kept = scale == self._resolution
-            self._passable = self._moved(self._passable, first, grid.shape, kept=kept)
+            if scale != self._resolution:
+                self._passable = np.zeros((0, 0), np.bool_)
+            shift = self._first[0] - first[0], self._first[1] - first[1]
+            self._passable = moved(self._passable, shift, grid.shape, False)
             self._first, self._resolution = first, scale
-        self._passable |= np.isfinite(costs.cost)
+        if changed is None:
+            changed = np.ones(tiles_of(grid.shape), np.bool_)
+        for tile in np.argwhere(changed):
+            low, high = tile * TILE, tile * TILE + TILE
+            part = slice(low[0], high[0]), slice(low[1], high[1])
+            self._passable[part] |= np.isfinite(costs.cost[part])
 
     def blocked(
         self, costs: CostMap, radius: float, forbidden: Mask | None = None, *, people: bool
@@ -59,19 +70,6 @@ class KnownWays:
         shadow = costs.unknown & (squared_distance(doubtful, reach) <= reach * reach)
         would_be_free = (kept > (radius / scale) ** 2) & (~costs.unknown | shadow)
         return (would_be_free | lost) & ~np.isfinite(costs.cost)
-
-    def _moved(
-        self, mask: Mask, first: tuple[int, int], shape: tuple[int, int], *, kept: bool
-    ) -> Mask:
-        """Return a mask laid over a grid of another size or place; empty unless it is kept."""
-        moved = np.zeros(shape, np.bool_)
-        if kept:
-            row, col = (old - new for old, new in zip(self._first, first, strict=True))
-            height, width = mask.shape
-            part = moved[max(0, row) : max(0, row + height), max(0, col) : max(0, col + width)]
-            old = mask[max(0, -row) :, max(0, -col) :][: part.shape[0], : part.shape[1]]
-            part[: old.shape[0], : old.shape[1]] = old
-        return moved
 
 
 def _small(obstacles: Mask, largest: int) -> Mask:

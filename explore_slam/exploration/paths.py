@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from explore_slam.compiled import kernel
 from explore_slam.exploration.records import Cell
+from explore_slam.exploration.sparse_memory import SparseArray
 from explore_slam.exploration.value_iteration import check_cell, check_costs, padded_costs
 from explore_slam.heap import push, remove_first
 
@@ -18,7 +19,7 @@ from explore_slam.heap import push, remove_first
 # fewer corners. Chosen by hand; test_value_iteration shows what it decides.
 _STRAIGHT_FACTOR = 1.02
 _ROUNDING = 1e-6
-_LARGEST_MARK = 2**31 - 4  # then the marks begin anew
+_SEARCHES = 200  # after which the memory is given back, before it holds the whole of a large map
 _INITIAL_CAPACITY = 1024  # entries of the open list
 
 
@@ -51,20 +52,29 @@ class SearchMemory:
     """
 
     def __init__(self) -> None:
-        self._values = np.empty(0)
-        self._moves = np.empty(0, np.int8)
-        self._marks = np.zeros(0, np.int32)
+        self._resize(0)
+
+    def _resize(self, size: int) -> None:
+        self._values = SparseArray(size, np.float64)
+        self._moves = SparseArray(size, np.int8)
+        self._marks = SparseArray(size, np.int32)
         self._mark = 0
 
     def begin(
         self, size: int
     ) -> tuple[NDArray[np.float64], NDArray[np.int8], NDArray[np.int32], int]:
         """Return values, moves and marks (size,), and the mark of cells that are open."""
-        if size > self._marks.size or self._mark > _LARGEST_MARK:
-            self._values, self._moves = np.empty(size), np.empty(size, np.int8)
-            self._marks, self._mark = np.zeros(size, np.int32), 0
+        if size > self._marks.values.size:
+            self._resize(size)
+        elif self._mark >= 2 * _SEARCHES:
+            for array in (self._values, self._moves, self._marks):
+                array.clear()
+            self._mark = 0
         self._mark += 2
-        return self._values[:size], self._moves[:size], self._marks[:size], self._mark
+        values, moves, marks = (
+            array.values[:size] for array in (self._values, self._moves, self._marks)
+        )
+        return values, moves, marks, self._mark
 
 
 def search_path(

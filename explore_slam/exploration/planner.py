@@ -31,6 +31,7 @@ from explore_slam.exploration.frontiers import find_frontiers
 from explore_slam.exploration.keep_out import TRAFFIC_DISTANCE, KeepOutZones
 from explore_slam.exploration.known_ways import KnownWays
 from explore_slam.exploration.paths import SearchMemory
+from explore_slam.exploration.planning_map import PlanningMap
 from explore_slam.exploration.progress import BlockageCounter, Progress
 from explore_slam.exploration.records import (
     Cell,
@@ -84,6 +85,8 @@ class Planner:
         self._history = VehicleHistory()
         self._ways = KnownWays()
         self._search_memory = SearchMemory()
+        probable = STRATEGIES[self.config.strategy].probability_costs
+        self._map = PlanningMap(self.config.paths, probability_costs=probable)
         self._second_look = SecondLook(self.config.obstruction_patience)
         self._standstill = Standstill(self.config.blacklist.progress_timeout)
         self._squeezing: str | None = None  # the vehicle that passes through a tight place
@@ -162,6 +165,7 @@ class Planner:
             self._keep_out.places(),
             forbidden,
             self._search_memory,
+            self._map,
         )
         lasting = any(one.battery is not BatteryLevel.CRITICAL for one in vehicles.values())
         if not scene.vehicles and (lasting or not vehicles):
@@ -170,7 +174,7 @@ class Planner:
             return self._cannot_search('no vehicle is on or near a free cell of the map')
         self._searches += 1
         self._blacklist.update(now, grid, scene.costs.free)
-        self._ways.update(grid, scene.costs)
+        self._ways.update(grid, scene.costs, scene.layer.take_changed())
         if scene.starts:
             self._warn_of_little_reach(scene)
         if wanted is PlanningMode.RETURN_HOME and scene.starts:
@@ -276,7 +280,8 @@ class Planner:
         ranges = [scene.vehicles[name].body.sensor_range or usual for name in scene.explorers]
         if ranges and max(ranges) != usual:
             config = replace(config, frontiers=replace(config.frontiers, sensor_range=max(ranges)))
-        return find_frontiers(scene.grid, config, scene.costs, viewpoints)
+        cache = scene.frontier_cache(viewpoints)
+        return find_frontiers(scene.grid, config, scene.costs, viewpoints, cache)
 
     def _open(self, scene: Scene, frontiers: list[Frontier]) -> list[Frontier]:
         """Return the frontiers that may be tried, or else those that have not failed for good."""
@@ -599,7 +604,7 @@ class Planner:
         if task is not None and self._continues(scene, name, task, target):
             return task
         obstacles = [other for other in standing if other != name]
-        path = scene.path(name, cell, scene.costs_around(name, obstacles))
+        path = scene.path(name, cell, obstacles)
         if path is None:
             return None
         if task is not None:

@@ -36,6 +36,13 @@ class Grid(Protocol):
     def known(self) -> NDArray[np.bool_]:
         """Return whether each cell (H, W) has been observed."""
 
+    def levels(self) -> tuple[NDArray[np.int16], NDArray[np.float32]]:
+        """Return the level (H, W) of each cell, and the probability (65536,) of each level.
+
+        The same levels mean the same, so that changes are found by comparison. The probabilities
+        are indexed by a level's bits as uint16; NaN is unknown.
+        """
+
     def to_cell(self, points: ArrayLike) -> NDArray[np.int64]:
         """Return the cells (N, 2) of points (N, 2) m."""
 

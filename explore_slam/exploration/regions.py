@@ -1,11 +1,13 @@
 """Sets of cells: discs, connected regions, nearest passable cells."""
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.compiled import kernel
+from explore_slam.exploration.frontier_kernels import SQUARE
 from explore_slam.exploration.records import Cell
 from explore_slam.exploration.value_iteration import Costs
 
@@ -67,16 +69,18 @@ def nearest_passable(cost: Costs, cell: Cell, radius: float) -> Cell | None:
 def open_around(
     cost: Costs,
     allowed: NDArray[np.bool_],
-    squared: NDArray[np.int32],
+    squared: NDArray[Any],
     cells: NDArray[np.int64],
     half: int,
     prices: NDArray[np.float32],
+    todo: NDArray[np.bool_],
 ) -> None:
     """Make impassable cells within `half` cells of some cells (N, 2) passable at a price.
 
     allowed (H, W): cells that may be opened.
     squared (H, W): squared distance (cells) to the nearest obstacle.
     prices: by squared distance; the last one applies beyond.
+    todo (R, C): squares of 64 x 64 cells in which that is done.
     """
     last_row, last_col = -1, -1
     for i in range(cells.shape[0]):
@@ -86,5 +90,5 @@ def open_around(
         last_row, last_col = row, col
         for r in range(max(0, row - half), min(cost.shape[0], row + half + 1)):
             for c in range(max(0, col - half), min(cost.shape[1], col + half + 1)):
-                if allowed[r, c] and cost[r, c] == np.inf:
+                if allowed[r, c] and cost[r, c] == np.inf and todo[r // SQUARE, c // SQUARE]:
                     cost[r, c] = prices[min(squared[r, c], prices.size - 1)]

@@ -12,8 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.compiled import kernel
-from explore_slam.exploration.value_iteration import Costs, spread
+from explore_slam.exploration.value_iteration import Costs, padded_costs, spread
 from explore_slam.geometry import Array
+
+# 16 MB for the fields of the 60 targets of the default strategy: 80 x 80 m in blocks of 0.3 m
+_LARGEST_FIELD = 70_000
+# Chosen by hand, see benchmarks/planning_cycles.py
+_NEW_ROWS = 2  # targets per cycle from which costs are computed to all others on a large map
+_NEAR = 15.0  # m from the other new targets, within which ways are searched for
 
 
 @kernel
@@ -32,6 +38,39 @@ def _cheapest(
             if reach[row, col]:
                 at = (col + col_shift) // block + 1
                 target[at] = min(target[at], cost[row, col])
+
+
+@kernel
+def _cheapest_in(
+    cost: Costs,
+    reach: NDArray[np.bool_],
+    row_shift: int,
+    col_shift: int,
+    block: int,
+    padded: Costs,
+    todo: NDArray[np.bool_],
+    tile: int,
+) -> None:
+    """Set the blocks that share cells with some tiles, as _cheapest does."""
+    height, width = cost.shape
+    for tile_row in range(todo.shape[0]):
+        for tile_col in range(todo.shape[1]):
+            if not todo[tile_row, tile_col]:
+                continue
+            last_row = min(height, (tile_row + 1) * tile) - 1 + row_shift
+            last_col = min(width, (tile_col + 1) * tile) - 1 + col_shift
+            for i in range((tile_row * tile + row_shift) // block, last_row // block + 1):
+                top = max(0, i * block - row_shift)
+                bottom = min(height, (i + 1) * block - row_shift)
+                for j in range((tile_col * tile + col_shift) // block, last_col // block + 1):
+                    left = max(0, j * block - col_shift)
+                    right = min(width, (j + 1) * block - col_shift)
+                    low = np.float32(np.inf)
+                    for row in range(top, bottom):
+                        for col in range(left, right):
+                            if reach[row, col]:
+                                low = min(low, cost[row, col])
+                    padded[i + 1, j + 1] = low
 
 
 class RouteGrid:
@@ -57,11 +96,25 @@ class RouteGrid:
         self.block, self.unit = block, unit * block
         self.first = (first[0] // block, first[1] // block)
         self._world = first
-        shift = (first[0] % block, first[1] % block)
+        shift = self._shift = (first[0] % block, first[1] % block)
         height = -(-(cost.shape[0] + shift[0]) // block)
         width = -(-(cost.shape[1] + shift[1]) // block)
         self.padded = np.full((height + 2, width + 2), np.inf, np.float32)
         _cheapest(cost, reach, shift[0], shift[1], block, self.padded)
+
+    @property
+    def size(self) -> int:
+        """Number of blocks."""
+        return int(self.padded.size)
+
+    def renew(
+        self, cost: Costs, reach: NDArray[np.bool_], todo: NDArray[np.bool_], tile: int
+    ) -> None:
+        """Take costs and reachable cells (H, W) that have changed in some tiles.
+
+        todo (R, C): which tiles; tile: cells along the side of a tile. The grid is the same.
+        """
+        _cheapest_in(cost, reach, *self._shift, self.block, self.padded, todo, tile)
 
     def blocks(self, cells: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the blocks (N, 2), counted from the origin of the map, of cells (N, 2)."""
@@ -70,11 +123,27 @@ class RouteGrid:
 
     def values_from(self, block: NDArray[np.int64]) -> 'Field':
         """Return the travel cost (m) from a block."""
-        row, col = (block - np.array(self.first) + 1).tolist()
+        return self._spread(self.padded, block, self.first)
+
+    def values_near(self, block: NDArray[np.int64], reach: float) -> 'Field':
+        """Return the travel cost (m) from a block, for blocks within a reach (m) to all sides.
+
+        A way that leaves this window for a while is not found.
+        """
+        half = max(1, round(reach / self.unit))
+        row, col = (block - np.array(self.first)).tolist()
+        low_row, low_col = max(0, row - half), max(0, col - half)
+        window = self.padded[1:-1, 1:-1][low_row : row + half + 1, low_col : col + half + 1]
+        first = self.first[0] + low_row, self.first[1] + low_col
+        return self._spread(padded_costs(window, math.inf), block, first)
+
+    def _spread(self, padded: Costs, block: NDArray[np.int64], first: tuple[int, int]) -> 'Field':
+        """Return the travel cost (m) from a block over padded costs that begin at a block."""
+        row, col = (block - np.array(first) + 1).tolist()
         rows, cols = np.array([row], np.int64), np.array([col], np.int64)
-        values = spread(self.padded, rows, cols)
+        values = spread(padded, rows, cols)
         values *= np.float32(self.unit)
-        return Field(values, self.first)
+        return Field(values, first)
 
 
 class Field:
@@ -93,35 +162,107 @@ class Field:
         return result
 
 
+class _Row:
+    """Travel cost from one block to those of some targets: what is needed of a field."""
+
+    def __init__(self, blocks: NDArray[np.int64], field: Field) -> None:
+        keys, first = np.unique(_keys(blocks), return_index=True)
+        self._keys, self._values = keys, field.at(blocks[first])
+
+    def at(self, blocks: NDArray[np.int64]) -> Array:
+        """Return the travel cost (N,) m to blocks (N, 2); inf to those that are not among them."""
+        wanted = _keys(blocks)
+        index = np.minimum(np.searchsorted(self._keys, wanted), len(self._keys) - 1)
+        found: Array = np.where(self._keys[index] == wanted, self._values[index], np.inf)
+        return found
+
+
+def _keys(blocks: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return a number (N,) for each block (N, 2)."""
+    keys: NDArray[np.int64] = blocks[:, 0] * 2**32 + blocks[:, 1]
+    return keys
+
+
 class RouteCache:
     """Travel costs between targets, kept between planning cycles.
 
     As the map grows, costs from an old target to new ones go out of date; costs are taken from
     whichever of the two targets knows the shorter way.
+
+    On a large map, a field takes as much memory and time as a whole cycle should. Then only the
+    costs to the frontiers that exist are kept of it, and only a few fields are made per cycle:
+    those of new targets first, then the oldest. From the others, ways are searched for nearby, and
+    the way to what is far leads over a vehicle. New targets are near vehicles, so that this is
+    not much longer.
     """
 
-    def __init__(self, lifetime: int = 40) -> None:
-        """Create an empty cache; costs are computed anew after `lifetime` cycles."""
-        self._fields: dict[tuple[int, int], tuple[int, Field]] = {}
-        self._lifetime = lifetime
+    def __init__(self, lifetime: int = 40, largest_field: int = _LARGEST_FIELD) -> None:
+        """Create an empty cache; costs are computed anew after `lifetime` cycles.
+
+        largest_field: number of blocks up to which fields are kept.
+        """
+        self._fields: dict[tuple[int, int], tuple[int, Field | _Row]] = {}
+        self._lifetime, self._largest_field = lifetime, largest_field
         self._cycle = 0
 
-    def between(self, grid: RouteGrid, blocks: NDArray[np.int64]) -> Array:
-        """Return the costs (F, F) m between targets in blocks (F, 2)."""
+    def between(
+        self,
+        grid: RouteGrid,
+        blocks: NDArray[np.int64],
+        targets: NDArray[np.int64] | None = None,
+        costs: Array | None = None,
+    ) -> Array:
+        """Return the costs (F, F) m between frontiers in blocks (N, 2), of which F are targets.
+
+        targets (F,): which; by default all. costs (V, N): from vehicles to the frontiers (m).
+        """
         self._cycle += 1
-        keys = [(int(row), int(col)) for row, col in blocks]
-        wanted = set(keys)
-        oldest = self._cycle - self._lifetime
+        chosen = np.arange(len(blocks)) if targets is None else targets
+        wanted = blocks[chosen]
+        keys = [(int(row), int(col)) for row, col in wanted]
+        large = grid.size > self._largest_field
+        matrix = self._of_rows(grid, blocks, keys) if large else self._of_fields(grid, keys)
+        symmetric: Array = np.minimum(matrix, matrix.T)
+        if large and costs is not None:
+            for row in costs[:, chosen]:
+                symmetric = np.minimum(symmetric, row[:, None] + row[None])
+            np.fill_diagonal(symmetric, 0.0)
+        return symmetric
+
+    def _of_fields(self, grid: RouteGrid, keys: list[tuple[int, int]]) -> Array:
+        """Return the costs (F, F) m between blocks by fields, which are kept."""
+        wanted, oldest = set(keys), self._cycle - self._lifetime
         self._fields = {
             key: item for key, item in self._fields.items() if key in wanted and item[0] >= oldest
         }
-        matrix = np.full((len(keys), len(keys)), np.inf)
-        for i, key in enumerate(keys):
+        blocks = np.array(keys)
+        for key, block in zip(keys, blocks, strict=True):
             if key not in self._fields:
-                self._fields[key] = (self._cycle, grid.values_from(blocks[i]))
-            matrix[i] = self._fields[key][1].at(blocks)
-        symmetric: Array = np.minimum(matrix, matrix.T)
-        return symmetric
+                self._fields[key] = (self._cycle, grid.values_from(block))
+        return np.array([self._fields[key][1].at(blocks) for key in keys])
+
+    def _of_rows(
+        self, grid: RouteGrid, every: NDArray[np.int64], keys: list[tuple[int, int]]
+    ) -> Array:
+        """Return the costs (F, F) m between blocks by rows, which are kept; inf if unknown.
+
+        every (N, 2): blocks of all that may become targets.
+        """
+        existing = {(int(row), int(col)) for row, col in every}
+        self._fields = {key: item for key, item in self._fields.items() if key in existing}
+        new = [key for key in dict.fromkeys(keys) if key not in self._fields]
+        oldest = self._cycle - self._lifetime
+        old = [key for key, item in self._fields.items() if item[0] < oldest and key in keys]
+        old.sort(key=lambda key: self._fields[key][0])
+        whole = _NEW_ROWS if self._fields else len(new)
+        for key in [*new, *old][:whole]:
+            field = grid.values_from(np.array(key))
+            self._fields[key] = (self._cycle, _Row(every, field))
+        blocks = np.array(keys)
+        rows = {key: self._fields[key][1] for key in keys if key in self._fields}
+        for key in new[whole:]:
+            rows[key] = grid.values_near(np.array(key), _NEAR)
+        return np.array([rows[key].at(blocks) for key in keys])
 
 
 def block_size(width: float, radius: float, resolution: float) -> int:

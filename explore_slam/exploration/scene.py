@@ -1,7 +1,8 @@
 """The map in one planning cycle, as the vehicles that take part can use it."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,13 +10,14 @@ from numpy.typing import NDArray
 from explore_slam.data import BatteryLevel, VehicleBody
 from explore_slam.exploration.clearance import (
     CostMap,
-    make_cost_map,
     paths_of,
     squared_distance,
     tight_factor,
 )
 from explore_slam.exploration.config import ExplorationConfig
-from explore_slam.exploration.paths import SearchMemory, lowest_cost, search_path, shortcut
+from explore_slam.exploration.frontiers import FrontierCache
+from explore_slam.exploration.paths import SearchMemory, search_path, shortcut
+from explore_slam.exploration.planning_map import CostLayer, Disc, Overlay, PlanningMap
 from explore_slam.exploration.records import Cell, Frontier, Grid, Point, VehicleSnapshot
 from explore_slam.exploration.regions import (
     connected_region,
@@ -26,6 +28,7 @@ from explore_slam.exploration.regions import (
 from explore_slam.exploration.routes import Field, RouteGrid, block_size
 from explore_slam.exploration.sections import PathConfig
 from explore_slam.exploration.strategies import STRATEGIES
+from explore_slam.exploration.tiles import tiles_of
 from explore_slam.exploration.traffic import Traveler, separation
 from explore_slam.exploration.value_iteration import Costs, padded_costs, spread
 from explore_slam.geometry import Array, Pose2
@@ -37,6 +40,7 @@ _TRAIL_MARGIN = 0.15  # m beside a trail that is opened too, so that a path can 
 _BYPASS_FACTOR = 8.0  # by which cells beside a standing vehicle cost more
 _STOPPING_ERROR = 0.2  # m by which a follower may stop short of the place it retreats to
 _RETREAT_SPACING = 0.2  # m between the positions of other paths that a retreat keeps clear of
+_RETREAT_WINDOW = 64  # cells around a vehicle in which a retreat is looked for first
 
 
 class Scene:
@@ -60,6 +64,7 @@ class Scene:
         keep_out: Iterable[Point] = (),
         forbidden: NDArray[np.bool_] | None = None,
         memory: SearchMemory | None = None,
+        ground: PlanningMap | None = None,
     ) -> None:
         """Prepare a grid for planning.
 
@@ -68,9 +73,10 @@ class Scene:
         forbidden: cells (H, W), occupied in the grid, that no vehicle may enter: unlike an
         obstacle on a trail, they are not looked at again.
         memory: of the searches for paths, kept from cycle to cycle.
+        ground: what is derived from the grid, kept from cycle to cycle; a scene holds until the
+        next one is made of it.
         """
         self._memory = memory or SearchMemory()
-        self._lowest: float | None = None
         self.grid, self.now, self.config = grid, now, config
         self.vehicles = {n: v for n, v in vehicles.items() if v.active and v.pose.is_finite()}
         self._probability_costs = STRATEGIES[config.strategy].probability_costs
@@ -83,9 +89,22 @@ class Scene:
             for name, vehicle in vehicles.items()
             if name not in self.vehicles and vehicle.pose.is_finite()
         }
-        self._maps: dict[float, CostMap] = {}  # by the envelope (m) of a body
         narrowest = min(self._bodies.values(), key=_envelope, default=VehicleBody())
+        kinds = {_envelope(self._bodies[name]): self._bodies[name] for name in self.vehicles}
+        kinds[narrowest.envelope] = narrowest
+        if ground is None:
+            probable = self._probability_costs
+            ground = PlanningMap(config.paths, probability_costs=probable)
+        ground.update(grid, {envelope: self._paths(body) for envelope, body in kinds.items()})
+        # by the envelope (m) of a body
+        self._layers: dict[float, CostLayer] = {}
+        self._maps: dict[float, CostMap] = {}
+        for envelope, body in kinds.items():
+            layer, costs = ground.layer(envelope, self._overlay(body))
+            self._layers[envelope], self._maps[envelope] = layer, costs
+        self._lowest = self._layers[narrowest.envelope].least
         self.costs: CostMap = self._map_for(narrowest)
+        self.layer = self._layers[narrowest.envelope]
         # the same in all cycles, so that costs between blocks can be kept
         self._route_radius = self._paths(narrowest).planning_radius
         self.starts: dict[str, Cell] = {}
@@ -103,24 +122,45 @@ class Scene:
     def _paths(self, body: VehicleBody) -> PathConfig:
         return paths_of(self.config.paths, body)
 
+    def _overlay(self, body: VehicleBody) -> Overlay:
+        """Return what a vehicle of this size must respect, or may use, beside the map."""
+        scale, radius = self.grid.resolution, self._paths(body).planning_radius
+        others = [
+            self._disc(other.pose, self._paths(other.body).planning_radius + radius)
+            for other in self._others.values()
+        ]
+        trails = [
+            self._trail_cells(trail)
+            for name, trail in self._trails.items()
+            if self._bodies.get(name, body).envelope >= body.envelope  # else it may not fit there
+        ]
+        return Overlay(
+            tuple(others),
+            np.concatenate([np.empty((0, 2), np.int64), *trails]),
+            math.floor(_TRAIL_MARGIN / scale),
+            self._trail_prices(radius),
+            tuple(self._disc(place, _KEEP_OUT_RADIUS) for place in self._keep_out),
+        )
+
+    def _disc(self, place: Point | Pose2, radius: float) -> Disc:
+        """Return the cells of a disc around a place; both in m."""
+        return *self.cell_of(place), radius / self.grid.resolution
+
+    def _trail_cells(self, trail: list[Point]) -> NDArray[np.int64]:
+        """Return the cells (N, 2) along a trail."""
+        if not trail:
+            return np.empty((0, 2), np.int64)
+        return self.grid.to_cell(sample(np.array(trail), 0.5 * self.grid.resolution))
+
+    def _trail_prices(self, planning_radius: float) -> NDArray[np.float32]:
+        """Return what cells along a trail cost, by squared distance (cells) to an obstacle."""
+        radius = planning_radius / self.grid.resolution
+        distances = np.sqrt(np.arange(math.ceil(radius * radius) + 1))
+        return tight_factor(np.minimum(distances, radius), radius)
+
     def _map_for(self, body: VehicleBody) -> CostMap:
         """Return the costs for a body, with all that a vehicle of this size must respect."""
-        found = self._maps.get(body.envelope)
-        if found is not None:
-            return found
-        paths = self._paths(body)
-        made = make_cost_map(self.grid, paths, probability_costs=self._probability_costs)
-        both = (made.cost, made.tight_cost)
-        for other in self._others.values():
-            theirs = self._paths(other.body).planning_radius
-            for cost in both:
-                self._block_disc(cost, other.pose, theirs + paths.planning_radius)
-        for name, trail in self._trails.items():
-            if self._bodies.get(name, body).envelope >= body.envelope:  # else it may not fit there
-                self._open_trail(trail, made, made.free, both, paths.planning_radius)
-        self._block_keep_out_zones(both)
-        self._maps[body.envelope] = made
-        return made
+        return self._maps[body.envelope]
 
     def _map_of(self, name: str) -> CostMap:
         return self._map_for(self._bodies[name])
@@ -139,36 +179,14 @@ class Scene:
             if mask[cell] and self._key(other) == self._key(name):
                 self.reach[name] = mask
                 return
-        self.reach[name] = connected_region(self.cost_of(name), cell[0], cell[1])
+        if name in self.tight:
+            self.reach[name] = connected_region(self.cost_of(name), cell[0], cell[1])
+        else:
+            self.reach[name] = self._layers[self._bodies[name].envelope].region(cell)
 
     def _key(self, name: str) -> tuple[float, bool]:
         """Return what the costs of a vehicle depend on: its size, and whether it is trapped."""
         return self._bodies[name].envelope, name in self.tight
-
-    def _open_trail(
-        self,
-        trail: list[Point],
-        made: CostMap,
-        allowed: NDArray[np.bool_],
-        costs: tuple[Costs, ...],
-        planning_radius: float,
-    ) -> None:
-        """Make allowed cells (H, W) along a trail passable at a price, for the way back."""
-        if not trail:
-            return
-        scale = self.grid.resolution
-        cells = self.grid.to_cell(sample(np.array(trail), 0.5 * scale))
-        radius = planning_radius / scale
-        distances = np.sqrt(np.arange(math.ceil(radius * radius) + 1))
-        prices = tight_factor(np.minimum(distances, radius), radius)
-        half = math.floor(_TRAIL_MARGIN / scale)
-        for cost in costs:
-            open_around(cost, allowed, made.squared, cells, half, prices)
-
-    def _block_keep_out_zones(self, costs: tuple[Costs, ...]) -> None:
-        for place in self._keep_out:
-            for cost in costs:
-                self._block_disc(cost, place, _KEEP_OUT_RADIUS)
 
     def _block_disc(self, cost: Costs, place: Point | Pose2, radius: float) -> None:
         """Make a disc (m) impassable in costs (H, W)."""
@@ -185,13 +203,21 @@ class Scene:
         if not self._leads_further(mask, name):
             # An obstacle on the trail by which the vehicle came may have gone: it drives there
             # and looks.
-            tight = (made.tight_cost,)
             radius = self._paths(self._bodies[name]).planning_radius
             allowed = ~made.unknown
             if self.forbidden is not None:
                 allowed &= ~self.forbidden
-            self._open_trail(self._trails.get(name, []), made, allowed, tight, radius)
-            self._block_keep_out_zones(tight)
+            open_around(
+                made.tight_cost,
+                allowed,
+                made.squared,
+                self._trail_cells(self._trails.get(name, [])),
+                math.floor(_TRAIL_MARGIN / self.grid.resolution),
+                self._trail_prices(radius),
+                np.ones(tiles_of(allowed.shape), np.bool_),
+            )
+            for place in self._keep_out:
+                self._block_disc(made.tight_cost, place, _KEEP_OUT_RADIUS)
             mask = connected_region(made.tight_cost, *self.starts[name])
             if not self._leads_further(mask, name):
                 return False
@@ -221,6 +247,8 @@ class Scene:
 
     def padded_of(self, name: str) -> Costs:
         """Return the costs of cost_of, padded for searches."""
+        if name not in self.tight:
+            return self._layers[self._bodies[name].envelope].padded
         key = self._key(name)
         if key not in self._padded:
             self._padded[key] = padded_costs(self.cost_of(name), math.inf)
@@ -244,6 +272,10 @@ class Scene:
         reach = self.reachable()
         return reach & np.isfinite(self.costs.cost) if self.tight else reach
 
+    def frontier_cache(self, viewpoints: NDArray[np.bool_]) -> FrontierCache | None:
+        """Return what was found out in the last search with these viewpoints (H, W), if it was."""
+        return self.layer.frontier_cache(viewpoints)
+
     def free_area(self) -> tuple[float, float]:
         """Return the known free area, and the part of it that vehicles can cover (m²).
 
@@ -251,11 +283,13 @@ class Scene:
         the part counts in which a vehicle would fit. While most of the passable cells can be
         reached, those are counted instead, which is less work.
         """
-        passable, reach = np.isfinite(self.costs.cost), self.reachable()
-        centres = np.count_nonzero(passable), np.count_nonzero(reach & passable)
-        if 2 * centres[1] >= centres[0]:
+        reach = self.reachable()
+        inside = not self.tight and len(self._layers) == 1  # all that is reached is passable
+        reached = np.count_nonzero(reach if inside else reach & np.isfinite(self.costs.cost))
+        if 2 * reached >= self.layer.passable_cells:
             cell = self.grid.resolution**2
-            return float(centres[0]) * cell, float(centres[1]) * cell
+            return float(self.layer.passable_cells) * cell, float(reached) * cell
+        passable = np.isfinite(self.costs.cost)
         radius = math.floor(self._route_radius / self.grid.resolution)
         covered = [squared_distance(mask, radius) <= radius * radius for mask in (passable, reach)]
         cell = self.grid.resolution**2
@@ -301,10 +335,15 @@ class Scene:
             first = round(y / scale), round(x / scale)
             block = block_size(paths.route_resolution, self._route_radius, scale)
             names = [name for name in self.reach if self._bodies[name].envelope >= radius]
-            made = self._maps[radius]
-            cost = made.tight_cost if self.tight.intersection(names) else made.cost
             reach = _union(self.reach[name] for name in names)
-            self._routes[radius] = RouteGrid(cost, reach, first, block, scale)
+            larger = any(self._bodies[name].envelope > radius for name in names)
+            if larger or self.tight.intersection(names):
+                made = self._maps[radius]
+                cost = made.tight_cost if self.tight.intersection(names) else made.cost
+                self._routes[radius] = RouteGrid(cost, reach, first, block, scale)
+            else:
+                masks = [self.reach[name] for name in names]
+                self._routes[radius] = self._layers[radius].routes(masks, reach, block, first)
         return self._routes[radius]
 
     def cost_to(self, name: str, cells: NDArray[np.int64]) -> Array:
@@ -335,42 +374,56 @@ class Scene:
 
     # -- paths -----------------------------------------------------------------------------------
 
-    def path(self, name: str, goal: Cell, padded: Costs | None = None) -> Array | None:
+    def path(self, name: str, goal: Cell, standing: Iterable[str] = ()) -> Array | None:
         """Return the smoothed path (W, 2) m of a vehicle to a cell, or None.
 
-        padded: costs instead of those of padded_of.
+        standing: names of vehicles that stand still, beside which the path avoids to lead.
         """
-        over = self.padded_of(name) if padded is None else padded
-        stride = over.shape[1]
+        padded = self.padded_of(name)
+        cells = [self._beside(name, other) for other in standing]
+        if not cells:
+            return self._path_over(padded, name, goal)
+        beside = np.unique(np.concatenate(cells))
+        dearer = padded.ravel()[beside] * np.float32(_BYPASS_FACTOR)
+        with _changed(padded, beside, dearer):
+            return self._path_over(padded, name, goal)
+
+    def _path_over(self, padded: Costs, name: str, goal: Cell) -> Array | None:
+        """Return the smoothed path (W, 2) m of a vehicle to a cell over padded costs, or None."""
+        stride = padded.shape[1]
         row, col = self.starts[name]
         start, end = (row + 1) * stride + col + 1, (goal[0] + 1) * stride + goal[1] + 1
-        if self._lowest is None:
-            # that of the narrowest vehicle in tight passages: others pay as much or more
-            lowest = lowest_cost(self.costs.tight_cost)
-            self._lowest = lowest if math.isfinite(lowest) else 0.0
-        flat, _ = search_path(over, start, end, self._memory, self._lowest)
+        flat, _ = search_path(padded, start, end, self._memory, self._lowest)
         if flat.size == 0:
             return None
         rows, cols = np.divmod(flat, stride)
-        corners = shortcut(over[1:-1, 1:-1], np.stack([rows - 1, cols - 1], axis=1))
+        corners = shortcut(padded[1:-1, 1:-1], np.stack([rows - 1, cols - 1], axis=1))
         pose = self.vehicles[name].pose
         points = np.vstack([[(pose.x, pose.y)], self.grid.to_point(corners)])
         if self.cell_of(pose) == (row, col) and len(points) > 2:
             points = np.delete(points, 1, axis=0)
         return points
 
-    def costs_around(self, name: str, standing: list[str]) -> Costs | None:
-        """Return padded costs by which paths avoid vehicles that stand still, None without any."""
-        if not standing:
-            return None
-        mask = np.zeros(self.costs.cost.shape, np.bool_)
-        for other in standing:
-            radius = separation(self.config.traffic, self._bodies[name], self._bodies[other])
-            cell = self.cell_of(self.vehicles[other].pose)
-            set_disc(mask, *cell, radius / self.grid.resolution)
-        padded = self.padded_of(name).copy()
-        padded[1:-1, 1:-1][mask] *= np.float32(_BYPASS_FACTOR)
-        return padded
+    def _beside(self, name: str, other: str) -> NDArray[np.int64]:
+        """Return the cells beside a vehicle that others avoid, as flat indices of padded costs."""
+        radius = separation(self.config.traffic, self._bodies[name], self._bodies[other])
+        row, col = self.cell_of(self.vehicles[other].pose)
+        return self._flat_disc(row, col, radius / self.grid.resolution)
+
+    def _flat_disc(self, row: int, col: int, radius: float) -> NDArray[np.int64]:
+        """Return the cells of a disc within the grid, as flat indices of padded costs."""
+        height, width = self.grid.shape
+        half = math.floor(radius)
+        low_row, low_col = max(0, row - half), max(0, col - half)
+        side = (
+            max(0, min(height, row + half + 1) - low_row),
+            max(0, min(width, col + half + 1) - low_col),
+        )
+        mask = np.zeros(side, np.bool_)
+        set_disc(mask, row - low_row, col - low_col, radius)
+        rows, cols = np.nonzero(mask)
+        flat: NDArray[np.int64] = (rows + low_row + 1) * (width + 2) + cols + low_col + 1
+        return flat
 
     def is_passable(self, name: str, points: Array) -> bool:
         """Return whether a path (W, 2) m is still free; it may start in a blocked cell."""
@@ -389,27 +442,74 @@ class Scene:
         start = self.starts.get(one.name)
         if start is None:
             return None, math.inf
-        cost = self.cost_of(one.name).copy()
+        scale = self.grid.resolution
         apart = [separation(self.config.traffic, one.body, other.body) for other in others]
+        taken = [np.empty(0, np.int64)]
         for other, distance in zip(others, apart, strict=True):
             gap = math.dist(other.position, one.position)
             place = (float(other.position[0]), float(other.position[1]))
-            self._block_disc(cost, place, min(distance, gap - 1.5 * self.grid.resolution))
-        padded = padded_costs(cost, math.inf)
-        if not math.isfinite(cost[start]):
-            return None, math.inf
-        values = self._spread(padded, start)
-        swept = np.zeros(values.shape, np.bool_)
-        for other, distance in zip(others, apart, strict=True):
-            radius = (distance + _STOPPING_ERROR) / self.grid.resolution + 1.0
-            cells = self.grid.to_cell(sample(other.points, _RETREAT_SPACING))
-            for row, col in cells.tolist():
-                set_disc(swept, row, col, radius)
-        values[swept] = np.inf
-        best = divmod(int(np.argmin(values)), values.shape[1])
-        if not math.isfinite(values[best]):
-            return None, math.inf
-        return self.path(one.name, best, padded), float(values[best])
+            radius = min(distance, gap - 1.5 * scale) / scale
+            if radius >= 0.0:
+                taken.append(self._flat_disc(*self.cell_of(place), radius))
+        closed = np.unique(np.concatenate(taken))
+        padded = self.padded_of(one.name)
+        with _changed(padded, closed, np.full(closed.size, np.inf, np.float32)):
+            if not math.isfinite(padded[start[0] + 1, start[1] + 1]):
+                return None, math.inf
+            swept = [
+                (self.grid.to_cell(sample(other.points, _RETREAT_SPACING)),
+                 (distance + _STOPPING_ERROR) / scale + 1.0)
+                for other, distance in zip(others, apart, strict=True)
+            ]  # fmt: skip
+            best, cost = self._nearest_aside(padded, start, swept)
+            if best is None:
+                return None, math.inf
+            return self._path_over(padded, one.name, best), cost
+
+    def _nearest_aside(
+        self, padded: Costs, start: Cell, swept: list[tuple[NDArray[np.int64], float]]
+    ) -> tuple[Cell | None, float]:
+        """Return the cell nearest to a start that is not swept, and the cost of travel to it (m).
+
+        swept: cells (N, 2), and the radius (cells) around them. The search is limited to a window,
+        which grows until no cell beyond it can be nearer.
+        """
+        height, width = self.grid.shape
+        half = _RETREAT_WINDOW
+        while True:
+            low_row, low_col = max(0, start[0] - half), max(0, start[1] - half)
+            high_row, high_col = min(height, start[0] + half + 1), min(width, start[1] + half + 1)
+            window = np.full((high_row - low_row + 2, high_col - low_col + 2), np.inf, np.float32)
+            window[1:-1, 1:-1] = padded[low_row + 1 : high_row + 1, low_col + 1 : high_col + 1]
+            values = self._spread(window, (start[0] - low_row, start[1] - low_col))
+            covered = np.zeros(values.shape, np.bool_)
+            for cells, radius in swept:
+                for row, col in cells.tolist():
+                    set_disc(covered, row - low_row, col - low_col, radius)
+            values[covered] = np.inf
+            row, col = divmod(int(np.argmin(values)), values.shape[1])
+            least = float(values[row, col])
+            # a cell outside of the window is at least `half` steps away
+            if least < half * self._lowest * self.grid.resolution:
+                return (row + low_row, col + low_col), least
+            if values.shape == (height, width):
+                found = (row, col) if math.isfinite(least) else None
+                return found, least
+            half *= 2
+
+
+@contextmanager
+def _changed(
+    padded: Costs, cells: NDArray[np.int64], values: NDArray[np.float32]
+) -> Iterator[None]:
+    """Let some cells, flat indices of padded costs, have other values for a while."""
+    flat = padded.reshape(-1)
+    before = flat[cells]
+    flat[cells] = values
+    try:
+        yield
+    finally:
+        flat[cells] = before
 
 
 def _union(masks: Iterable[NDArray[np.bool_]]) -> NDArray[np.bool_]:

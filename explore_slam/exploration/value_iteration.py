@@ -164,14 +164,18 @@ def _sweep(
                 continue  # processed in an earlier bucket
             for k in range(8):
                 other = cell + offsets[k]
+                before = values[other]
+                if before <= value:
+                    continue  # costs are not negative
                 entered = cost[cell] if charge_left and cost[other] < np.inf else cost[other]
                 reached = np.float32(value + entered * lengths[k])
-                before = values[other]
                 if reached < before:
                     values[other] = reached
                     bucket = int(reached * scale)
                     if not (final and before < np.inf and int(before * scale) == bucket):
-                        target = bucket % count
+                        target = slot + bucket - number
+                        if target >= count:
+                            target -= count
                         if filled[target] == capacity:
                             queue = np.concatenate((queue, np.empty_like(queue)), axis=1)
                             capacity *= 2

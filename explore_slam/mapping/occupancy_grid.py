@@ -47,6 +47,9 @@ def _probability_table() -> NDArray[np.float32]:
 
 
 _PROBABILITY = _probability_table()
+_LEVELS = np.where(
+    np.arange(65536) == UNKNOWN.view(np.uint16), np.float32(np.nan), _PROBABILITY
+).astype(np.float32)
 
 
 class PlacedScan(NamedTuple):
@@ -198,6 +201,13 @@ class OccupancyGrid:
         """Return whether a beam has touched each cell (H, W)."""
         seen: NDArray[np.bool_] = self._evidence != UNKNOWN
         return seen
+
+    def levels(self) -> tuple[NDArray[np.int16], NDArray[np.float32]]:
+        """Return the evidence (H, W), and the probability (65536,) by its bits as uint16.
+
+        NaN stands for unknown. Equal evidence means the same, so that changes are easily found.
+        """
+        return self.evidence(), _LEVELS
 
     def to_cell(self, points: ArrayLike) -> NDArray[np.int64]:
         """Return the cells (N, 2) (row, col) of points (N, 2) m; they may lie outside the grid."""

@@ -95,3 +95,24 @@ def test_distances_are_exact_up_to_the_limit(seed, limit):
         assert found[row, col] == (exact if exact <= limit**2 else found[row, col])
         if exact > limit**2:
             assert found[row, col] > limit**2
+
+
+def test_probabilities_that_are_not_numbers_are_obstacles():
+    class Damaged:
+        def __init__(self, grid):
+            self._grid = grid
+
+        def __getattr__(self, name):
+            return getattr(self._grid, name)
+
+        def probability(self):
+            values = self._grid.probability().copy()
+            values[:, 20] = np.nan
+            return values
+
+    free = np.full((9, 40), 0.1)
+    grid = OccupancyGrid.from_probability(free, free < 1.0, config=GridConfig(resolution=CELL))
+    costs = make_cost_map(Damaged(grid), CONFIG)
+    assert np.isinf(costs.cost[:, 17:24]).all()
+    assert np.isfinite(costs.cost[:, :17]).all()
+    assert np.isfinite(costs.cost[:, 24:]).all()

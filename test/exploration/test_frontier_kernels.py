@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from explore_slam.exploration.frontier_kernels import (
+    Viewpoints,
     find_viewpoint,
+    frontier_cells,
     frontier_clusters,
     pocket_size,
     visible_unknown,
@@ -18,8 +20,14 @@ def masks(text):
     return letters == '.', letters == '?'
 
 
+def viewpoint_of(free, viewpoints, cells, reach, roomy=0, squared=None):
+    distances = np.zeros(free.shape, np.uint16) if squared is None else squared
+    kinds = Viewpoints(viewpoints, distances)
+    return find_viewpoint(free, kinds, roomy, marks(free.shape), 1, cells, reach)
+
+
 def clusters(text):
-    cells, lengths = frontier_clusters(*masks(text))
+    cells, lengths = frontier_clusters(frontier_cells(*masks(text)))
     parts = np.split(cells, np.cumsum(lengths)[:-1]) if len(lengths) else []
     return [sorted(map(tuple, part.tolist())) for part in parts]
 
@@ -85,7 +93,7 @@ def test_isolated_unknown_cells_are_no_frontier(unknown, counts):
     gaps = np.zeros((6, 6), np.bool_)
     for cell in unknown:
         free[cell], gaps[cell] = False, True
-    _, lengths = frontier_clusters(free, gaps)
+    _, lengths = frontier_clusters(frontier_cells(free, gaps))
     assert (len(lengths) > 0) is counts
 
 
@@ -103,9 +111,13 @@ def test_the_viewpoint_is_the_cell_of_the_cluster_nearest_to_its_centre():
     free, _ = masks('\n'.join(['.' * 9] * 3))
     cells = np.array([[1, c] for c in range(9)])
     viewpoints = np.ones((3, 9), np.bool_)
-    assert find_viewpoint(free, viewpoints, marks((3, 9)), 1, cells, 0) == (1, 4)
+    assert viewpoint_of(free, viewpoints, cells, 0) == (1, 4)
     viewpoints[:, 3:6] = False
-    assert find_viewpoint(free, viewpoints, marks((3, 9)), 1, cells, 0) == (1, 2)
+    assert viewpoint_of(free, viewpoints, cells, 0) == (1, 2)
+    squared = np.full((3, 9), 5, np.uint16)
+    squared[:, 2] = 4
+    assert viewpoint_of(free, viewpoints, cells, 0, 5, squared) == (1, 6)
+    assert viewpoint_of(free, viewpoints, cells, 0, 6, squared) == (-1, -1)
 
 
 def test_a_viewpoint_beside_the_cluster_is_reached_over_free_cells_only():
@@ -120,8 +132,8 @@ def test_a_viewpoint_beside_the_cluster_is_reached_over_free_cells_only():
     viewpoints = np.zeros(free.shape, np.bool_)
     viewpoints[2, 0] = True
     # around the wall: 4 cells along, 2 through the gap, 4 back; straight down it would be 2
-    assert find_viewpoint(free, viewpoints, marks(free.shape), 1, cells, 9) == (2, 0)
-    assert find_viewpoint(free, viewpoints, marks(free.shape), 1, cells, 8) == (-1, -1)
+    assert viewpoint_of(free, viewpoints, cells, 9) == (2, 0)
+    assert viewpoint_of(free, viewpoints, cells, 8) == (-1, -1)
 
 
 def test_of_viewpoints_at_one_distance_the_one_nearest_to_the_centre_is_taken():
@@ -129,7 +141,7 @@ def test_of_viewpoints_at_one_distance_the_one_nearest_to_the_centre_is_taken():
     cells = np.array([[0, c] for c in range(9)])
     viewpoints = np.zeros((5, 9), np.bool_)
     viewpoints[2, 1] = viewpoints[2, 5] = viewpoints[3, 4] = True
-    assert find_viewpoint(free, viewpoints, marks((5, 9)), 1, cells, 4) == (2, 5)
+    assert viewpoint_of(free, viewpoints, cells, 4) == (2, 5)
 
 
 def test_a_pocket_is_counted_up_to_the_limit_and_has_a_centre():
@@ -142,13 +154,13 @@ def test_a_pocket_is_counted_up_to_the_limit_and_has_a_centre():
         """
     )
     cells = np.array([[1, 4], [2, 4]])
-    assert pocket_size(unknown, marks(unknown.shape), 1, cells, 100) == (6, 1.5, 2.0)
-    size, row, col = pocket_size(unknown, marks(unknown.shape), 1, cells, 4)
+    assert pocket_size(unknown, marks(unknown.shape), 1, cells, 100)[:3] == (6, 1.5, 2.0)
+    size, row, col, _ = pocket_size(unknown, marks(unknown.shape), 1, cells, 4)
     assert size == 4
     assert 1.0 <= row <= 2.0
     assert 1.0 < col <= 3.0
     alone = np.array([[0, 6]])
-    assert pocket_size(unknown, marks(unknown.shape), 1, alone, 100) == (0, 0, 6)
+    assert pocket_size(unknown, marks(unknown.shape), 1, alone, 100)[:3] == (0, 0, 6)
 
 
 @pytest.mark.parametrize('reach', [5, 12])
@@ -186,6 +198,6 @@ def test_a_pocket_is_found_on_every_side(turns, flipped):
     if flipped:
         unknown = unknown[:, ::-1]
     turned = np.ascontiguousarray(np.rot90(unknown, turns))
-    size, row, col = pocket_size(turned, marks((7, 7)), 1, np.array([[3, 3]]), 100)
+    size, row, col, _ = pocket_size(turned, marks((7, 7)), 1, np.array([[3, 3]]), 100)
     assert size == 4
     assert (row, col) == tuple(np.argwhere(turned).mean(axis=0))

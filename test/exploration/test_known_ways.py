@@ -1,5 +1,7 @@
 """Ways that are blocked only by what may go away again."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from exploration_maps import grid_of
@@ -85,8 +87,8 @@ def test_the_memory_follows_a_grid_that_grows(rows, cols):
     grid, costs = costs_of(OPEN)
     ways.update(grid, costs)
     moved = Moved(grid, rows, cols)
-    nothing = costs._replace(
-        cost=np.full(moved.shape, np.inf, np.float32), free=np.zeros(moved.shape, np.bool_)
+    nothing = replace(
+        costs, cost=np.full(moved.shape, np.inf, np.float32), free=np.zeros(moved.shape, np.bool_)
     )
     ways.update(moved, nothing)
     passable = np.pad(np.isfinite(costs.cost), 5)

@@ -203,24 +203,6 @@ def test_cannot_search_is_not_done_and_withdraws_the_plans(grid, vehicles, reaso
     assert after.plans['robot1'].stamp == 3.0
 
 
-def test_probabilities_that_are_not_numbers_are_obstacles():
-    class Damaged:
-        def __init__(self, grid):
-            self._grid = grid
-
-        def __getattr__(self, name):
-            return getattr(self._grid, name)
-
-        def probability(self):
-            values = self._grid.probability().copy()
-            values[:, 20] = np.nan
-            return values
-
-    result = Planner(config()).plan(Damaged(hall()), 0.0, team(HALL, (4, 4)))
-    for plan in result.plans.values():
-        assert plan.waypoints[:, 0].max() < 20 * 0.25
-
-
 def test_a_vehicle_in_a_blocked_cell_starts_from_the_nearest_free_one():
     x, y = point_of(1, 8, HALL, cells_per_letter=SIDE)
     inside_wall = {'robot1': VehicleSnapshot(Pose2(0.6, y - 1.2, 0.0))}

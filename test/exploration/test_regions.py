@@ -13,6 +13,7 @@ from explore_slam.exploration.regions import (
 )
 
 INF = np.inf
+EVERY = np.ones((1, 1), np.bool_)  # squares of cells
 
 
 @pytest.mark.parametrize('center', [(5, 6), (0, 0), (9, 11), (-2, 3), (5, 14), (-9, -9)])
@@ -61,7 +62,7 @@ def test_a_trail_is_opened_at_the_price_of_its_clearance():
     allowed[2, 3] = False
     squared = np.tile(np.arange(9, dtype=np.int32), (7, 1))
     prices = np.array([9.0, 8.0, 7.0, 6.0, 5.0], np.float32)
-    open_around(cost, allowed, squared, np.array([[3, 2], [3, 2], [3, 5]]), 1, prices)
+    open_around(cost, allowed, squared, np.array([[3, 2], [3, 2], [3, 5]]), 1, prices, EVERY)
     expected = np.full((7, 9), INF, np.float32)
     expected[2:5, 1:4] = [[8.0, 7.0, 6.0]] * 3
     expected[2:5, 4:7] = 5.0
@@ -74,7 +75,9 @@ def test_a_trail_along_the_edge_of_the_grid_stays_inside():
     cost = np.full((3, 4), INF, np.float32)
     squared = np.ones((3, 4), np.int32)
     prices = np.array([3.0, 2.0], np.float32)
-    open_around(cost, np.ones((3, 4), np.bool_), squared, np.array([[0, 0], [2, 3]]), 1, prices)
+    open_around(
+        cost, np.ones((3, 4), np.bool_), squared, np.array([[0, 0], [2, 3]]), 1, prices, EVERY
+    )
     assert math.isinf(cost[0, 2])
     assert math.isinf(cost[2, 1])
     assert np.isfinite(cost).sum() == 8

@@ -81,6 +81,77 @@ def test_targets_that_are_gone_are_forgotten():
     assert sorted(cache._fields) == [(0, 3), (1, 1)]
 
 
+def room(rows=20, cols=40, wall=20, door=None):
+    """A room of which a wall of two columns parts the left from the right, but for a door."""
+    walls = [
+        (r, c) for r in range(rows) for c in (wall, wall + 1) if r not in (door, door and door + 1)
+    ]
+    return grid_of_costs(rows, cols, blocked=walls)
+
+
+def test_on_a_large_map_costs_are_those_of_the_fields_where_they_are_known():
+    grid = room(door=4)
+    blocks = np.array([[0, 0], [9, 3], [2, 16], [8, 18], [5, 2]])
+    targets = np.array([0, 1, 2, 3])
+    exact = RouteCache().between(grid, blocks, targets)
+    assert np.isfinite(exact).all()
+    found = RouteCache(largest_field=10).between(grid, blocks, targets)
+    np.testing.assert_allclose(found, exact)
+
+
+def test_on_a_large_map_few_costs_are_computed_anew_in_a_cycle():
+    closed, opened = room(), room(door=4)
+    blocks = np.array([[0, 0], [9, 3], [2, 16], [8, 18], [5, 2], [1, 17]])
+    first = np.array([0, 1, 2, 3])
+    cache = RouteCache(lifetime=3, largest_field=10)
+    before = cache.between(closed, blocks, first)
+    assert np.isinf(before[:2, 2:]).all()
+    exact = RouteCache().between(opened, blocks, first)
+    for _ in range(3):
+        assert np.isinf(cache.between(opened, blocks, first)[:2, 2:]).all()
+    half = cache.between(opened, blocks, first)  # two of four targets have been renewed
+    assert 0 < np.isfinite(half[:2, 2:]).sum() <= 4
+    whole = cache.between(opened, blocks, first)
+    np.testing.assert_allclose(whole, exact)
+
+
+def test_on_a_large_map_the_way_from_many_new_targets_leads_over_a_vehicle():
+    grid = grid_of_costs(4, 240)  # 60 m long
+    blocks = np.array([[0, col] for col in (0, 110, 112, 114, 116, 118)])
+    cache = RouteCache(largest_field=10)
+    cache.between(grid, blocks, np.array([0]))
+    costs = np.abs(blocks[None, :, 1] - np.array([[5], [108]])) * grid.unit
+    found = cache.between(grid, blocks, np.arange(6), costs)
+    exact = RouteCache().between(grid, blocks, np.arange(6))
+    # near targets know the ways among them, and the old target the way to all of them
+    np.testing.assert_allclose(found, exact)
+    new = np.array([[0, 100], [0, 60], [0, 62], [0, 64], [0, 10], [0, 0]])
+    costs = np.abs(new[None, :, 1] - np.array([[5], [66]])) * grid.unit
+    found = cache.between(grid, new, np.arange(5), costs)  # the last one is a frontier only
+    exact = RouteCache().between(grid, new, np.arange(5))
+    assert np.isfinite(found).all()
+    assert (found >= exact - 1e-3).all()
+    assert found[3, 4] == pytest.approx(exact[3, 4] + 2 * 2 * grid.unit)  # from 64 over 66 to 10
+
+
+def test_values_near_a_block_are_those_of_the_whole_grid_there():
+    grid = grid_of_costs(8, 80, first=(-4, 6))
+    block = np.array([-1, 10])
+    near = grid.values_near(block, 5.0)
+    blocks = np.array([[-1, 10], [1, 5], [-2, 15], [1, 3], [0, 16], [-1, 4]])
+    exact = grid.values_from(block).at(blocks)
+    assert near.at(blocks[:3]).tolist() == exact[:3].tolist()
+    assert np.isinf(near.at(blocks[4:])).all()
+
+
+def test_rows_of_targets_that_are_gone_are_forgotten():
+    cache = RouteCache(largest_field=10)
+    grid = grid_of_costs(8, 20)
+    cache.between(grid, np.array([[0, 0], [0, 3], [2, 2]]), np.array([0, 1]))
+    cache.between(grid, np.array([[0, 3], [1, 1]]), np.array([1]))
+    assert sorted(cache._fields) == [(0, 3), (1, 1)]
+
+
 @pytest.mark.parametrize(
     ('width', 'radius', 'resolution', 'cells'),
     [(0.3, 0.5, 0.1, 3), (0.3, 0.25, 0.1, 2), (0.3, 0.0, 0.1, 1), (0.35, 1.0, 0.1, 3)],

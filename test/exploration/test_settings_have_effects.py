@@ -116,6 +116,8 @@ def situation(costs, targets, gains, current):
 class StraightLines:
     """Travel costs between targets are their distances; the cell of a target is its number."""
 
+    size = 1  # blocks
+
     def __init__(self, targets):
         self._targets = np.array(targets, float)
 

@@ -47,6 +47,8 @@ class StraightLines:
 
 
 class Lines:
+    size = 1  # blocks
+
     def __init__(self, factor):
         self.factor = factor
 

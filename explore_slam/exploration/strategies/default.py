@@ -83,13 +83,16 @@ class DefaultStrategy:
         that sees a narrower one has to drive more.
         """
         config, slowness = self._config, situation.slowness
-        cells = np.array([situation.frontiers[i].target_cell for i in targets])
+        every = np.array([frontier.target_cell for frontier in situation.frontiers])
         between: dict[float, Array] = {}
         for name, body in zip(situation.vehicles, situation.kinds, strict=True):
             if body.envelope not in between:
                 routes = situation.scene.routes(name)
                 cache = self._caches.setdefault(body.envelope, RouteCache())
-                between[body.envelope] = cache.between(routes, routes.blocks(cells))
+                alike = [body.envelope == other.envelope for other in situation.kinds]
+                between[body.envelope] = cache.between(
+                    routes, routes.blocks(every), np.array(targets), situation.costs[alike]
+                )
         each = np.array([between[body.envelope] for body in situation.kinds])
         strips = 2.0 * np.maximum(situation.side_ranges(self._sensor_range), _SHORTEST_SIDE_RANGE)
         per_area = slowness * np.maximum(config.work_per_area, 1.0 / strips)
@@ -149,13 +152,16 @@ def merge_frontiers(
     points = np.array([frontier.target for frontier in frontiers])
     radius = np.maximum(merge_distance, _MERGE_FRACTION * away)
     stops: list[Stop] = []
+    places = np.empty((len(frontiers), 2))  # of the stops
     for index in dict.fromkeys(order):
         if stops and index not in current:
-            gaps = np.hypot(*(points[[stop.target for stop in stops]] - points[index]).T)
+            away_x, away_y = (places[: len(stops)] - points[index]).T
+            gaps = np.hypot(away_x, away_y)
             nearest = int(np.argmin(gaps))
             if gaps[nearest] <= radius[index] or len(stops) >= _MAXIMUM_STOPS:
                 stops[nearest].members.append(index)
                 continue
+        places[len(stops)] = points[index]
         stops.append(Stop(index, [index]))
     return stops
 

@@ -25,6 +25,8 @@ def frontier(x, y=0.0, gain=10.0):
 class StraightLines:
     """Travel costs are distances: the cells of frontiers are their targets in whole metres."""
 
+    size = 1  # blocks
+
     def routes(self, _vehicle):
         return self
 
