@@ -72,13 +72,14 @@ class TagConfig(Section):
 
     tags_file: str = setting(
         '',
-        'Path of tags.yaml: family, numbers, sizes and, where surveyed, poses of the tags (AprilTag '
-        'or ArUco) of the site; empty: no tags are looked for',
+        'Path of tags.yaml: family, numbers, sizes and, where surveyed, poses of the tags of the '
+        'site (AprilTag or ArUco); empty: no tags are looked for',
         tier='basic',
     )
     tag_corner_noise: float = setting(
-        0.5,
-        'Standard deviation of the position of a corner of a tag in the image',
+        0.3,
+        'Standard deviation of the position of a corner of a tag in the image; in drawn images it '
+        'is 0.02 to 0.09, the rest is for the calibration of real cameras',
         unit='pixels',
         low=0.01,
         high=20.0,

@@ -359,9 +359,7 @@ class Agent:
         for track in self.tracks.values():
             self._add_keyframe_here(track)
         team = self._team
-        checkpoint.save(
-            path, checkpoint.Saved(team.belief, team.laser_map, team.loops, team.tags)
-        )
+        checkpoint.save(path, checkpoint.Saved(team.belief, team.laser_map, team.loops, team.tags))
         return path
 
     def _add_keyframe_here(self, track: VehicleTrack) -> None:

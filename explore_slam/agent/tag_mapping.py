@@ -171,9 +171,7 @@ class TagMapping:
             sighting = self._assign(belief, number, tag, seen, path)
             if sighting is not None:
                 closed += self._use(belief, loops, sighting)
-        return TagCounts(
-            len(self.sightings) - before, closed, self._retract_contradicted(belief)
-        )
+        return TagCounts(len(self.sightings) - before, closed, self._retract_contradicted(belief))
 
     # ---- observations become sightings
 

@@ -30,7 +30,7 @@ from explore_slam.simulation.worlds.tagged_rooms import (
     tags_in_view,
     tags_of_rooms,
 )
-from explore_slam.simulation.worlds.twin_corridors import ROOMS, TwinCorridors, twin_corridors
+from explore_slam.simulation.worlds.twin_corridors import TwinCorridors, twin_corridors
 from explore_slam.studies.parallel import ALONE, Workers, make_runs
 from explore_slam.studies.twin_study import NAMES, PERIOD, TwinVehicle, is_wrong, team_paths
 from explore_slam.vision import CameraMount, tags_available
@@ -175,7 +175,7 @@ def run_world(study: TagStudy, seed: int) -> TagRun:
 
 def _write_tags(folder: Path, tags: Sequence[RoomTag], surveyed: int) -> Path:
     """Write tags.yaml; the surveyed ones are the second and the last but one of a corridor."""
-    known = [1, ROOMS - 2][:surveyed]
+    known = [1, len(tags) // 2 - 2][:surveyed]
     lines = [f'family: {FAMILY}', f'size: {SIZE}', 'tags:']
     for item in tags:
         pose = f', pose: {[float(part) for part in item.pose]}' if item.tag in known else ''

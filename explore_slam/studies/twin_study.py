@@ -222,6 +222,7 @@ def _judged(
 
 
 def is_wrong(true: Pose2, found: Pose2) -> bool:
+    """Return whether a relative pose that was found is off by more than WRONG."""
     off = true.between(found)
     return math.hypot(off.x, off.y) > WRONG[0] or abs(off.theta) > WRONG[1]
 

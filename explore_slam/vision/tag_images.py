@@ -78,9 +78,7 @@ def _paste(image: NDArray[np.uint8], family: str, item: TagInView, camera: Intri
     if corners is None:
         return
     low = np.maximum(np.floor(corners.min(axis=0)).astype(int) - 1, 0)
-    high = np.minimum(
-        np.ceil(corners.max(axis=0)).astype(int) + 2, [camera.width, camera.height]
-    )
+    high = np.minimum(np.ceil(corners.max(axis=0)).astype(int) + 2, [camera.width, camera.height])
     width, height = (high - low).tolist()
     if width <= 0 or height <= 0:
         return

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from explore_slam.agent import Agent, AgentConfig
-from explore_slam.data import OdometryReading, TagObservations
+from explore_slam.data import Intrinsics, OdometryReading, RgbdFrame, TagObservations
 from explore_slam.geometry import IDENTITY, Pose2
 from explore_slam.settings import with_values
+from explore_slam.vision import CameraMount, FeatureExtractor, tags_available
+from explore_slam.vision.tag_images import TagInView, draw_view
 
 PERIOD, STEP = 0.5, 0.25  # s and m between images
 REACH, HALF_VIEW = 4.0, math.radians(30.0)  # m, rad
@@ -180,14 +182,14 @@ def test_one_number_at_two_places_does_no_harm():
     vehicle = Vehicle(ring(2.0), tags, 7, turn=1.02)
     original = vehicle.records
 
+    def renamed(record):
+        if not isinstance(record, TagObservations):
+            return record
+        ids = np.where(record.ids == 5, 2, record.ids)  # tag 5 bears the number of tag 2
+        return TagObservations(record.stamp, ids, record.poses, record.covariances)
+
     def records(tick):
-        for record in original(tick):
-            if isinstance(record, TagObservations):
-                ids = np.where(record.ids == 5, 2, record.ids)  # tag 5 bears the number of tag 2
-                if len(set(ids.tolist())) < len(ids):
-                    continue
-                record = TagObservations(record.stamp, ids, record.poses, record.covariances)
-            yield record
+        return map(renamed, original(tick))
 
     vehicle.records = records
     agent = make_agent({'robot1': vehicle.poses[0]})
@@ -218,3 +220,65 @@ def test_dedicated_maps_count_tags_and_do_not_use_them():
     counts = agent.summary()['robot1']
     assert counts['unused_tags'] > 10
     assert 'tags' not in counts
+
+
+@pytest.mark.skipif(not tags_available(), reason='this OpenCV finds no tags')
+def test_images_and_tags_found_on_the_vehicle_give_the_same_map(tmp_path):
+    """The agent extracts tags from frames as the extractor on the vehicle does."""
+    camera, mount = Intrinsics(320, 240, 260.0, 260.0, 159.5, 119.5), CameraMount(0.1, 0.0, 0.4)
+    turn = mount.rotation.T
+    toward = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # faces the vehicle
+    toward[:, 0] *= -1.0
+    path = tmp_path / 'tags.yaml'
+    path.write_text('size: 0.3\n')
+    agents = {
+        where: make_agent({'robot1': IDENTITY}, tags_file=str(path))
+        for where in ('agent', 'vehicle')
+    }
+    extractor = FeatureExtractor(agents['agent'].config.vision)
+    random = np.random.default_rng(0)
+    for tick in range(10):
+        x, stamp = 0.25 * tick, PERIOD * tick
+        place = turn @ (np.array([4.0 - x, 0.2, 0.5]) - mount.translation)
+        image = draw_view('tag36h11', [TagInView(3, 0.3, turn @ toward, place)], camera, random)
+        frame = RgbdFrame(stamp, image, np.zeros(image.shape, np.float32), camera)
+        for where, agent in agents.items():
+            agent.add('robot1', OdometryReading(stamp, Pose2(x, 0.0, 0.0)))
+            if where == 'agent':
+                agent.add('robot1', frame)
+                continue
+            tags = extractor.observe_tags(frame)
+            agent.add('robot1', extractor.extract(frame))
+            if tags is not None:
+                agent.add('robot1', tags)
+    one, other = (agent.tags.state_dict()['observations'] for agent in agents.values())
+    assert len(one) >= 3
+    np.testing.assert_array_equal(one, other)
+    (sighting,) = agents['agent'].tags.sightings
+    at = agents['agent'].belief.tags.pose(sighting.node)
+    assert math.dist(at[:2], (4.0, 0.2)) < 0.1
+    counts = agents['agent'].summary()['robot1']
+    assert counts['tag_sightings'] == 1
+    assert counts['tags'] >= 8
+
+
+def test_the_survey_holds_the_map_as_firmly_as_its_settings_say(tmp_path):
+    tags = site()
+    near = []
+    for deviation in (0.01, 0.2):
+        vehicle = Vehicle(ring(1.0), tags, 3)
+        text = surveyed(tags, (1, 5))
+        agent = make_agent(
+            {'robot1': None},
+            tmp_path,
+            text,
+            tag_survey_deviation=deviation,
+            tag_survey_heading=deviation,
+        )
+        drive(agent, {'robot1': vehicle})
+        held = [s for s in agent.tags.sightings if s.tag in (1, 5) and s.used]
+        assert held
+        covariance = agent.belief.tags.covariance(held[0].node)
+        near.append(math.sqrt(covariance[:2, :2].trace()))
+    assert near[0] < 0.05
+    assert near[1] > 0.1

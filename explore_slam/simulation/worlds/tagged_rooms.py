@@ -11,7 +11,7 @@ import numpy as np
 
 from explore_slam.data import Intrinsics
 from explore_slam.geometry import Array, Pose2
-from explore_slam.simulation.worlds.twin_corridors import HALF_WIDTH, ROOMS, SECOND, TwinCorridors
+from explore_slam.simulation.worlds.twin_corridors import HALF_WIDTH, SECOND, TwinCorridors
 from explore_slam.simulation.worlds.walls import distances_along
 from explore_slam.vision import CameraMount
 from explore_slam.vision.tag_images import TagInView, corners_in_view
@@ -37,11 +37,11 @@ def tags_of_rooms(world: TwinCorridors) -> list[RoomTag]:
 
     The first corridor is driven east, so that its signs face west; the second one is driven back.
     """
-    lateral = HALF_WIDTH - _OUT
-    first = [RoomTag(n, Pose2(n * world.period, -lateral, math.pi)) for n in range(ROOMS)]
+    lateral, rooms = HALF_WIDTH - _OUT, round(world.length / world.period)
+    first = [RoomTag(n, Pose2(n * world.period, -lateral, math.pi)) for n in range(rooms)]
     second = [
-        RoomTag(ROOMS + n, Pose2((n + 1) * world.period, SECOND + lateral, 0.0))
-        for n in range(ROOMS)
+        RoomTag(rooms + n, Pose2((n + 1) * world.period, SECOND + lateral, 0.0))
+        for n in range(rooms)
     ]
     return first + second
 

@@ -64,12 +64,6 @@ class FrameFit(NamedTuple):
     heading_deviation: float
     contradicting: int
 
-    @property
-    def baseline(self) -> float:
-        """Largest distance (m) between two of the tags; 0 for a single one."""
-        at = [pair.there.pose[:2] for pair in self.pairs]
-        return max((math.dist(a, b) for a in at for b in at), default=0.0)
-
 
 def fit_frame(pairs: Sequence[TagPair]) -> FrameFit | None:
     """Return the frame that most pairs agree with; None if no pair determines one."""
@@ -86,9 +80,7 @@ def fit_frame(pairs: Sequence[TagPair]) -> FrameFit | None:
     if best is None:
         return None
     _, frame, group = best
-    return FrameFit(
-        frame, tuple(group), _heading_deviation(frame, group), len(pairs) - len(group)
-    )
+    return FrameFit(frame, tuple(group), _heading_deviation(frame, group), len(pairs) - len(group))
 
 
 def _hypotheses(pairs: Sequence[TagPair]) -> list[Pose2]:
