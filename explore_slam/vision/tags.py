@@ -218,7 +218,7 @@ def _edge_line(
 
 
 def _intersection(one: Any, other: Any) -> Array | None:
-    """Return the point (2,) where two lines meet, each a point and a direction; None if parallel."""
+    """Return the point (2,) where two lines, each a point and a direction, meet; None: nowhere."""
     (p, u), (q, v) = one, other
     across = u[0] * v[1] - u[1] * v[0]
     if abs(across) < 1e-3:
