@@ -16,6 +16,7 @@ from explore_slam.errors import DataError
 from explore_slam.geometry import Array, Pose2, Pose3
 
 DESCRIPTOR_LENGTH = 128  # numbers of a SIFT descriptor
+UNKNOWN_HEADING = 1.0  # rad²: variance from which the heading of a tag counts as unknown
 
 
 def _check_stamp(record: object, stamp: float) -> None:
@@ -331,6 +332,40 @@ class LandmarkObservations:
             np.empty((0, 3, 3)),
             np.empty((0, DESCRIPTOR_LENGTH), np.float32),
         )
+
+
+@dataclass(frozen=True)
+class TagObservations:
+    """K tags seen in one image, in the vehicle frame at the stamp.
+
+    ids (K,): numbers of the tags, each once. poses (K, 3): centre (m), and where the tag faces
+    (rad). covariances (K, 3, 3): theirs. The heading of a tag that is seen from ahead is not
+    known: its variance is then UNKNOWN_HEADING or more.
+    """
+
+    stamp: float
+    ids: NDArray[np.int64]
+    poses: Array
+    covariances: Array
+
+    def __post_init__(self) -> None:
+        _check_stamp(self, self.stamp)
+        count = len(self.ids)
+        _check_shape(self, 'ids', self.ids, (count,))
+        _check_shape(self, 'poses', self.poses, (count, 3))
+        _check_shape(self, 'covariances', self.covariances, (count, 3, 3))
+        for name in ('poses', 'covariances'):
+            _check_finite(self, name, getattr(self, name))
+        if len(np.unique(self.ids)) < count:
+            raise DataError(f'TagObservations: ids are {self.ids.tolist()}, expected each once')
+        variances = np.diagonal(self.covariances, axis1=1, axis2=2)
+        if (variances <= 0.0).any():
+            raise DataError(
+                f'TagObservations: variances are {variances.tolist()}, expected more than 0'
+            )
+
+    def __len__(self) -> int:
+        return len(self.ids)
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from explore_slam.data import (
     OdometryReading,
     Plan,
     RgbdFrame,
+    TagObservations,
 )
 from explore_slam.errors import DataError
 from explore_slam.geometry import IDENTITY, Pose2
@@ -73,3 +74,16 @@ def test_an_empty_observation_has_the_right_shapes():
     empty = LandmarkObservations.empty(1.0)
     assert len(empty) == 0
     assert empty.covariances.shape == (0, 3, 3)
+
+
+def test_tags_are_checked():
+    pose, covariance = np.ones((2, 3)), np.tile(np.eye(3), (2, 1, 1))
+    assert len(TagObservations(0.0, np.array([1, 2]), pose, covariance)) == 2
+    for ids, poses, P, message in [
+        ([3, 3], pose, covariance, r'ids are \[3, 3\], expected each once'),
+        ([3], pose, covariance, 'poses has shape'),
+        ([3, 4], np.full((2, 3), np.nan), covariance, 'poses contains 6 values'),
+        ([3, 4], pose, 0.0 * covariance, 'expected more than 0'),
+    ]:
+        with pytest.raises(DataError, match=message):
+            TagObservations(0.0, np.array(ids), poses, P)

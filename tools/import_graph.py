@@ -30,7 +30,7 @@ LAYERS = (
     ('messages',),
     ('slam', 'mapping', 'exploration', 'vehicle'),
     ('registration', 'vision'),
-    ('settings', 'data', 'mounts', 'body', 'battery', 'sweeps'),
+    ('settings', 'data', 'mounts', 'body', 'battery', 'sweeps', 'tags'),
     ('geometry', 'polyline', 'heap', 'compiled', 'failures', 'files'),
     ('environment',),
     ('errors',),

@@ -31,6 +31,7 @@ from explore_slam.agent.measurements.scans import release_sweeps
 from explore_slam.agent.odometry_sources import Motion, NewScan
 from explore_slam.agent.placement import DISPLACED
 from explore_slam.agent.scan_odometry import refine_by_scan
+from explore_slam.agent.tag_mapping import TagMapping
 from explore_slam.agent.team import KeyframeEvent, Team
 from explore_slam.agent.vehicle_track import VehicleTrack
 from explore_slam.data import (
@@ -240,6 +241,11 @@ class Agent:
         return self._team.loops
 
     @property
+    def tags(self) -> TagMapping:
+        """Tags in the map, and what they tie together."""
+        return self._team.tags
+
+    @property
     def laser_map(self) -> LaserMap:
         """All mapped scans, and the grid as it was drawn last."""
         return self._team.laser_map
@@ -272,7 +278,7 @@ class Agent:
     def home(self, vehicle: str) -> Pose2:
         """Return the pose in the map where a vehicle started, as known now."""
         known = self.start_poses[vehicle]
-        if known is not None:
+        if known is not None and not self._team.tags.frame_is_surveyed:
             return known
         _, poses = self.trajectory(vehicle)
         return Pose2.from_array(poses[0]) if len(poses) else IDENTITY
@@ -352,7 +358,8 @@ class Agent:
         """Write filter and scans to a file for load_state; return its path."""
         for track in self.tracks.values():
             self._add_keyframe_here(track)
-        checkpoint.save(path, self.belief, self.laser_map, self._team.loops)
+        team = self._team
+        checkpoint.save(path, checkpoint.Saved(team.belief, team.laser_map, team.loops, team.tags))
         return path
 
     def _add_keyframe_here(self, track: VehicleTrack) -> None:
@@ -363,7 +370,7 @@ class Agent:
 
     def load_state(self, path: Path) -> None:
         """Continue from a saved state of the same vehicles; AgentError changes nothing."""
-        belief, laser_map, loops = checkpoint.load(path, self.config)
+        belief, laser_map, loops, tags = checkpoint.load(path, self.config)
         if set(belief.vehicles) != set(self.start_poses):
             raise AgentError(
                 f'{path} is of vehicles {sorted(belief.vehicles)}, '
@@ -374,6 +381,7 @@ class Agent:
         }
         self.reset()
         self._team.belief, self._team.laser_map, self._team.loops = belief, laser_map, loops
+        self._team.tags = tags
         for vehicle in self.tracks:
             belief.restart_clock(vehicle)
             loaded = belief.estimate(vehicle)[0]

@@ -1,33 +1,46 @@
-"""The agent's state as a file: the filter, the scans with their keyframes, and the closures.
+"""The agent's state as a file: the filter, the scans with their keyframes, closures and tags.
 
 One npz file, written atomically, without pickled objects. Odometry is not stored, since its frame
 does not survive a restart of the bases: after loading, each vehicle continues from its pose.
 """
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.agent.config import AgentConfig
 from explore_slam.agent.loop_closing import LoopClosing
+from explore_slam.agent.tag_mapping import TagMapping
 from explore_slam.data import LaserScan
 from explore_slam.errors import AgentError, ExploreSlamError
 from explore_slam.geometry import Pose2
 from explore_slam.mapping import GridConfig, LaserMap, VehicleDisc
 from explore_slam.slam import TeamBelief, checkpoint
+from explore_slam.tags import table_of
 
 State = dict[str, NDArray[Any]]
 VERSION = 4
 
 
-def save(path: Path, belief: TeamBelief, laser_map: LaserMap, loops: LoopClosing) -> None:
+class Saved(NamedTuple):
+    """What a saved state consists of."""
+
+    belief: TeamBelief
+    laser_map: LaserMap
+    loops: LoopClosing
+    tags: TagMapping
+
+
+def save(path: Path, saved: Saved) -> None:
     """Write the state; AgentError if it cannot be written."""
     state = {'agent_version': np.array(VERSION)}
-    state |= checkpoint.under('belief', belief.state_dict())
-    state |= checkpoint.under('scans', _scans_state(laser_map, list(belief.vehicles)))
-    state |= checkpoint.under('loops', loops.state_dict())
+    vehicles = list(saved.belief.vehicles)
+    state |= checkpoint.under('belief', saved.belief.state_dict())
+    state |= checkpoint.under('scans', _scans_state(saved.laser_map, vehicles))
+    state |= checkpoint.under('loops', saved.loops.state_dict())
+    state |= checkpoint.under('tags', saved.tags.state_dict())
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         checkpoint.write(path, state)
@@ -35,8 +48,8 @@ def save(path: Path, belief: TeamBelief, laser_map: LaserMap, loops: LoopClosing
         raise AgentError(f'state cannot be saved: {error}') from error
 
 
-def load(path: Path, config: AgentConfig) -> tuple[TeamBelief, LaserMap, LoopClosing]:
-    """Read filter, scans and closures; AgentError for a missing or different file."""
+def load(path: Path, config: AgentConfig) -> Saved:
+    """Read filter, scans, closures and tags; AgentError for a missing or different file."""
     try:
         state = checkpoint.read(path)
         version = int(state.get('agent_version', np.array(-1)))
@@ -45,7 +58,10 @@ def load(path: Path, config: AgentConfig) -> tuple[TeamBelief, LaserMap, LoopClo
         belief = TeamBelief.from_state(checkpoint.part('belief', state))
         scans = checkpoint.part('scans', state)
         loops = LoopClosing.from_state(checkpoint.part('loops', state), config.closures)
-        return belief, _laser_map(scans, list(belief.vehicles), config.mapping), loops
+        tags = TagMapping(config.vision.tags, table_of(config.vision.tags).poses)
+        tags.restore(checkpoint.part('tags', state))
+        laser_map = _laser_map(scans, list(belief.vehicles), config.mapping)
+        return Saved(belief, laser_map, loops, tags)
     except AgentError:
         raise
     except (ExploreSlamError, KeyError, ValueError, IndexError) as error:

@@ -150,6 +150,13 @@ class LoopClosing:
         joins, self._joins = self._joins, []
         return joins
 
+    def report_join(self, join: Join, pair: tuple[int, int]) -> None:
+        """Take the report of a join by something else than closures; pair: of vehicles."""
+        first, second = sorted(pair)
+        if (first, second) not in self._tied:
+            self._tied.add((first, second))
+            self._joins.append(join)
+
     def search_joins(self, belief: TeamBelief) -> None:
         """Go on searching for a vehicle of unknown start; join it to the map when it is found."""
         if self._searching is None:

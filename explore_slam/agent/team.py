@@ -13,14 +13,16 @@ from explore_slam.agent.loop_closing import LoopClosing
 from explore_slam.agent.odometry import OdometryBuffer
 from explore_slam.agent.odometry_sources import make_source
 from explore_slam.agent.placement import Placement
+from explore_slam.agent.tag_mapping import TagMapping
 from explore_slam.agent.vehicle_track import Keyframe, VehicleTrack, merged_steps
-from explore_slam.data import LandmarkObservations, LaserScan, VehicleBody
+from explore_slam.data import LandmarkObservations, LaserScan, TagObservations, VehicleBody
 from explore_slam.errors import AgentError
 from explore_slam.exploration import paths_of
 from explore_slam.geometry import Array, Pose2
 from explore_slam.mapping import LaserMap
 from explore_slam.registration import ScanMatcher
 from explore_slam.slam import TeamBelief, UpdateSummary
+from explore_slam.tags import table_of
 from explore_slam.vision import FeatureExtractor, KeyframeSelector
 
 # Steps that the motion since the newest keyframe is compounded of: joining those of long drives
@@ -69,6 +71,7 @@ class Team:
         self.belief = TeamBelief(self.start_poses, config.slam, seed)
         self.laser_map = LaserMap(config.mapping)
         self.loops = LoopClosing(config.closures)
+        self.tags = TagMapping(config.vision.tags, table_of(config.vision.tags).poses)
         self.extractor = FeatureExtractor(config.vision)
         self.events: list[KeyframeEvent] = []
         self.tracks = {
@@ -98,6 +101,7 @@ class Team:
         """
         _check_sources({name: track.source.name for name, track in self.tracks.items()}, config)
         self.extractor = FeatureExtractor(config.vision)
+        self.tags.configure(config.vision.tags, table_of(config.vision.tags).poses)
         self.config = config
         for track in self.tracks.values():
             track.configure(config.vision.keyframes, config.scan_matching)
@@ -186,6 +190,22 @@ class Team:
         else:
             track.count('frames_without_landmarks')
         self.add_keyframe(track, observations.stamp, summary)
+
+    def add_tags(self, track: VehicleTrack, observations: TagObservations) -> None:
+        """Take tags that a vehicle has seen; their keyframe is the newest, or a new one."""
+        if not self.belief.uses_tags:
+            track.count('unused_tags', len(observations))
+            return
+        if track.keyframe is None or track.keyframe.stamp < observations.stamp:
+            self.predict(track, observations.stamp)
+            self.add_keyframe(track, observations.stamp)
+        if track.keyframe is None:
+            return
+        counts = self.tags.add(self.belief, self.loops, track.name, track.keyframe, observations)
+        track.count('tags', len(observations))
+        track.count('tag_sightings', counts.sightings)
+        track.count('tag_closures', counts.closed)
+        track.count('tag_closures_retracted', counts.retracted)
 
 
 def _check_sources(sources: Mapping[str, str], config: AgentConfig) -> None:

@@ -58,8 +58,8 @@ def add_topic_option(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar='VEHICLE.KIND=/TOPIC',
         help='topic of a vehicle that has another name, e.g. robot1.scan=/front/scan; may be '
-        'repeated; kinds: scan, odometry, imu, color, depth, camera_info, landmarks, inter_robot, '
-        'ground_truth, initial_pose',
+        'repeated; kinds: scan, odometry, imu, color, depth, camera_info, landmarks, tags, '
+        'inter_robot, ground_truth, initial_pose',
     )
 
 

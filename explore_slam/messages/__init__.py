@@ -6,7 +6,7 @@ Nothing here imports ROS: reading works on any object with the field names of co
 topics                 names, types, quality of service
 frames                 names of coordinate frames
 measurement            the interface of a measurement kind; measurement_kinds is the table
-odometry, scans, frame_pairing, landmarks, inter_robot    one measurement kind each
+odometry, scans, frame_pairing, landmarks, tags, inter_robot    one measurement kind each
 base, motion, images, clouds, maps                      conversions
 """
 
@@ -44,6 +44,7 @@ from explore_slam.messages.motion import (
 )
 from explore_slam.messages.odometry import odometry_message, odometry_record
 from explore_slam.messages.scans import scan_message, scan_record
+from explore_slam.messages.tags import tags_message, tags_record
 
 __all__ = [
     'MessageFactory',
@@ -77,6 +78,8 @@ __all__ = [
     'scan_record',
     'seconds',
     'stamped_twist_message',
+    'tags_message',
+    'tags_record',
     'time_message',
     'transform_message',
     'twist_message',

@@ -12,6 +12,7 @@ from explore_slam.data import (
     LaserScan,
     OdometryReading,
     RgbdFrame,
+    TagObservations,
 )
 from explore_slam.errors import DataError
 from explore_slam.messages.base import MessageFactory
@@ -31,6 +32,7 @@ Record = (
     | LaserScan
     | RgbdFrame
     | LandmarkObservations
+    | TagObservations
     | InterRobotObservation
 )
 TopicMessages = list[tuple[TopicKind, Any]]

@@ -7,10 +7,11 @@ from explore_slam.messages.landmarks import LANDMARKS
 from explore_slam.messages.measurement import MeasurementKind
 from explore_slam.messages.odometry import ODOMETRY
 from explore_slam.messages.scans import SCAN
+from explore_slam.messages.tags import TAGS
 from explore_slam.messages.topics import TopicKind
 
 MEASUREMENT_KINDS: tuple[MeasurementKind, ...] = (
-    ODOMETRY, IMU, SCAN, FRAME, LANDMARKS, INTER_ROBOT,
+    ODOMETRY, IMU, SCAN, FRAME, LANDMARKS, TAGS, INTER_ROBOT,
 )  # fmt: skip
 
 KIND_OF_TOPIC: dict[TopicKind, MeasurementKind] = {

@@ -1,4 +1,4 @@
-"""Node `feature_extractor`: vision on the vehicle; images in, landmark observations out.
+"""Node `feature_extractor`: vision on the vehicle; images in, landmark observations and tags out.
 
 It sends about 30 kB per keyframe instead of 1.5 MB of images. The agent then runs with
 `vision: vehicle`. Keyframes are selected by odometry, as in the agent.
@@ -20,7 +20,7 @@ from explore_slam.agent.config import InputConfig
 from explore_slam.agent.odometry import OdometryBuffer
 from explore_slam.data import RgbdFrame
 from explore_slam.errors import ExploreSlamError
-from explore_slam.messages import landmarks_message, odometry_record
+from explore_slam.messages import landmarks_message, odometry_record, tags_message
 from explore_slam.messages.frame_pairing import FRAME, FramePairing
 from explore_slam.messages.topics import GlobalTopic, SensorTopic, TopicKind
 from explore_slam.messages.vehicle_settings import VehicleConfig, odometry_topic
@@ -96,6 +96,7 @@ class FeatureExtractorNode(Node):
         for topic in topics:
             subscribe(self, topic.kind, partial(self._on_camera, topic), name=topic.name)
         self._landmarks = publisher(self, TopicKind.LANDMARKS)
+        self._tags = publisher(self, TopicKind.TAGS)
         self._diagnostics = publisher(self, GlobalTopic.DIAGNOSTICS)
         self._worker = threading.Thread(target=self._work, name='features', daemon=True)
         self._worker.start()
@@ -146,10 +147,13 @@ class FeatureExtractorNode(Node):
             return
         start = time.perf_counter()
         observations = self._extractor.extract(frame)
+        tags = self._extractor.observe_tags(frame)
         self._busy += time.perf_counter() - start
         self._sent += 1
         base, compact = self._mounts.base, self.config.compact_descriptors
         self._landmarks.publish(landmarks_message(MESSAGES, observations, base, compact))
+        if tags is not None:
+            self._tags.publish(tags_message(MESSAGES, tags, base))
 
     def _report(self) -> None:
         self._reported = time.monotonic()

@@ -54,7 +54,12 @@ POSE_KINDS = (TopicKind.INITIAL_POSE, TopicKind.GROUND_TRUTH)
 
 _SCANS = {TopicKind.SCAN, TopicKind.CLOUD}
 # kinds of which several messages may have one stamp: one for each vehicle, or one for each camera
-_SEVERAL_AT_ONCE = (TopicKind.INTER_ROBOT, TopicKind.LANDMARKS, TopicKind.CAMERA_INFO)
+_SEVERAL_AT_ONCE = (
+    TopicKind.INTER_ROBOT,
+    TopicKind.LANDMARKS,
+    TopicKind.TAGS,
+    TopicKind.CAMERA_INFO,
+)
 
 
 class Listener(MeasurementSink, Protocol):

@@ -360,5 +360,6 @@ def frames_or_landmarks(
         warnings.append(f'{sorted(both)}: both frames and landmarks recorded: landmarks are used')
     if vision == 'none':
         return [t for t in topics if t.kind not in (*FRAME.topics, TopicKind.LANDMARKS)]
-    unused = (TopicKind.LANDMARKS,) if vision == 'agent' else FRAME.topics
+    # tags come with the landmarks, from the same frames
+    unused = (TopicKind.LANDMARKS, TopicKind.TAGS) if vision == 'agent' else FRAME.topics
     return [topic for topic in topics if topic.vehicle not in both or topic.kind not in unused]

@@ -26,6 +26,7 @@ from explore_slam.slam.particles.resampling import normalized, stratified_normal
 from explore_slam.slam.posterior.joint_posterior import RelativePose
 from explore_slam.slam.posterior.loop_constraints import LoopConstraints
 from explore_slam.slam.posterior.redrawing import PathRedrawer
+from explore_slam.slam.posterior.tag_constraints import TagConstraints
 from explore_slam.slam.relocalization.joining import Joining
 from explore_slam.slam.relocalization.relocalization import Relocalization
 from explore_slam.slam.storage.ancestry import Index
@@ -79,6 +80,7 @@ class FastSlam(Checkpointed):
         self._joining = Joining(self._team, self._redrawer, self._constraints)
         self._relocalization = Relocalization(self._team, self._redrawer)
         self._inter_robot = InterRobotUpdates(self._team, self._redrawer)
+        self.tags = TagConstraints(self._team, self._redrawer, self._constraints)
 
     # -- motion ---------------------------------------------------------------------------------
 

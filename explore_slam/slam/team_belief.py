@@ -14,6 +14,7 @@ from explore_slam.slam.config import FastSlamConfig
 from explore_slam.slam.fast_slam import FastSlam
 from explore_slam.slam.landmarks.landmark_map import Landmarks
 from explore_slam.slam.posterior.joint_posterior import RelativePose
+from explore_slam.slam.posterior.tag_constraints import TagConstraints
 from explore_slam.slam.storage.row_format import Places
 from explore_slam.slam.summary import UpdateSummary
 
@@ -157,6 +158,20 @@ class TeamBelief(Checkpointed):
     def trajectory(self, vehicle: str) -> tuple[Array, Array]:
         """See FastSlam.trajectory."""
         return self.filter_of(vehicle).trajectory(vehicle)
+
+    # -- tags -----------------------------------------------------------------------------------
+
+    @property
+    def uses_tags(self) -> bool:
+        """Whether tags can be part of the map: a common one with a joint graph."""
+        return len(self.filters) == 1 and self.filters[0].joint is not None
+
+    @property
+    def tags(self) -> TagConstraints:
+        """Tags in the map; SlamError with dedicated maps."""
+        if len(self.filters) > 1:
+            raise SlamError('tags need maps: common, this team has maps: dedicated')
+        return self.filters[0].tags
 
     # -- loop closures --------------------------------------------------------------------------
 

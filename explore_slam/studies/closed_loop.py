@@ -18,6 +18,7 @@ from explore_slam.data import (
     OdometryReading,
     Plan,
     RgbdFrame,
+    TagObservations,
 )
 from explore_slam.errors import EvaluationError
 from explore_slam.exploration import ExplorationStatus, PlanningResult
@@ -181,9 +182,14 @@ class ClosedLoop:
         pose = self._odometry.get(name)
         if pose is not None and self._selectors[name].select(frame.stamp, pose):
             self._add(name, self._extractor.extract(frame))
+            tags = self._extractor.observe_tags(frame)
+            if tags is not None:
+                self._add(name, tags)
 
     def _add(
-        self, name: str, record: OdometryReading | LaserScan | RgbdFrame | LandmarkObservations
+        self,
+        name: str,
+        record: OdometryReading | LaserScan | RgbdFrame | LandmarkObservations | TagObservations,
     ) -> None:
         """Add a record to the agent, and record the keyframes that result."""
         began = time.perf_counter()

@@ -92,7 +92,7 @@ class TwinRun(NamedTuple):
     seconds: float
 
 
-class _Vehicle:
+class TwinVehicle:
     """A vehicle on a given path, with wheel odometry and laser."""
 
     def __init__(self, world: TwinCorridors, path: list[Pose2], scale: float, seed: int) -> None:
@@ -125,8 +125,8 @@ def run_world(study: TwinStudy, seed: int) -> TwinRun:
     random = np.random.default_rng((seed, 1))
     drift = random.uniform(-0.5, 0.5) * world.period
     vehicles = {
-        name: _Vehicle(world, path, 1.0 + drift / world.length, seed + 1000 * number)
-        for number, (name, path) in enumerate(_paths(world).items())
+        name: TwinVehicle(world, path, 1.0 + drift / world.length, seed + 1000 * number)
+        for number, (name, path) in enumerate(team_paths(world).items())
         if number < study.vehicles
     }
     poses: dict[str, Pose2 | None] = {name: item.path[0] for name, item in vehicles.items()}
@@ -145,7 +145,7 @@ def run_world(study: TwinStudy, seed: int) -> TwinRun:
     return _judged(agent, world, paths, closures, drift, time.perf_counter() - begin)
 
 
-def _paths(world: TwinCorridors) -> dict[str, list[Pose2]]:
+def team_paths(world: TwinCorridors) -> dict[str, list[Pose2]]:
     """Return a lap and three quarters, and a lap from the middle of the second corridor."""
     west, east, back, home = world.ring()
     middle = (0.5 * world.length, SECOND)
@@ -188,7 +188,7 @@ def _judged(
     false, closed = 0, set()
     for (a, b), closure in closures.items():
         (owner_a, pose_a), (owner_b, pose_b) = true[a], true[b]
-        if _is_wrong(pose_a.between(pose_b), closure.pose):
+        if is_wrong(pose_a.between(pose_b), closure.pose):
             false += 1
         elif owner_a == owner_b:
             closed.add((owner_a, world.near_end(pose_b.x, END_REACH)))
@@ -199,7 +199,7 @@ def _judged(
     wrong = [
         join
         for join in joins
-        if _is_wrong(
+        if is_wrong(
             paths[join.other][round(join.other_stamp / PERIOD)].between(
                 paths[join.vehicle][round(join.stamp / PERIOD)]
             ),
@@ -221,7 +221,8 @@ def _judged(
     )
 
 
-def _is_wrong(true: Pose2, found: Pose2) -> bool:
+def is_wrong(true: Pose2, found: Pose2) -> bool:
+    """Return whether a relative pose that was found is off by more than WRONG."""
     off = true.between(found)
     return math.hypot(off.x, off.y) > WRONG[0] or abs(off.theta) > WRONG[1]
 

@@ -1,4 +1,4 @@
-"""Vision: RGB-D frames to landmark observations, keyframe selection, compressed images."""
+"""Vision: RGB-D frames to landmark observations, tags, keyframe selection, compressed images."""
 
 from explore_slam.vision.camera_mount import CameraMount
 from explore_slam.vision.compression import decode_compressed
@@ -6,6 +6,7 @@ from explore_slam.vision.config import VisionConfig
 from explore_slam.vision.detectors import DETECTORS, Features
 from explore_slam.vision.features import FeatureExtractor
 from explore_slam.vision.keyframes import KeyframeSelector
+from explore_slam.vision.tags import TagDetector, tags_available
 
 __all__ = [
     'DETECTORS',
@@ -13,6 +14,8 @@ __all__ = [
     'FeatureExtractor',
     'Features',
     'KeyframeSelector',
+    'TagDetector',
     'VisionConfig',
     'decode_compressed',
+    'tags_available',
 ]

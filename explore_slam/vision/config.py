@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from explore_slam.mounts import CameraMountConfig
 from explore_slam.settings import Section, section, setting
+from explore_slam.tags import TagConfig
 from explore_slam.vision.detectors import DETECTORS
 from explore_slam.vision.sections import DepthConfig, FeatureConfig, KeyframeConfig
 
@@ -21,3 +22,4 @@ class VisionConfig(Section):
     depth: DepthConfig = section(DepthConfig)
     keyframes: KeyframeConfig = section(KeyframeConfig)
     mount: CameraMountConfig = section(CameraMountConfig)
+    tags: TagConfig = section(TagConfig)

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from explore_slam.data import LandmarkObservations, RgbdFrame
+from explore_slam.data import LandmarkObservations, RgbdFrame, TagObservations
 from explore_slam.errors import VisionError
 from explore_slam.geometry import Array
 from explore_slam.vision.camera_mount import CameraMount
@@ -18,6 +18,7 @@ from explore_slam.vision.config import VisionConfig
 from explore_slam.vision.depth import DepthLayers, analyse_depth, back_project, point_covariances
 from explore_slam.vision.detectors import DETECTORS, Features
 from explore_slam.vision.sections import FeatureConfig
+from explore_slam.vision.tags import TagDetector
 
 
 class FeatureExtractor:
@@ -38,6 +39,7 @@ class FeatureExtractor:
         self.mount = mount or CameraMount.from_config(self.config.mount)
         self.mount.check()
         self._detector = DETECTORS[self.config.feature_detector](self.config.features)
+        self._tags = TagDetector(self.config.tags, self.mount)
 
     def detect(self, image: NDArray[np.uint8], mask: NDArray[np.bool_] | None = None) -> Features:
         """Return all features of an image (H, W, 3) RGB or (H, W), in a fixed order.
@@ -50,6 +52,13 @@ class FeatureExtractor:
     def extract(self, frame: RgbdFrame) -> LandmarkObservations:
         """Return the landmark observations of a frame, in the vehicle frame."""
         return self.extract_with_pixels(frame)[0]
+
+    def observe_tags(self, frame: RgbdFrame) -> TagObservations | None:
+        """Return the tags in a frame, in the vehicle frame; None where there are none."""
+        if not self._tags.is_active:
+            return None
+        found = self._tags.observe(frame)
+        return found if len(found) else None
 
     def extract_with_pixels(self, frame: RgbdFrame) -> tuple[LandmarkObservations, Features]:
         """Return the observations and, row by row, the image features from which they come."""

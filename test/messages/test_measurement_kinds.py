@@ -14,6 +14,7 @@ from explore_slam.data import (
     LaserScan,
     OdometryReading,
     RgbdFrame,
+    TagObservations,
 )
 from explore_slam.errors import DataError
 from explore_slam.geometry import Pose2
@@ -38,6 +39,12 @@ RECORDS = {
     ),
     'landmarks': LandmarkObservations(
         2.5, np.full((1, 3), 0.5), np.eye(3)[None], np.eye(1, 128, dtype=np.float32)
+    ),
+    'tags': TagObservations(
+        2.5,
+        np.array([3, 2319]),
+        np.array([[1.0, 0.5, 3.0]] * 2),
+        np.tile(np.eye(3) / 4, (2, 1, 1)),
     ),
     'inter_robot': InterRobotObservation(
         2.5, 'robot2', np.array([1.0, 0.5]), np.diag([0.25, 0.5])
@@ -90,7 +97,7 @@ def test_a_vehicle_without_laser_and_camera_needs_odometry_alone():
     kinds = [kind for kind in MEASUREMENT_KINDS if kind.is_expected(bare) and kind.expected]
     assert [kind.name for kind in kinds] == ['odometry']
     accepted = {kind.name for kind in MEASUREMENT_KINDS if kind.is_accepted(bare)}
-    assert accepted == {'odometry', 'inter_robot'}
+    assert accepted == {'odometry', 'tags', 'inter_robot'}
 
 
 def test_losses_are_counted_per_vehicle():
@@ -107,3 +114,21 @@ def test_a_malformed_message_is_refused():
     empty = message_class('sensor_msgs/msg/LaserScan')(range_max=8.0, angle_increment=0.1)
     with pytest.raises(DataError, match='at least one beam'):
         VehicleReader(MEASUREMENT_KINDS).read(TopicKind.SCAN, empty)
+
+
+def test_tags_that_cannot_be_are_refused():
+    read = VehicleReader(MEASUREMENT_KINDS).read
+    (written,) = KIND_OF_TOPIC[TopicKind.TAGS].write(
+        BAG_MESSAGES, FrameNames('robot1'), RECORDS['tags']
+    )
+    topic, message = written
+    without = dataclasses.replace(message, fields=message.fields[:-1])
+    with pytest.raises(DataError, match="field 'id' has 0 values, expected 1"):
+        read(topic, without)
+    data = message.data.copy()
+    data[message.point_step - 4 : message.point_step] = np.array([2319.0], '<f4').view(np.uint8)
+    with pytest.raises(DataError, match=r'ids are \[2319, 2319\], expected each once'):
+        read(topic, dataclasses.replace(message, data=data))
+    data[message.point_step - 4 : message.point_step] = np.array([-1.0], '<f4').view(np.uint8)
+    with pytest.raises(DataError, match='expected whole numbers from 0'):
+        read(topic, dataclasses.replace(message, data=data))

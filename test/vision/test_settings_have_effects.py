@@ -8,8 +8,15 @@ from explore_slam.data import Intrinsics, RgbdFrame
 from explore_slam.errors import ConfigError
 from explore_slam.geometry import Pose2
 from explore_slam.settings import settings_of, with_values
-from explore_slam.vision import DETECTORS, FeatureExtractor, KeyframeSelector, VisionConfig
+from explore_slam.vision import (
+    DETECTORS,
+    FeatureExtractor,
+    KeyframeSelector,
+    VisionConfig,
+    tags_available,
+)
 from explore_slam.vision.detectors.sift import Sift
+from explore_slam.vision.tag_images import TagInView, draw_view
 
 CAMERA = Intrinsics(320, 240, 260.0, 262.0, 158.0, 121.0)
 
@@ -40,6 +47,18 @@ def keyframes(config):
     return [selector.select(0.1 * k, pose) for k, pose in enumerate(poses)]
 
 
+def tags(config):
+    """Return where a tag is seen, and how well; a setting of no file sees none."""
+    if not tags_available():
+        return None
+    random, turn = np.random.default_rng(0), np.diag([1.0, -1.0, -1.0])
+    view = TagInView(7, 0.2, turn, np.array([0.1, 0.0, 1.5]))
+    image = draw_view('tag36h11', [view], CAMERA, random)
+    depth = np.zeros((240, 320), np.float32)
+    found = FeatureExtractor(config).observe_tags(RgbdFrame(0.0, image, depth, CAMERA))
+    return found and (found.poses.tobytes(), found.covariances.tobytes())
+
+
 class Blind(Sift):
     """A detector that finds nothing."""
 
@@ -65,6 +84,9 @@ EFFECTS = {
     'minimum_travel_distance': (0.5, keyframes),
     'minimum_travel_heading': (0.4, keyframes),
     'maximum_keyframe_gap': (1.0, keyframes),
+    'tags_file': ('', tags),
+    'tag_corner_noise': (1.0, tags),
+    'tag_scale_error': (0.05, tags),
     'camera_x': (0.3, observations),
     'camera_y': (0.1, observations),
     'camera_z': (0.8, observations),
@@ -74,24 +96,35 @@ EFFECTS = {
 }
 
 
-USUAL = with_values(VisionConfig(), {'feature_budget': 100})
+# used by the agent: test_tag_mapping
+ELSEWHERE = {'tag_survey_deviation', 'tag_survey_heading'}
 
 
 @pytest.fixture(scope='module')
-def usual():
-    """Outcomes with usual settings, which effects are compared with."""
-    return {experiment: experiment(USUAL) for _, experiment in EFFECTS.values()}
+def settings(tmp_path_factory):
+    """Settings that effects are compared with: fewer features, and a tag."""
+    path = tmp_path_factory.mktemp('site') / 'tags.yaml'
+    path.write_text('size: 0.2\n')
+    return with_values(VisionConfig(), {'feature_budget': 100, 'tags_file': str(path)})
+
+
+@pytest.fixture(scope='module')
+def usual(settings):
+    """Outcomes with these settings."""
+    return {experiment: experiment(settings) for _, experiment in EFFECTS.values()}
 
 
 @pytest.mark.parametrize('name', EFFECTS)
-def test_every_setting_changes_what_is_observed(name, usual):
+def test_every_setting_changes_what_is_observed(name, settings, usual):
     value, experiment = EFFECTS[name]
-    assert experiment(with_values(USUAL, {name: value})) != usual[experiment]
+    if experiment is tags and not tags_available():
+        pytest.skip('this OpenCV finds no tags')
+    assert experiment(with_values(settings, {name: value})) != usual[experiment]
 
 
-@pytest.mark.parametrize('experiment', [observations, keyframes])
-def test_the_same_settings_give_the_same(experiment, usual):
-    assert experiment(USUAL) == usual[experiment]
+@pytest.mark.parametrize('experiment', [observations, keyframes, tags])
+def test_the_same_settings_give_the_same(experiment, settings, usual):
+    assert experiment(settings) == usual[experiment]
 
 
 def test_the_detector_is_the_one_of_the_setting(monkeypatch):
@@ -103,4 +136,8 @@ def test_the_detector_is_the_one_of_the_setting(monkeypatch):
 
 
 def test_no_setting_is_left_out():
-    assert {info.name for info, _ in settings_of(VisionConfig())} == {*EFFECTS, 'feature_detector'}
+    assert {info.name for info, _ in settings_of(VisionConfig())} == {
+        *EFFECTS,
+        *ELSEWHERE,
+        'feature_detector',
+    }

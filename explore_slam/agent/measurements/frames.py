@@ -15,6 +15,9 @@ def process(team: Team, track: VehicleTrack, frame: RgbdFrame) -> None:
     selector = track.selector_of(frame.sensor)
     if selector.select(frame.stamp, track.odometry.at(frame.stamp)):
         team.update(track, team.extractor.extract(frame))
+        tags = team.extractor.observe_tags(frame)
+        if tags is not None:
+            team.add_tags(track, tags)
 
 
 FRAMES = MeasurementHandler(RgbdFrame, process)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from explore_slam.errors import SlamError
-from explore_slam.geometry import Array, compose
+from explore_slam.geometry import Array, between, compose, planar_rotation
 from explore_slam.slam.checkpoint import State, part, under
 from explore_slam.slam.graph import bounding, checks, se2
 from explore_slam.slam.graph.config import GraphConfig
@@ -48,6 +48,8 @@ from explore_slam.slam.graph.solver import (
 )
 from explore_slam.slam.graph.storage import Calibration, Storage
 from explore_slam.slam.graph.ties import Component, components
+
+_EXACT = 0.5 * checks.EXACT_DEVIATION**-2.0  # information of what is known exactly, and no less
 
 
 class JointGraph:
@@ -116,9 +118,7 @@ class JointGraph:
         store = self._storage
         if vehicle not in store.newest:
             raise SlamError(f'vehicle {vehicle} has no start')
-        spread = checks.matrix('deviations', deviations, (3,))
-        if not (spread > 0.0).all():
-            raise SlamError(f'deviations are {spread}, expected positive numbers')
+        spread = _positive('deviations', deviations)
         store.calibrations[vehicle] = Calibration(spread, np.zeros(3))
         store.touch([store.newest[vehicle]])
 
@@ -417,30 +417,56 @@ class JointGraph:
         store.forget_landmarks(np.setdiff1d(sources, table['landmark']))
         store.touch()
 
-    def move(self, vehicles: Iterable[int], frame: ArrayLike, deviations: ArrayLike) -> None:
+    def move(
+        self, vehicles: Iterable[int], frame: ArrayLike, deviations: ArrayLike | None
+    ) -> None:
         """Move the paths of vehicles, and the landmarks that they observed, as a rigid body.
 
         For vehicles whose pose in the map becomes known. frame (3,): pose, in the new frame, of
         their old frame. deviations (3,) m, m, rad: new standard deviations of their priors, which
-        tied them to the old frame. Vehicles that are tied to them must be among them.
+        tied them to the old frame; None: the priors move along. Vehicles that are tied to them
+        must be among them.
         """
         store, members = self._storage, sorted(set(vehicles))
         tied = {other for vehicle in members for other in self._component(vehicle)}
         if tied != set(members):
             raise SlamError(f'vehicles {members} are tied to {sorted(tied - set(members))}')
         at = checks.matrix('frame', frame, (3,))
-        spread = checks.matrix('deviations', deviations, (3,))
-        if not (spread > 0.0).all():
-            raise SlamError(f'deviations are {spread}, expected positive numbers')
+        W = None
+        if deviations is not None:
+            W = np.diag(_positive('deviations', deviations) ** -2.0)
         keyframes, factors = store.keyframes, store.factors
         rows = np.isin(keyframes['vehicle'], members)
         for name in ('pose', 'chain'):
             keyframes[name][rows] = compose(at, keyframes[name][rows])
         priors = np.flatnonzero((factors['kind'] == PRIOR) & rows[factors['b']])
         factors['z'][priors] = compose(at, factors['z'][priors])
-        factors['W'][priors] = np.diag(spread**-2.0)
+        turn = planar_rotation(float(at[2]))
+        factors['W'][priors] = turn @ factors['W'][priors] @ turn.T if W is None else W
         move_landmarks(store, members, at)
         store.touch([store.newest[vehicle] for vehicle in members])
+
+    def release_starts(self, vehicles: Sequence[int], deviations: ArrayLike) -> None:
+        """Let the starts of vehicles move together, because something else fixes the frame.
+
+        Their priors become wide, with deviations (3,) m, m, rad. Starts that were known exactly
+        stay so relative to each other.
+        """
+        store, W = self._storage, np.diag(_positive('deviations', deviations) ** -2.0)
+        keyframes, factors = store.keyframes, store.factors
+        first: int | None = None
+        for vehicle in vehicles:
+            start = int(np.flatnonzero(keyframes['vehicle'] == vehicle)[0])
+            priors = np.flatnonzero((factors['kind'] == PRIOR) & (factors['b'] == start))
+            known = factors['W'][priors]
+            if not len(priors) or known[0].diagonal().min() < _EXACT:
+                continue
+            factors['W'][priors] = W
+            if first is not None:
+                z = between(keyframes['pose'][first], keyframes['pose'][start])
+                store.add_factor(RELATIVE_POSE, first, start, z, known[0].copy(), SQUARED, 1.0)
+            first = start if first is None else first
+        store.touch()
 
     def pin(self, keyframe: int) -> None:
         """Keep a keyframe in the graph until it is unpinned as often as it was pinned.
@@ -697,3 +723,11 @@ class JointGraph:
         factors, vehicle = self._storage.factors, self._storage.keyframes['vehicle']
         own = (factors['a'] < 0) & (vehicle[factors['b']] == vehicle[factors['b'][row]])
         return int(own.sum()) > 1
+
+
+def _positive(what: str, values: ArrayLike) -> Array:
+    """Return positive numbers (3,)."""
+    found = checks.matrix(what, values, (3,))
+    if not (found > 0.0).all():
+        raise SlamError(f'{what} are {found}, expected positive numbers')
+    return found

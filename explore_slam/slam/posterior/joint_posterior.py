@@ -133,6 +133,7 @@ class JointPosterior:
         self._redrawn_at = 0  # number of the next keyframe at the last redraw
         # closures that have not been part of an optimum yet -> vehicle of each
         self._new_closures: dict[int, int] = {}
+        self.tags = 0  # how many tags are nodes of the graph
         self.relative_covariance = RelativeCovariances(self.graph)
         self.calibrations = np.zeros((len(starts), 3))
         for vehicle, pose in enumerate(starts):
@@ -229,6 +230,44 @@ class JointPosterior:
             keyframe, of, observation.position, observation.covariance
         )
 
+    def add_tag(self, keyframe: int, pose: Pose2) -> int:
+        """Add a tag that was seen from a keyframe of the graph; return the node of the tag.
+
+        pose: of the tag in the frame of the keyframe. To the graph a tag is a vehicle that never
+        moves: its only keyframe is the pose of the tag.
+        """
+        node = self._next
+        seen_at = Pose2.from_array(self.graph.estimate(keyframe)).compose(pose)
+        covariance = np.diag(_LOOSE_DEVIATIONS**2)
+        number = len(self._motions) + self.tags
+        self.graph.add_start(number, node, np.asarray(seen_at), covariance)
+        self.tags += 1
+        self._next += 1
+        return node
+
+    def observe_tag(self, keyframe: int, tag: int, pose: Pose2, information: Array) -> int:
+        """Record the pose of a tag, by its node, in the frame of a keyframe; return the factor.
+
+        information (3, 3): of the components of the pose, zero where the heading is unknown.
+        """
+        return self.graph.add_relative_pose(keyframe, tag, np.asarray(pose), information)
+
+    def vehicles_at(self, nodes: Sequence[int]) -> list[int]:
+        """Return the vehicles of nodes of the graph; of a tag, those that have seen it."""
+        numbers = self.graph.vehicles_of(nodes).tolist()
+        return [
+            vehicle
+            for number in numbers
+            for vehicle in ([number] if number < len(self._motions) else self._seen_by(number))
+        ]
+
+    def _seen_by(self, tag: int) -> list[int]:
+        return sorted(self.vehicles_tied(tag))
+
+    def vehicles_tied(self, number: int) -> set[int]:
+        """Return the vehicles that measurements tie to one, or to a tag, by its number."""
+        return {other for other in self.graph.tied(number) if other < len(self._motions)}
+
     def pin(self, keyframe: int) -> None:
         """Keep a keyframe as a variable of the graph, for closures yet to be found."""
         self.graph.pin(keyframe)
@@ -301,10 +340,25 @@ class JointPosterior:
         """Transform the paths of vehicles from a frame of their own into the map.
 
         frame: pose of that frame in the map. The priors become wide; the caller must record the
-        measurements that tie the vehicles to the map.
+        measurements that tie the vehicles to the map. The tags that they have seen move along.
         """
-        self.graph.move(vehicles, np.asarray(frame), _LOOSE_DEVIATIONS)
+        self.graph.move(self._with_tags(vehicles), np.asarray(frame), _LOOSE_DEVIATIONS)
         self.relative_covariance.invalidate()
+
+    def move_map(self, vehicles: Sequence[int], frame: Pose2) -> None:
+        """Transform the map with the paths of all vehicles in it into the frame of surveyed tags.
+
+        frame: pose of the map's frame so far. Starts that were known exactly remain so relative to
+        each other; the caller must record the poses of surveyed tags.
+        """
+        self.graph.move(self._with_tags(vehicles), np.asarray(frame), None)
+        self.graph.release_starts(sorted(vehicles), _LOOSE_DEVIATIONS)
+        self.relative_covariance.invalidate()
+
+    def _with_tags(self, vehicles: Sequence[int]) -> list[int]:
+        """Return vehicles and the tags that are tied to them, by number."""
+        tied = {other for vehicle in vehicles for other in self.graph.tied(vehicle)}
+        return sorted({*vehicles, *(other for other in tied if other >= len(self._motions))})
 
     def measure_pose(self, keyframe: int, pose: Pose2, covariance: Array) -> None:
         """Record the pose of a keyframe in the map, known with a covariance (3, 3) there."""
@@ -348,7 +402,7 @@ class JointPosterior:
                 continue
             tied = self.graph.tied(vehicle)
             done |= tied
-            newest = np.sort([self._motions[v].keyframe for v in tied])
+            newest = np.sort([self._motions[v].keyframe for v in self.vehicles_tied(vehicle)])
             observing = self.graph.observing_keyframes(tied)
             parts.append(
                 _Part(
@@ -391,6 +445,8 @@ class JointPosterior:
                 self._new_closures.pop(factor, None)
             self.relative_covariance.renew(solution.problem.vehicles[0])
             for v in solution.problem.vehicles:
+                if v >= len(self._motions):  # a tag
+                    continue
                 row = np.searchsorted(draws.ends, self._motions[v].keyframe)
                 chains[v] = draws.chains[row].T.copy()
             calibrations |= {v: some.T for v, some in draws.calibrations.items()}
@@ -440,6 +496,7 @@ class JointPosterior:
         self.relative_covariance.invalidate()  # as in what is restored from the state
         state = under('graph', self.graph.state_dict())
         state['calibrations'] = self.calibrations
+        state['tags'] = np.array(self.tags)
         state['counters'] = np.array([self.draws, self._next, self._redrawn_at], np.int64)
         state['new_closures'] = np.array(list(self._new_closures.items()), np.int64).reshape(-1, 2)
         state['newest_keyframes'] = np.array(
@@ -455,6 +512,7 @@ class JointPosterior:
         self.relative_covariance = RelativeCovariances(self.graph)
         self._new_closures = dict(state['new_closures'].tolist())
         self.calibrations = state['calibrations'].copy()
+        self.tags = int(state.get('tags', np.array(0)))
         self.draws, self._next, self._redrawn_at = state['counters'].tolist()
         for vehicle, (keyframe, moved) in enumerate(state['newest_keyframes'].tolist()):
             motion = PendingMotion()

@@ -37,16 +37,22 @@ class LoopConstraints:
 
     def close(self, closures: Sequence[RelativePose]) -> list[int]:
         """Record closures; return a number for each. See FastSlam.close_loops."""
+        return self.close_nodes(
+            [
+                closure._replace(
+                    reference=self.node_of(closure.reference),
+                    keyframe=self.node_of(closure.keyframe),
+                )
+                for closure in closures
+            ]
+        )
+
+    def close_nodes(self, measured: Sequence[RelativePose]) -> list[int]:
+        """Record closures between nodes of the graph, keyframes or tags; see `close`."""
         joint, groups = self._team.required_joint(), self._team.groups
-        measured = [
-            closure._replace(
-                reference=self.node_of(closure.reference), keyframe=self.node_of(closure.keyframe)
-            )
-            for closure in closures
-        ]
-        ends = [joint.graph.vehicles_of([c.reference, c.keyframe]).tolist() for c in measured]
+        ends = [joint.vehicles_at([c.reference, c.keyframe]) for c in measured]
         self._redrawer.complete_pending()
-        merges = any(groups.of(a) is not groups.of(b) for a, b in ends)
+        merges = any(groups.of(v) is not groups.of(pair[0]) for pair in ends for v in pair)
         factors: list[int] = []
         try:
             factors.extend(joint.close(closure) for closure in measured)

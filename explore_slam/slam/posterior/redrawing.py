@@ -151,7 +151,7 @@ class PathRedrawer:
         while found != members:
             members = found
             found = {v for n in members for v in groups.of(n).vehicles}
-            found |= {v for n in members for v in joint.graph.tied(n)}
+            found |= {v for n in members for v in joint.vehicles_tied(n)}
         return sorted(members)
 
     def replace_particles(self, new: ParticleReplacement) -> None:

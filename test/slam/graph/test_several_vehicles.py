@@ -3,7 +3,9 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
+from explore_slam.errors import SlamError
 from explore_slam.geometry import compose
+from explore_slam.slam.graph import JointGraph
 
 NOISE = np.diag([0.02, 0.01, 0.01]) ** 2
 
@@ -87,3 +89,26 @@ def test_snapshot_is_solved_in_another_thread_while_the_graph_grows(make_world):
     draws = solution.draw(6, np.random.default_rng(0))
     np.testing.assert_array_equal(draws.poses, direct.draw(6, np.random.default_rng(0)).poses)
     assert aside.optimize().keyframes == 23
+
+
+def test_starts_that_were_exact_move_together_into_the_frame_of_a_survey():
+    """Two vehicles that have nothing in common but their starts; only the first is surveyed."""
+    graph = JointGraph()
+    graph.add_start(0, 0, [0.0, 0.0, 0.0])
+    graph.add_start(1, 1, [4.0, 0.0, 0.5])
+    for keyframe, vehicle in ((2, 0), (3, 1)):
+        graph.add_keyframe(vehicle, keyframe, [1.0, 0.0, 0.0], 1e-4 * np.eye(3))
+    frame = np.array([10.0, 5.0, 1.2])
+    before = graph.path()
+    graph.move([0, 1], frame, None)
+    np.testing.assert_allclose(graph.path(), compose(frame, before), atol=1e-9)
+    graph.optimize()  # the starts moved along
+    np.testing.assert_allclose(graph.path(), compose(frame, before), atol=1e-6)
+    graph.release_starts([0, 1], [30.0, 30.0, 3.0])
+    assert graph.tied(0) == {0, 1}
+    surveyed = np.array([10.3, 5.1, 1.3])
+    graph.add_prior(0, surveyed, 1e-6 * np.eye(3))
+    graph.optimize()
+    np.testing.assert_allclose(graph.path(), compose(surveyed, before), atol=1e-3)
+    with pytest.raises(SlamError, match='expected positive numbers'):
+        graph.release_starts([0], [1.0, 0.0, 1.0])
