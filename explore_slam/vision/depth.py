@@ -12,6 +12,7 @@ from explore_slam.vision.sections import DepthConfig
 
 _METRES_PER_MILLIMETRE = np.float32(0.001)
 _MEDIAN_WINDOW = 3  # pixels; removes single wild values
+_WHOLE_WINDOW = np.ones((_MEDIAN_WINDOW, _MEDIAN_WINDOW), np.uint8)
 _EDGE_WINDOW = np.ones((5, 5), np.uint8)  # reaches an edge before the centre of a feature does
 _FAR = np.float32(1e6)  # m; in place of missing values where the smallest depth is searched
 
@@ -39,12 +40,17 @@ def analyse_depth(
     Speckle is removed by a median of 3 x 3, edges are detected by the range over 5 x 5 pixels.
     Depths out of range count for the spread: a feature in front of a far wall is on an edge,
     though the wall itself is not a valid measurement.
+
+    A pixel is valid only if all nine readings of its median are there. The median would take those
+    that are missing as 0. Near the end of the camera's range the far half of the noise is missing,
+    so that the rest of it is measured too near: there hardly any pixel remains.
     """
     metres = depth_in_metres(depth)
     smooth = cv2.medianBlur(metres, _MEDIAN_WINDOW)
     highest = cv2.dilate(metres, _EDGE_WINDOW)
     lowest = cv2.erode(np.where(metres > 0.0, metres, _FAR), _EDGE_WINDOW)
-    valid = (metres > 0.0) & (smooth >= config.min_depth) & (smooth <= config.max_depth)
+    complete = cv2.erode(metres, _WHOLE_WINDOW) > 0.0
+    valid = complete & (smooth >= config.min_depth) & (smooth <= config.max_depth)
     zero = np.float32(0.0)
     return DepthLayers(np.where(valid, smooth, zero), np.where(valid, highest - lowest, zero))
 
