@@ -5,16 +5,11 @@ import numpy as np
 from explore_slam.data import LaserScan
 from explore_slam.geometry import IDENTITY
 from explore_slam.mapping.config import GridConfig
-from explore_slam.mapping.laser_map import (
-    MAP_FRAME,
-    KeyframeScan,
-    LaserMap,
-    RedrawSummary,
-    VehicleDisc,
-)
+from explore_slam.mapping.laser_map import KeyframeScan, LaserMap
 from explore_slam.mapping.map_files import load_map, save_map
 from explore_slam.mapping.map_images import read_image
 from explore_slam.mapping.occupancy_grid import OccupancyGrid
+from explore_slam.mapping.path_drawing import MAP_FRAME, RedrawSummary, VehicleDisc
 
 __all__ = [
     'MAP_FRAME',

@@ -335,6 +335,11 @@ class OccupancyGrid:
         self._touched = np.zeros(area.shape, np.int32)
         self._first_col, self._first_row = area.left, area.below
 
+    @property
+    def nbytes(self) -> int:
+        """Memory of the evidence."""
+        return self._evidence.nbytes
+
     def to_percent(self) -> NDArray[np.int8]:
         """Return the probability (H, W) that a cell is occupied in percent; -1 where unknown."""
         percent = np.rint(self.probability() * 100.0).astype(np.int8)

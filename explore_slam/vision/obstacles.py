@@ -1,0 +1,369 @@
+"""Depth image -> what lies in the height band of a vehicle: cells that are occupied, and free.
+
+A laser near the floor sees neither table tops nor shelves nor steps down. A depth image is sorted
+into cells of the floor and slices of height:
+
+1. The rays of the image are levelled by the floor that the camera sees (FloorEstimate), so that a
+   mount that is off by a few degrees does not turn the far floor into obstacles.
+2. A reading within the band occupies its cell in its slice of height; between successive readings
+   of a horizontal surface, which is seen at a grazing angle, the cells in between as well.
+3. A ray frees the cells and slices that it passes before its reading: a ray below a table frees
+   the space there, not the top.
+4. A ray that ends below the floor has passed through a hole where it should have met the floor:
+   a step down begins there. Readings of the floor say that there is none.
+"""
+
+import logging
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from explore_slam.compiled import kernel
+from explore_slam.data import (
+    HOLE_BIT,
+    OBSTACLE_CELL,
+    SLICE_HEIGHT,
+    Intrinsics,
+    ObstacleView,
+    RgbdFrame,
+)
+from explore_slam.geometry import Array
+from explore_slam.vision.camera_mount import CameraMount
+from explore_slam.vision.config import VisionConfig
+from explore_slam.vision.depth import camera_rays, depth_in_metres
+from explore_slam.vision.floor import Floor, FloorEstimate
+from explore_slam.vision.sections import ObstacleConfig
+
+logger = logging.getLogger(__name__)
+
+_SAMPLES = 320  # columns of the image that are used: a cell at 3 m is 0.05 m or 5 of them wide
+_ROW = 0.5 * OBSTACLE_CELL  # m, depth of a cell of the view; half, so that none is left out
+_LEAST_READINGS = 2  # in a cell and slice: a single one may be wrong
+# A cell beside a wall counts if it holds this share of the readings of the wall: noise spreads
+# those over several cells. The cells beside are those within _BESIDE rows.
+_LEAST_SHARE, _BESIDE = 0.15, 3
+_FILLED = 4  # readings that a cell between two of a horizontal surface counts for
+_LONGEST_GAP = 0.3  # m between successive readings of one surface
+_LEVEL = 0.1  # slope up to which a surface counts as horizontal
+_OUTLIER = 2.5  # standard deviations of noise that two readings of a wall are not apart
+_MARGIN = 0.05  # m before a reading that its ray does not free
+_FLAT = 1e-6  # slope of a ray that stays in its slice
+_FREE_EVERY = 2  # rows of samples of which the rays free space: neighbours pass the same cells
+_LEAST_FORWARD = 0.1  # of a ray, horizontally; steeper ones are left out
+_SLOPE = 0.01  # rad by which a levelled view may still be tilted: the floor rises with distance
+
+
+class _View(NamedTuple):
+    """Cells of a view: tangents of the bearing from the camera axis, and rows of distance.
+
+    first: number of the first bin of tangents; step: of tangents; bins, rows, slices: numbers.
+    """
+
+    first: int
+    step: float
+    bins: int
+    rows: int
+    slices: int
+
+
+class _Rays(NamedTuple):
+    """Rays of an image (W, H), column by column, in a frame that looks ahead along the floor.
+
+    ahead: per metre of depth, 0 where a ray is too steep; tangent of the bearing to the left;
+    slope upwards per metre ahead; bin of the view.
+    """
+
+    ahead: NDArray[np.float32]
+    tangent: NDArray[np.float32]
+    slope: NDArray[np.float32]
+    bin: NDArray[np.int32]
+
+
+class _Band(NamedTuple):
+    """Heights (m): lowest and highest of obstacles, step; noise (1/m) of depth."""
+
+    lowest: float
+    highest: float
+    step: float
+    noise: float
+
+
+class ObstacleDetector:
+    """Finds obstacles in the depth images of the cameras of one vehicle.
+
+    mount: of the camera, for frames without one; by default that of the settings.
+    vehicle: its name in messages.
+    """
+
+    def __init__(
+        self,
+        config: VisionConfig | None = None,
+        mount: CameraMount | None = None,
+        vehicle: str = 'the vehicle',
+    ) -> None:
+        self.config = config or VisionConfig()
+        self._mount = mount or CameraMount.from_config(self.config.mount)
+        self._vehicle = vehicle
+        self._floors: dict[str, FloorEstimate] = {}
+        self._prepared: dict[str, tuple[object, _Rays, _View]] = {}
+
+    def floor(self, camera: str = '') -> Floor:
+        """Return the floor as a camera sees it, relative to where its mount has it."""
+        return self._floors[camera].floor if camera in self._floors else Floor()
+
+    def detect(self, frame: RgbdFrame) -> ObstacleView:
+        """Return the obstacles and the free space in a frame, in the vehicle frame."""
+        mount = self._mount if frame.mount is None else CameraMount.from_optical(frame.mount)
+        band = self.config.obstacles
+        stride = max(1, round(frame.intrinsics.width / _SAMPLES))
+        depth = np.ascontiguousarray(depth_in_metres(frame.depth[::stride, ::stride].T))
+        axis = mount.rotation[:, 2]
+        heading = math.atan2(axis[1], axis[0])
+        rays, view = self._rays_of(frame, stride, mount, heading)
+        estimate = self._floors.setdefault(frame.sensor, FloorEstimate())
+        estimate.add(rays.ahead, rays.tangent, rays.slope, depth, mount.z, band.obstacle_range)
+        self._check(frame.sensor, estimate)
+        floor = estimate.floor
+        occupied, free = _sort(
+            rays,
+            depth,
+            (floor.along, floor.across),
+            mount.z - floor.height,
+            view,
+            _Band(
+                band.obstacle_lowest,
+                band.obstacle_highest,
+                band.step_depth,
+                self.config.depth.depth_noise,
+            ),
+        )
+        cells, hits, passes = _to_vehicle(occupied, free, view, mount.x, mount.y, heading)
+        return ObstacleView(frame.stamp, cells, hits, passes)
+
+    def _rays_of(
+        self, frame: RgbdFrame, stride: int, mount: CameraMount, heading: float
+    ) -> tuple[_Rays, _View]:
+        """Return the rays of a camera, ahead along the floor, and the cells of its view."""
+        key = (frame.intrinsics, stride, mount)
+        if frame.sensor not in self._prepared or self._prepared[frame.sensor][0] != key:
+            made = _prepare(frame.intrinsics, stride, mount, heading, self.config.obstacles)
+            self._prepared[frame.sensor] = (key, *made)
+        _, rays, view = self._prepared[frame.sensor]
+        return rays, view
+
+    def _check(self, camera: str, estimate: FloorEstimate) -> None:
+        """Warn once of a mount that the floor contradicts."""
+        if not estimate.contradicts_mount():
+            return
+        floor = estimate.floor
+        logger.warning(
+            '%s: %s sees the floor tilted by %.1f degrees along and %.1f across its view, and '
+            '%+.3f m from where its mount has it: heights are corrected, but the mount should be '
+            '(camera_pitch %+.3f, camera_roll %+.3f, camera_z %+.3f)',
+            self._vehicle,
+            camera or 'the camera',
+            math.degrees(floor.along),
+            math.degrees(floor.across),
+            floor.height,
+            floor.along,
+            -floor.across,
+            -floor.height,
+        )
+
+
+def _prepare(
+    camera: Intrinsics, stride: int, mount: CameraMount, heading: float, band: ObstacleConfig
+) -> tuple[_Rays, _View]:
+    """Return the rays of every stride-th pixel and the cells of the view."""
+    u, v = np.mgrid[0 : camera.width : stride, 0 : camera.height : stride]
+    pixels = np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float64)
+    flat = camera_rays(pixels, camera)
+    cos, sin = math.cos(heading), math.sin(heading)
+    turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    rays = np.column_stack([flat, np.ones(len(flat))]) @ (turn @ mount.rotation).T
+    usable = rays[:, 0] > _LEAST_FORWARD
+    ahead = np.where(usable, rays[:, 0], 1.0)
+    tangent, slope = rays[:, 1] / ahead, rays[:, 2] / ahead
+    step = max(0.5 * OBSTACLE_CELL / band.obstacle_range, 2.5 * stride / camera.fx)
+    bins = np.floor(tangent / step).astype(np.int32)
+    first = int(bins[usable].min(initial=0))
+    last = int(bins[usable].max(initial=first))
+    slices = min(math.ceil(band.obstacle_highest / SLICE_HEIGHT - 1e-9), HOLE_BIT)
+    view = _View(first, step, last - first + 1, math.ceil(band.obstacle_range / _ROW), slices)
+    return (
+        _Rays(
+            np.where(usable, ahead, 0.0).astype(np.float32).reshape(u.shape),
+            tangent.astype(np.float32).reshape(u.shape),
+            slope.astype(np.float32).reshape(u.shape),
+            np.where(usable, bins - first, 0).astype(np.int32).reshape(u.shape),
+        ),
+        view,
+    )
+
+
+@kernel
+def _free_slices(
+    counts: NDArray[np.int16],
+    at: int,
+    height: float,
+    slope: float,
+    end: float,
+    lowest: float,
+) -> None:
+    """Free what a ray passes on its way to a distance (m), slice by slice: whole rows alone."""
+    slices, rows = counts.shape[1] - 1, counts.shape[2] - 1
+    if abs(slope) < _FLAT:
+        slope = _FLAT
+    inverse = 1.0 / slope
+    final = height + slope * end
+    low, high = min(height, final), max(height, final)
+    first = int(max(low, 0.0) / SLICE_HEIGHT)
+    last = min(int(max(high, 0.0) / SLICE_HEIGHT), slices - 1)
+    for piece in range(first, last + 1):
+        z0 = piece * SLICE_HEIGHT
+        # what lies on the floor is lower than lowest
+        z1 = lowest if piece == 0 else z0 + SLICE_HEIGHT
+        one, two = (z0 - height) * inverse, (z1 - height) * inverse
+        start, stop = max(min(one, two), 0.0) / _ROW, min(max(one, two), end) / _ROW
+        begin, beyond = int(start + 0.999), min(int(stop), rows)
+        if begin < beyond:
+            counts[at, piece, begin] += 1
+            counts[at, piece, beyond] -= 1
+
+
+@kernel
+def _sort(
+    rays: _Rays,
+    depth: NDArray[np.float32],
+    tilt: tuple[float, float],
+    height: float,
+    view: _View,
+    band: _Band,
+) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
+    """Return which slices are occupied, and which are free, as bits by bin and row.
+
+    depth (W, H) m; tilt: slopes of the floor; height (m): of the camera above the floor.
+    """
+    hole = view.slices
+    hits = np.zeros((view.bins, view.slices + 1, view.rows + 1), np.int16)
+    passes = np.zeros((view.bins, view.slices + 1, view.rows + 1), np.int16)
+    reach = view.rows * _ROW
+    for column in range(depth.shape[0]):
+        before_kind, before, before_z = 0, 0.0, 0.0  # of the reading above in the image
+        for row in range(depth.shape[1]):
+            forward = float(depth[column, row]) * float(rays.ahead[column, row])
+            if forward <= 0.0:
+                before_kind = 0
+                continue
+            at = rays.bin[column, row]
+            slope = float(rays.slope[column, row]) - tilt[0]
+            slope -= tilt[1] * float(rays.tangent[column, row])
+            z = height + forward * slope
+            noise = band.noise * forward * forward
+            end = min(forward - _MARGIN - noise, reach)
+            kind, piece, place = 0, 0, forward
+            if z < -(band.step + _SLOPE * forward):
+                kind, piece = 3, hole
+                place = -height / slope  # where the ray should have met the floor
+                end = min(end, place - _MARGIN)
+            elif z < band.lowest + _SLOPE * forward:
+                kind, piece = 2, hole
+            elif z < band.highest:
+                kind, piece = 1, min(int(z / SLICE_HEIGHT), view.slices - 1)
+            if end > 0.0 and row % _FREE_EVERY == 0:
+                _free_slices(passes, at, height, slope, end, band.lowest)
+            if kind > 0 and place < reach:
+                gap = abs(place - before)
+                same = before_kind == kind and gap < _LONGEST_GAP
+                if kind == 1 and same:
+                    same = gap > max(_ROW, 1.5 * _OUTLIER * noise)
+                    same = same and abs(z - before_z) < _LEVEL * gap + 0.005
+                start = before if same else place
+                weight = _FILLED if kind == 1 and same else 1
+                target = passes if kind == 2 else hits
+                low = int(min(start, place) / _ROW)
+                high = min(int(max(start, place) / _ROW) + 1, view.rows)
+                target[at, piece, low] += weight
+                target[at, piece, high] -= weight
+            before_kind, before, before_z = kind, place, z
+    occupied = np.zeros((view.bins, view.rows), np.uint16)
+    free = np.zeros((view.bins, view.rows), np.uint16)
+    line = np.zeros(view.rows, np.int32)
+    for at in range(view.bins):
+        for piece in range(view.slices + 1):
+            bit = np.uint16(1 << (HOLE_BIT if piece == hole else piece))
+            total, passed = 0, 0
+            for row in range(view.rows):
+                total += hits[at, piece, row]
+                line[row] = total
+            for row in range(view.rows):
+                passed += passes[at, piece, row]
+                count = line[row]
+                if count >= _LEAST_READINGS:
+                    most = count
+                    for other in range(max(row - _BESIDE, 0), min(row + _BESIDE + 1, view.rows)):
+                        most = max(most, line[other])
+                    if count >= _LEAST_SHARE * most:
+                        occupied[at, row] |= bit
+                        continue
+                if passed > 0:
+                    free[at, row] |= bit
+    return occupied, free
+
+
+@kernel
+def _to_vehicle(
+    occupied: NDArray[np.uint16],
+    free: NDArray[np.uint16],
+    view: _View,
+    x: float,
+    y: float,
+    heading: float,
+) -> tuple[NDArray[np.int16], NDArray[np.uint16], NDArray[np.uint16]]:
+    """Return cells (N, 2) of the vehicle frame, and their bits; what is occupied is not free.
+
+    x, y (m), heading (rad): of the camera in the vehicle frame.
+    """
+    cos, sin = math.cos(heading), math.sin(heading)
+    reach = view.rows * _ROW
+    widest = max(abs(view.first), abs(view.first + view.bins)) * view.step
+    around = int(reach * math.hypot(1.0, widest) / OBSTACLE_CELL) + 2
+    column0 = int(math.floor(x / OBSTACLE_CELL)) - around
+    line0 = int(math.floor(y / OBSTACLE_CELL)) - around
+    hit = np.zeros((2 * around + 1, 2 * around + 1), np.uint16)
+    passed = np.zeros((2 * around + 1, 2 * around + 1), np.uint16)
+    count = 0
+    for at in range(view.bins):
+        tangent = (at + view.first + 0.5) * view.step
+        dx, dy = cos - sin * tangent, sin + cos * tangent
+        for row in range(view.rows):
+            if occupied[at, row] | free[at, row] == 0:
+                continue
+            forward = (row + 0.5) * _ROW
+            column = int(math.floor((x + forward * dx) / OBSTACLE_CELL)) - column0
+            line = int(math.floor((y + forward * dy) / OBSTACLE_CELL)) - line0
+            if hit[line, column] | passed[line, column] == 0:
+                count += 1
+            hit[line, column] |= occupied[at, row]
+            passed[line, column] |= free[at, row]
+    cells = np.empty((count, 2), np.int16)
+    hits, passes = np.empty(count, np.uint16), np.empty(count, np.uint16)
+    number = 0
+    for line in range(hit.shape[0]):
+        for column in range(hit.shape[1]):
+            if hit[line, column] | passed[line, column] != 0:
+                cells[number, 0], cells[number, 1] = column + column0, line + line0
+                hits[number] = hit[line, column]
+                passes[number] = passed[line, column] & ~hit[line, column]
+                number += 1
+    return cells, hits, passes
+
+
+def warm_up() -> None:
+    """Compile the kernels, so that the first frame does not wait for the compiler."""
+    camera = Intrinsics(32, 24, 30.0, 30.0, 15.5, 11.5)
+    image = np.zeros((24, 32), np.uint8)
+    depth = np.full((24, 32), 2.0, np.float32)
+    ObstacleDetector().detect(RgbdFrame(0.0, image, depth, camera))
