@@ -36,6 +36,7 @@ from explore_slam.agent.vehicle_track import VehicleTrack
 from explore_slam.data import (
     ImuReading,
     LaserScan,
+    ObstacleView,
     OdometryReading,
     VehicleBody,
     VehicleState,
@@ -43,7 +44,7 @@ from explore_slam.data import (
 )
 from explore_slam.errors import AgentError
 from explore_slam.geometry import IDENTITY, Array, Pose2, rotated
-from explore_slam.mapping import LaserMap, OccupancyGrid, save_map
+from explore_slam.mapping import LaserMap, ObstacleMap, OccupancyGrid, save_map, with_obstacles
 from explore_slam.slam import Landmarks, OdometryCalibration, TeamBelief, compound
 from explore_slam.slam.checks import check_motion_covariance, check_pose
 from explore_slam.sweeps import Sweep
@@ -245,10 +246,23 @@ class Agent:
         return self._team.laser_map
 
     @property
+    def obstacle_map(self) -> ObstacleMap:
+        """All mapped views of obstacles, and the layer as it was drawn last."""
+        return self._team.obstacle_map
+
+    def newest_view(self, vehicle: str) -> ObstacleView | None:
+        """Return the newest view of obstacles of a vehicle that was processed."""
+        return self.track(vehicle).newest_view
+
+    @property
     def grid(self) -> OccupancyGrid:
-        """The occupancy grid, redrawn along the most likely path."""
-        self.laser_map.redraw(self.belief.best_path(), self.belief.keyframes_in_map())
-        return self.laser_map.grid
+        """The occupancy grid with the obstacles of the cameras, along the most likely path."""
+        path, in_map = self.belief.best_path(), self.belief.keyframes_in_map()
+        self.laser_map.redraw(path, in_map)
+        if not self.obstacle_map.views:
+            return self.laser_map.grid
+        self.obstacle_map.redraw(path, in_map)
+        return with_obstacles(self.laser_map.grid, self.obstacle_map.layer)
 
     @property
     def no_returns(self) -> dict[str, tuple[float, bool]]:
@@ -352,7 +366,7 @@ class Agent:
         """Write filter and scans to a file for load_state; return its path."""
         for track in self.tracks.values():
             self._add_keyframe_here(track)
-        checkpoint.save(path, self.belief, self.laser_map, self._team.loops)
+        checkpoint.save(path, self.belief, self.laser_map, self.obstacle_map, self._team.loops)
         return path
 
     def _add_keyframe_here(self, track: VehicleTrack) -> None:
@@ -363,7 +377,7 @@ class Agent:
 
     def load_state(self, path: Path) -> None:
         """Continue from a saved state of the same vehicles; AgentError changes nothing."""
-        belief, laser_map, loops = checkpoint.load(path, self.config)
+        belief, laser_map, obstacle_map, loops = checkpoint.load(path, self.config)
         if set(belief.vehicles) != set(self.start_poses):
             raise AgentError(
                 f'{path} is of vehicles {sorted(belief.vehicles)}, '
@@ -373,7 +387,8 @@ class Agent:
             name: self.estimate(name)[0] for name, track in self.tracks.items() if track.keyframe
         }
         self.reset()
-        self._team.belief, self._team.laser_map, self._team.loops = belief, laser_map, loops
+        self._team.belief, self._team.loops = belief, loops
+        self._team.laser_map, self._team.obstacle_map = laser_map, obstacle_map
         for vehicle in self.tracks:
             belief.restart_clock(vehicle)
             loaded = belief.estimate(vehicle)[0]

@@ -1,4 +1,4 @@
-"""The agent's state as a file: the filter, the scans with their keyframes, and the closures.
+"""The agent's state as a file: filter, scans and views with their keyframes, and closures.
 
 One npz file, written atomically, without pickled objects. Odometry is not stored, since its frame
 does not survive a restart of the bases: after loading, each vehicle continues from its pose.
@@ -12,21 +12,28 @@ from numpy.typing import NDArray
 
 from explore_slam.agent.config import AgentConfig
 from explore_slam.agent.loop_closing import LoopClosing
-from explore_slam.data import LaserScan
+from explore_slam.data import LaserScan, ObstacleView
 from explore_slam.errors import AgentError, ExploreSlamError
 from explore_slam.geometry import Pose2
-from explore_slam.mapping import GridConfig, LaserMap, VehicleDisc
+from explore_slam.mapping import GridConfig, LaserMap, ObstacleMap, VehicleDisc
 from explore_slam.slam import TeamBelief, checkpoint
 
 State = dict[str, NDArray[Any]]
-VERSION = 4
+VERSION = 5
 
 
-def save(path: Path, belief: TeamBelief, laser_map: LaserMap, loops: LoopClosing) -> None:
+def save(
+    path: Path,
+    belief: TeamBelief,
+    laser_map: LaserMap,
+    obstacle_map: ObstacleMap,
+    loops: LoopClosing,
+) -> None:
     """Write the state; AgentError if it cannot be written."""
     state = {'agent_version': np.array(VERSION)}
     state |= checkpoint.under('belief', belief.state_dict())
     state |= checkpoint.under('scans', _scans_state(laser_map, list(belief.vehicles)))
+    state |= checkpoint.under('views', _views_state(obstacle_map, list(belief.vehicles)))
     state |= checkpoint.under('loops', loops.state_dict())
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -35,8 +42,8 @@ def save(path: Path, belief: TeamBelief, laser_map: LaserMap, loops: LoopClosing
         raise AgentError(f'state cannot be saved: {error}') from error
 
 
-def load(path: Path, config: AgentConfig) -> tuple[TeamBelief, LaserMap, LoopClosing]:
-    """Read filter, scans and closures; AgentError for a missing or different file."""
+def load(path: Path, config: AgentConfig) -> tuple[TeamBelief, LaserMap, ObstacleMap, LoopClosing]:
+    """Read filter, scans, views of obstacles and closures; AgentError for a missing or different file."""
     try:
         state = checkpoint.read(path)
         version = int(state.get('agent_version', np.array(-1)))
@@ -45,7 +52,9 @@ def load(path: Path, config: AgentConfig) -> tuple[TeamBelief, LaserMap, LoopClo
         belief = TeamBelief.from_state(checkpoint.part('belief', state))
         scans = checkpoint.part('scans', state)
         loops = LoopClosing.from_state(checkpoint.part('loops', state), config.closures)
-        return belief, _laser_map(scans, list(belief.vehicles), config.mapping), loops
+        vehicles, views = list(belief.vehicles), checkpoint.part('views', state)
+        laser_map = _laser_map(scans, vehicles, config.mapping)
+        return belief, laser_map, _obstacle_map(views, vehicles, config.mapping), loops
     except AgentError:
         raise
     except (ExploreSlamError, KeyError, ValueError, IndexError) as error:
@@ -80,11 +89,7 @@ def _scans_state(laser_map: LaserMap, vehicles: list[str]) -> State:
 def _laser_map(state: State, vehicles: list[str], config: GridConfig) -> LaserMap:
     """Return the laser map of the arrays that _scans_state made."""
     laser_map = LaserMap(config)
-    bodies: dict[int, list[VehicleDisc]] = {}
-    for row, keyframe, x, y, theta, radius in state['bodies'].tolist():
-        bodies.setdefault(int(row), []).append(
-            VehicleDisc(int(keyframe), Pose2(x, y, theta), radius)
-        )
+    bodies = _bodies_by_row(state['bodies'])
     first, first_bearing = 0, 0
     deskewed = set(state['deskewed'].tolist())
     rows = zip(state['numbers'].tolist(), state['scans'].tolist(), strict=True)
@@ -101,3 +106,52 @@ def _laser_map(state: State, vehicles: list[str], config: GridConfig) -> LaserMa
         )
         laser_map.add(keyframe, vehicles[vehicle], scan, Pose2(x, y, theta), bodies.get(row, []))
     return laser_map
+
+
+def _views_state(obstacle_map: ObstacleMap, vehicles: list[str]) -> State:
+    """Return the views of an obstacle map as arrays; vehicles by their index in the list."""
+    views = obstacle_map.views
+    numbers = [(i.keyframe, vehicles.index(i.vehicle), len(i.view)) for i in views]
+    poses = [(item.view.stamp, *item.vehicle_in_keyframe) for item in views]
+    bodies = [
+        (row, body.keyframe, *body.offset, body.radius)
+        for row, item in enumerate(views)
+        for body in item.bodies
+    ]
+    none = np.empty(0, np.uint16)
+    return {
+        'numbers': np.array(numbers, np.int64).reshape(-1, 3),
+        'poses': np.array(poses, np.float64).reshape(-1, 4),
+        'cells': np.concatenate([np.empty((0, 2), np.int16), *(i.view.cells for i in views)]),
+        'occupied': np.concatenate([none, *(item.view.occupied for item in views)]),
+        'free': np.concatenate([none, *(item.view.free for item in views)]),
+        'bodies': np.array(bodies, np.float64).reshape(-1, 6),
+    }
+
+
+def _obstacle_map(state: State, vehicles: list[str], config: GridConfig) -> ObstacleMap:
+    """Return the obstacle map of the arrays that _views_state made."""
+    obstacle_map = ObstacleMap(config)
+    bodies = _bodies_by_row(state['bodies'])
+    first = 0
+    rows = zip(state['numbers'].tolist(), state['poses'].tolist(), strict=True)
+    for row, ((keyframe, vehicle, count), (stamp, x, y, theta)) in enumerate(rows):
+        part = slice(first, first + count)
+        first += count
+        view = ObstacleView(
+            stamp, state['cells'][part], state['occupied'][part], state['free'][part]
+        )
+        obstacle_map.add(
+            keyframe, vehicles[vehicle], view, Pose2(x, y, theta), bodies.get(row, [])
+        )
+    return obstacle_map
+
+
+def _bodies_by_row(table: NDArray[np.float64]) -> dict[int, list[VehicleDisc]]:
+    """Return the discs of a table (N, 6) by the row of their scan or view."""
+    bodies: dict[int, list[VehicleDisc]] = {}
+    for row, keyframe, x, y, theta, radius in table.tolist():
+        bodies.setdefault(int(row), []).append(
+            VehicleDisc(int(keyframe), Pose2(x, y, theta), radius)
+        )
+    return bodies

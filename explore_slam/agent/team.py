@@ -14,14 +14,14 @@ from explore_slam.agent.odometry import OdometryBuffer
 from explore_slam.agent.odometry_sources import make_source
 from explore_slam.agent.placement import Placement
 from explore_slam.agent.vehicle_track import Keyframe, VehicleTrack, merged_steps
-from explore_slam.data import LandmarkObservations, LaserScan, VehicleBody
+from explore_slam.data import LandmarkObservations, LaserScan, ObstacleView, VehicleBody
 from explore_slam.errors import AgentError
 from explore_slam.exploration import paths_of
 from explore_slam.geometry import Array, Pose2
-from explore_slam.mapping import LaserMap
+from explore_slam.mapping import MAP_FRAME, LaserMap, ObstacleMap, VehicleDisc
 from explore_slam.registration import ScanMatcher
 from explore_slam.slam import TeamBelief, UpdateSummary
-from explore_slam.vision import FeatureExtractor, KeyframeSelector
+from explore_slam.vision import FeatureExtractor, KeyframeSelector, ObstacleDetector
 
 # Steps that the motion since the newest keyframe is compounded of: joining those of long drives
 # without keyframes keeps the poses between them cheap.
@@ -68,8 +68,12 @@ class Team:
         self.start_poses = dict(start_poses)
         self.belief = TeamBelief(self.start_poses, config.slam, seed)
         self.laser_map = LaserMap(config.mapping)
+        self.obstacle_map = ObstacleMap(config.mapping)
         self.loops = LoopClosing(config.closures)
         self.extractor = FeatureExtractor(config.vision)
+        self.detectors = {
+            name: ObstacleDetector(config.vision, vehicle=name) for name in self.start_poses
+        }
         self.events: list[KeyframeEvent] = []
         self.tracks = {
             name: VehicleTrack(
@@ -98,6 +102,10 @@ class Team:
         """
         _check_sources({name: track.source.name for name, track in self.tracks.items()}, config)
         self.extractor = FeatureExtractor(config.vision)
+        if config.vision != self.config.vision:
+            self.detectors = {
+                name: ObstacleDetector(config.vision, vehicle=name) for name in self.tracks
+            }
         self.config = config
         for track in self.tracks.values():
             track.configure(config.vision.keyframes, config.scan_matching)
@@ -134,15 +142,31 @@ class Team:
         ]
         return [(*own.between(pose)[:2], radius) for pose, radius in others]
 
-    def body_radius(self, track: VehicleTrack, scan: LaserScan) -> float:
-        """Return the radius (m) around a vehicle in which another may see its body in a scan.
+    def bodies(self, track: VehicleTrack, seen: LaserScan | ObstacleView) -> list[VehicleDisc]:
+        """Return the positions of the other vehicles, so that they do not become walls."""
+        bodies = []
+        for other in self.tracks.values():
+            if other is track:
+                continue
+            radius = self.body_radius(other, seen)
+            if other.keyframe is None:
+                if other.start is None:
+                    continue
+                bodies.append(VehicleDisc(MAP_FRAME, other.start, radius))
+            else:
+                moved = other.moved_since_keyframe(seen.stamp)
+                bodies.append(VehicleDisc(other.keyframe.number, moved, radius))
+        return bodies
+
+    def body_radius(self, track: VehicleTrack, scan: LaserScan | ObstacleView) -> float:
+        """Return the radius (m) around a vehicle in which another may see its body.
 
         The vehicle moves while the beams of a sweep are measured one after the other: as far as
         it gets from where it is in the middle of the sweep, the radius is larger.
         """
         paths = paths_of(self.config.exploration.paths, track.body)
         radius = paths.planning_radius + self.config.scans.body_margin
-        half = 0.5 * scan.undone_sweep
+        half = 0.5 * scan.undone_sweep if isinstance(scan, LaserScan) else 0.0
         if half == 0.0 or not len(track.odometry):
             return radius
         middle = track.odometry.at(scan.stamp)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from explore_slam.cli import benchmark_mapping, benchmark_sensors
+from explore_slam.cli import benchmark_mapping, benchmark_obstacles, benchmark_sensors
 from explore_slam.cli.arguments import (
     add_seeds_option,
     add_set_option,
@@ -19,7 +19,7 @@ from explore_slam.cli.arguments import (
 if TYPE_CHECKING:
     from explore_slam.studies.exploration_run import ExplorationRun
 
-HELP = 'measure exploration, mapping, consistency, endurance, aliasing, or sensors'
+HELP = 'measure exploration, mapping, consistency, endurance, aliasing, obstacles, or sensors'
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -273,5 +273,10 @@ KINDS: dict[str, tuple[str, Declare, Run]] = {
         _run_twins,
     ),
     'mapping': (benchmark_mapping.HELP, benchmark_mapping.configure, benchmark_mapping.run),
+    'obstacles': (
+        benchmark_obstacles.HELP,
+        benchmark_obstacles.configure,
+        benchmark_obstacles.run,
+    ),
     'sensors': (benchmark_sensors.HELP, benchmark_sensors.configure, benchmark_sensors.run),
 }

@@ -15,6 +15,7 @@ from explore_slam.data import (
     FollowerReport,
     LandmarkObservations,
     LaserScan,
+    ObstacleView,
     OdometryReading,
     Plan,
     RgbdFrame,
@@ -28,7 +29,7 @@ from explore_slam.settings import Section, section, setting
 from explore_slam.simulation import SimulationConfig, Simulator, load_world
 from explore_slam.simulation.records import TruePose
 from explore_slam.vehicle import PathFollower, PathFollowerConfig
-from explore_slam.vision import FeatureExtractor, KeyframeSelector
+from explore_slam.vision import FeatureExtractor, KeyframeSelector, ObstacleDetector
 
 _NO_WAYPOINTS = np.empty((0, 2))
 FIRST_PLANNING = 1.0  # s; by then every vehicle has delivered scans and frames
@@ -96,6 +97,9 @@ class ClosedLoop:
         self._title = f'{world.name}, seed {self.seed}'
         self._selectors = {name: KeyframeSelector(self.config.agent.vision) for name in starts}
         self._extractor = FeatureExtractor(self.config.agent.vision)
+        self._detectors = {
+            name: ObstacleDetector(self.config.agent.vision, vehicle=name) for name in starts
+        }
         self._odometry: dict[str, Pose2] = {}
         self.discard_records()
         radius = self.config.agent.exploration.paths.planning_radius
@@ -173,17 +177,24 @@ class ClosedLoop:
             self.recorder.add_odometry(name, record)
             follower.set_odometry(record)
             follower.set_pose(record.stamp, self.agent.map_pose(name))
+            view = self.agent.newest_view(name)
+            if view is not None:
+                follower.set_obstacles(view)
         elif isinstance(record, LaserScan):
             follower.set_scan(record)
 
     def _add_features(self, name: str, frame: RgbdFrame) -> None:
-        """Extract the features of a keyframe as the vehicle does, and add them."""
+        """Extract features of a keyframe, and obstacles, as the vehicle does, and add them."""
         pose = self._odometry.get(name)
         if pose is not None and self._selectors[name].select(frame.stamp, pose):
             self._add(name, self._extractor.extract(frame))
+        if self.config.agent.vision.obstacles.depth_obstacles:
+            self._add(name, self._detectors[name].detect(frame))
 
     def _add(
-        self, name: str, record: OdometryReading | LaserScan | RgbdFrame | LandmarkObservations
+        self,
+        name: str,
+        record: OdometryReading | LaserScan | RgbdFrame | LandmarkObservations | ObstacleView,
     ) -> None:
         """Add a record to the agent, and record the keyframes that result."""
         began = time.perf_counter()

@@ -11,13 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from explore_slam.data import FollowerState, LaserScan, OdometryReading, Plan
+from explore_slam.data import FollowerState, LaserScan, ObstacleView, OdometryReading, Plan
 from explore_slam.geometry import Pose2, to_world
 from explore_slam.sweeps import Sweep
 from explore_slam.vehicle.clearance import free_distance
 from explore_slam.vehicle.config import PathFollowerConfig
 from explore_slam.vehicle.dead_reckoning import DeadReckoning
 from explore_slam.vehicle.laser_view import LaserView
+from explore_slam.vehicle.obstacle_view import CameraView
 from explore_slam.vehicle.reference_path import ReferencePath
 
 _PROJECTION_WINDOW = 2.0  # m of path searched for the nearest point: paths may cross themselves
@@ -100,6 +101,7 @@ class PathFollower:
         self._s = 0.0
         self._reckoning = DeadReckoning()
         self._view = LaserView(vehicle, self._reckoning)
+        self._cameras = CameraView(self._reckoning)
         self._times = _Timers()
         self._best = _Best()
         self._motion = _Motion()
@@ -148,6 +150,10 @@ class PathFollower:
         laser = scan.mount or self.config.laser_mount.pose
         self._view.add(scan, laser, scan.stamp if received is None else received)
         self._times.scan = self._view.last_received
+
+    def set_obstacles(self, view: ObstacleView) -> None:
+        """Take what a depth camera has seen; see CameraView."""
+        self._cameras.add(view)
 
     def set_sweeps(self, found: Mapping[str, Sweep]) -> None:
         """Set when the beams of lasers are measured, as the agent has found from their scans."""
@@ -266,6 +272,7 @@ class PathFollower:
         if not c.obstacle_stop:
             return speed, False
         points = self._view.points(now)
+        points = np.concatenate([points, self._cameras.points(now, points)])
         body = c.body.record.envelope
         free = free_distance(points, curvature, body)
         straight = free

@@ -6,6 +6,7 @@ from explore_slam.vision.config import VisionConfig
 from explore_slam.vision.detectors import DETECTORS, Features
 from explore_slam.vision.features import FeatureExtractor
 from explore_slam.vision.keyframes import KeyframeSelector
+from explore_slam.vision.obstacles import ObstacleDetector, warm_up
 
 __all__ = [
     'DETECTORS',
@@ -13,6 +14,8 @@ __all__ = [
     'FeatureExtractor',
     'Features',
     'KeyframeSelector',
+    'ObstacleDetector',
     'VisionConfig',
     'decode_compressed',
+    'warm_up',
 ]

@@ -6,10 +6,11 @@ from explore_slam.agent.measurements.frames import FRAMES
 from explore_slam.agent.measurements.inter_robot import INTER_ROBOT
 from explore_slam.agent.measurements.kind import MeasurementHandler
 from explore_slam.agent.measurements.landmarks import LANDMARKS
+from explore_slam.agent.measurements.obstacles import OBSTACLES
 from explore_slam.agent.measurements.scans import SCANS
 from explore_slam.errors import AgentError
 
-KINDS: tuple[MeasurementHandler[Any], ...] = (SCANS, FRAMES, LANDMARKS, INTER_ROBOT)
+KINDS: tuple[MeasurementHandler[Any], ...] = (SCANS, FRAMES, LANDMARKS, OBSTACLES, INTER_ROBOT)
 
 _BY_RECORD = {kind.record: kind for kind in KINDS}
 

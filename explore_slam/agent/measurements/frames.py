@@ -1,6 +1,10 @@
-"""RGB-D frames: keyframes are chosen by travel and time, their features become observations."""
+"""RGB-D frames: keyframes are chosen by travel and time, their features become observations.
+
+Every frame shows obstacles that a laser does not see.
+"""
 
 from explore_slam.agent.measurements.kind import MeasurementHandler
+from explore_slam.agent.measurements.obstacles import process as process_obstacles
 from explore_slam.agent.team import Team
 from explore_slam.agent.vehicle_track import VehicleTrack
 from explore_slam.data import RgbdFrame
@@ -15,6 +19,8 @@ def process(team: Team, track: VehicleTrack, frame: RgbdFrame) -> None:
     selector = track.selector_of(frame.sensor)
     if selector.select(frame.stamp, track.odometry.at(frame.stamp)):
         team.update(track, team.extractor.extract(frame))
+    if team.config.vision.obstacles.depth_obstacles:
+        process_obstacles(team, track, team.detectors[track.name].detect(frame))
 
 
 FRAMES = MeasurementHandler(RgbdFrame, process)

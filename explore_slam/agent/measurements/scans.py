@@ -5,7 +5,6 @@ from explore_slam.agent.team import Team
 from explore_slam.agent.vehicle_track import VehicleTrack
 from explore_slam.data import LaserScan
 from explore_slam.geometry import Pose2, moved_enough
-from explore_slam.mapping import MAP_FRAME, VehicleDisc
 from explore_slam.registration import scan_cloud
 
 
@@ -55,7 +54,7 @@ def process(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
         track.name,
         scan,
         moved.compose(scan.mount or team.config.laser_mount.pose),
-        _bodies(team, track, scan),
+        team.bodies(track, scan),
     )
     _close_loops(team, track, scan, moved)
 
@@ -106,23 +105,6 @@ def _add_keyframe_without_vision(team: Team, track: VehicleTrack, stamp: float) 
     ):
         team.predict(track, stamp)
         team.add_keyframe(track, stamp)
-
-
-def _bodies(team: Team, track: VehicleTrack, scan: LaserScan) -> list[VehicleDisc]:
-    """Return the positions of the other vehicles, so that they do not become walls."""
-    bodies = []
-    for other in team.tracks.values():
-        if other is track:
-            continue
-        radius = team.body_radius(other, scan)
-        if other.keyframe is None:
-            if other.start is None:
-                continue
-            bodies.append(VehicleDisc(MAP_FRAME, other.start, radius))
-        else:
-            moved = other.moved_since_keyframe(scan.stamp)
-            bodies.append(VehicleDisc(other.keyframe.number, moved, radius))
-    return bodies
 
 
 SCANS = MeasurementHandler(LaserScan, process, enqueue=enqueue_scan, draws_map=True)

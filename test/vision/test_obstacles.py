@@ -1,0 +1,174 @@
+"""Obstacles in depth images of scenes that are cast exactly: tables, cables, steps, tilted mounts."""
+
+import logging
+import math
+
+import numpy as np
+import pytest
+
+from explore_slam.data import HOLE_BIT, OBSTACLE_CELL, Intrinsics, RgbdFrame
+from explore_slam.geometry import rotation_matrix
+from explore_slam.settings import with_values
+from explore_slam.vision import CameraMount, ObstacleDetector, VisionConfig
+
+CAMERA = Intrinsics(320, 240, 290.0, 290.0, 159.5, 119.5)
+MOUNT = CameraMount(0.1, 0.0, 0.4)
+FAR = 9.0  # m ahead, where the scenes end with a wall
+TABLE = (1.6, 2.6, -0.6, 0.6, 0.67)  # x and y of the edges, height of the lower side
+
+
+def cast(mount=MOUNT, tables=(), pit=None, wall=FAR, noise=0.0, limit=8.0):
+    """Return the depth (H, W) m of a floor with tables above and a pit in it, before a wall."""
+    v, u = np.mgrid[0:240, 0:320]
+    flat = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy], axis=-1)
+    optical = np.concatenate([flat, np.ones((240, 320, 1))], axis=-1)
+    x, y, z = np.moveaxis(optical @ mount.rotation.T, -1, 0)  # per metre of depth
+    depth = np.where(x > 0.0, (wall - mount.x) / np.maximum(x, 1e-9), np.inf)
+
+    def level(height, inside):
+        """Let rays end on a horizontal surface where it is."""
+        nonlocal depth
+        with np.errstate(divide='ignore', invalid='ignore'):
+            d = (height - mount.z) / z
+            ends = (d > 0.0) & inside(mount.x + d * x, mount.y + d * y)
+        depth = np.where(ends, np.minimum(depth, d), depth)
+
+    if pit is None:
+        level(0.0, lambda px, _: px < wall)
+    else:
+        begin, drop = pit
+        level(0.0, lambda px, _: px < begin)
+        level(-drop, lambda px, _: (px >= begin) & (px < wall))
+    for x0, x1, y0, y1, height in tables:
+        level(height, lambda px, py: (px >= x0) & (px <= x1) & (py >= y0) & (py <= y1))
+    measured = depth + noise * depth**2 * np.random.default_rng(5).standard_normal(depth.shape)
+    return np.where(measured < limit, measured, 0.0).astype(np.float32)
+
+
+def detector(**values):
+    return ObstacleDetector(with_values(VisionConfig(), values), MOUNT, 'robot1')
+
+
+def frame(depth, stamp=1.0):
+    return RgbdFrame(stamp, np.zeros((240, 320), np.uint8), depth, CAMERA)
+
+
+def box(view, x0, x1, y0, y1):
+    """Return which cells of a view have their centre in a rectangle."""
+    x, y = view.points.T
+    return (x > x0) & (x < x1) & (y > y0) & (y < y1)
+
+
+def heights(view, bits):
+    """Return the heights (m) of the lower side of the slices of which a cell has bits."""
+    return sorted({piece / 10 for piece in range(HOLE_BIT) if (bits >> piece & 1).any()})
+
+
+def test_a_table_top_fills_its_cells_in_its_slice_and_the_space_below_is_free():
+    view = detector().detect(frame(cast(tables=[TABLE], noise=0.003, limit=3.5)))
+    x0, x1, y0, y1, _ = TABLE
+    top = box(view, x0, x1, y0, y1)
+    expected = round((x1 - x0) / OBSTACLE_CELL) * round((y1 - y0) / OBSTACLE_CELL)
+    assert (view.occupied[top] > 0).sum() > 0.97 * expected
+    assert heights(view, view.occupied) == [0.6]
+    elsewhere = ~box(view, x0 - 0.08, x1 + 0.08, y0 - 0.08, y1 + 0.08)
+    assert not view.occupied[elsewhere].any()
+    assert (view.free[top] & 1).mean() > 0.9  # just above the floor
+    assert not (view.free[top & (view.occupied > 0)] & (1 << 6)).any()
+
+
+def test_what_lies_on_the_floor_counts_from_its_height_on():
+    low = [(1.5, 1.8, -0.3, 0.3, 0.10)]
+    assert detector().detect(frame(cast(tables=low))).occupied.any()
+    assert not detector(obstacle_lowest=0.13).detect(frame(cast(tables=low))).occupied.any()
+    flat = detector().detect(frame(cast(noise=0.003, limit=3.5)))
+    assert not flat.occupied.any()
+
+
+def test_the_ceiling_of_the_band_and_its_range_are_respected():
+    view = detector(obstacle_highest=0.6).detect(frame(cast(tables=[TABLE])))
+    assert not view.occupied.any()
+    view = detector(obstacle_range=2.0).detect(frame(cast(tables=[TABLE])))
+    assert view.points[view.occupied > 0, 0].max() < 2.0 + MOUNT.x + OBSTACLE_CELL
+    assert view.points[:, 0].max() < 2.0 + MOUNT.x + OBSTACLE_CELL
+
+
+@pytest.mark.parametrize('edge', [1.3, 2.0])
+def test_a_step_down_begins_at_its_edge_and_the_floor_before_it_is_none(edge):
+    view = detector().detect(frame(cast(pit=(edge, 0.18), noise=0.003, limit=3.5)))
+    hole = (view.occupied >> HOLE_BIT & 1) > 0
+    ahead = np.abs(view.points[:, 1]) < 0.3
+    assert view.points[hole & ahead, 0].min() == pytest.approx(edge, abs=OBSTACLE_CELL)
+    floor = (view.free >> HOLE_BIT & 1) > 0
+    assert view.points[floor & ahead, 0].max() == pytest.approx(edge, abs=2 * OBSTACLE_CELL)
+    assert not (detector(step_depth=0.4).detect(frame(cast(pit=(edge, 0.18)))).occupied >> 15).any()
+
+
+def test_no_reading_says_nothing():
+    view = detector().detect(frame(np.zeros((240, 320), np.float32)))
+    assert len(view) == 0
+    half = cast(tables=[TABLE])
+    half[:, :160] = np.nan  # the left
+    view = detector().detect(frame(half))
+    assert len(view) > 0
+    assert view.points[:, 1].max() < OBSTACLE_CELL
+
+
+def test_a_wall_is_an_obstacle_up_to_its_face_and_nothing_behind_it_is_free():
+    view = detector().detect(frame(cast(wall=2.2, noise=0.003, limit=3.5)))
+    wall = box(view, 2.1, 2.3, -0.8, 0.8)
+    assert (view.occupied[wall] > 0).sum() >= 2 * round(1.6 / OBSTACLE_CELL) - 2
+    ahead = view.points[:, 0]
+    assert ahead[view.occupied > 0].min() > 2.2 - 0.1
+    assert ahead[view.occupied > 0].max() < 2.2 + 0.1
+    assert ahead[view.free > 0].max() < 2.2 + 0.05
+    assert len(heights(view, view.occupied)) == 9  # all of the band
+
+
+@pytest.mark.parametrize('dtype', [np.uint16, np.float32])
+def test_both_encodings_of_depth_show_the_same(dtype):
+    depth = np.rint(cast(tables=[TABLE]) * 1000.0)
+    given = depth.astype(np.uint16) if dtype is np.uint16 else (depth * 1e-3).astype(np.float32)
+    usual = detector().detect(frame((depth * 1e-3).astype(np.float32)))
+    view = detector().detect(frame(given))
+    assert np.count_nonzero(view.occupied) == pytest.approx(
+        np.count_nonzero(usual.occupied), abs=2
+    )
+
+
+def test_a_camera_on_the_side_sees_in_the_vehicle_frame():
+    mount = CameraMount(0.0, 0.2, 0.4, yaw=math.pi / 2)
+    turned = rotation_matrix(0.0, 0.0, math.pi / 2)[:2, :2]
+    depth = cast(CameraMount(0.0, 0.0, 0.4), tables=[TABLE])
+    view = ObstacleDetector(mount=mount).detect(frame(depth))
+    middle = view.points[view.occupied > 0].mean(axis=0)
+    expected = turned @ (2.1, 0.0) + (0.0, 0.2)
+    assert middle == pytest.approx(expected, abs=0.1)
+
+
+TILTED = CameraMount(0.1, 0.0, 0.45, roll=0.03, pitch=0.07)
+
+
+def test_a_mount_that_is_off_is_corrected_by_the_floor_and_named_once(caplog):
+    found = detector()
+    with caplog.at_level(logging.WARNING):
+        for stamp in range(8):
+            view = found.detect(frame(cast(TILTED, tables=[TABLE], noise=0.003, limit=3.5), stamp))
+    (warning,) = [r.getMessage() for r in caplog.records if 'robot1' in r.getMessage()]
+    assert 'camera_pitch +0.07' in warning
+    floor = found.floor()
+    assert floor.along == pytest.approx(0.07, abs=0.008)
+    assert floor.across == pytest.approx(-0.03, abs=0.008)
+    assert floor.height == pytest.approx(-0.05, abs=0.015)
+    assert heights(view, view.occupied) == [0.6]
+    x0, x1, y0, y1, _ = TABLE
+    assert not view.occupied[~box(view, x0 - 0.15, x1 + 0.15, y0 - 0.15, y1 + 0.15)].any()
+
+
+def test_a_mount_that_is_right_is_not_complained_of(caplog):
+    found = detector()
+    with caplog.at_level(logging.WARNING):
+        for stamp in range(8):
+            found.detect(frame(cast(pit=(1.8, 0.18), noise=0.003, limit=3.5), stamp))
+    assert not caplog.records
+    assert max(map(abs, found.floor())) < 0.02
