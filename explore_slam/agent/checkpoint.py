@@ -43,7 +43,7 @@ def save(
 
 
 def load(path: Path, config: AgentConfig) -> tuple[TeamBelief, LaserMap, ObstacleMap, LoopClosing]:
-    """Read filter, scans, views of obstacles and closures; AgentError for a missing or different file."""
+    """Read filter, scans, views and closures; AgentError for a missing or different file."""
     try:
         state = checkpoint.read(path)
         version = int(state.get('agent_version', np.array(-1)))

@@ -188,7 +188,7 @@ class PathDrawing[I: Anchored, C: Canvas](ABC):
         return self._drawn
 
     def _restore_snapshot(self, kept: int) -> None:
-        """Return to the newest snapshot of at most this number of items, or to an empty drawing."""
+        """Return to the newest snapshot of at most this many items, or to an empty drawing."""
         older = [count for count in self._snapshots if count <= kept]
         self._drawn = max(older, default=0)
         self._canvas = self._snapshots[self._drawn].copy() if older else self._empty()

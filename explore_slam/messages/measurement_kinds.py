@@ -5,12 +5,13 @@ from explore_slam.messages.imu import IMU
 from explore_slam.messages.inter_robot import INTER_ROBOT
 from explore_slam.messages.landmarks import LANDMARKS
 from explore_slam.messages.measurement import MeasurementKind
+from explore_slam.messages.obstacles import OBSTACLES
 from explore_slam.messages.odometry import ODOMETRY
 from explore_slam.messages.scans import SCAN
 from explore_slam.messages.topics import TopicKind
 
 MEASUREMENT_KINDS: tuple[MeasurementKind, ...] = (
-    ODOMETRY, IMU, SCAN, FRAME, LANDMARKS, INTER_ROBOT,
+    ODOMETRY, IMU, SCAN, FRAME, LANDMARKS, OBSTACLES, INTER_ROBOT,
 )  # fmt: skip
 
 KIND_OF_TOPIC: dict[TopicKind, MeasurementKind] = {

@@ -23,6 +23,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Empty
 
 from explore_slam.data import FollowerReport, FollowerState
@@ -35,6 +36,7 @@ from explore_slam.messages import (
 )
 from explore_slam.messages.follower_status import follower_status_message
 from explore_slam.messages.measurement import VehicleReader
+from explore_slam.messages.obstacles import obstacles_record
 from explore_slam.messages.scans import SCAN
 from explore_slam.messages.sweep_status import sweeps_record
 from explore_slam.messages.topics import (
@@ -88,7 +90,7 @@ _AT_START = dict.fromkeys(
 _TELEOP_SILENCE = 0.6  # s without a command by hand after which the vehicle is told to stand
 _FINE = (FollowerState.DRIVING, FollowerState.ARRIVED, FollowerState.TELEOPERATED)
 _TELEOP = FollowerReport(FollowerState.TELEOPERATED, 'driven by cmd_vel_teleop')
-_INPUTS = (VehicleTopic.PLAN, VehicleTopic.POSE, TopicKind.SCAN)
+_INPUTS = (VehicleTopic.PLAN, VehicleTopic.POSE, TopicKind.SCAN, TopicKind.OBSTACLES)
 
 
 class PathFollowerOutputs:
@@ -167,6 +169,7 @@ class ActiveFollower:
         for topic in sensors.laser_topics:
             subscribe(node, topic.kind, partial(self._on_scan, topic), name=topic.name)
         subscribe(node, VehicleTopic.SWEEPS, self._on_sweeps)
+        subscribe(node, TopicKind.OBSTACLES, self._on_obstacles)
         self._silence_timer = node.create_timer(
             SILENCE, self._explain_silence, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
@@ -226,6 +229,12 @@ class ActiveFollower:
                 self._silent_lasers = [item for item in self._silent_lasers if item != topic]
 
         self._take(TopicKind.SCAN, take)
+
+    def _on_obstacles(self, message: PointCloud2) -> None:
+        self._take(
+            TopicKind.OBSTACLES,
+            lambda _: self.follower.set_obstacles(obstacles_record(message)),
+        )
 
     def _on_sweeps(self, message: DiagnosticStatus) -> None:
         self._take(VehicleTopic.SWEEPS, lambda _: self.follower.set_sweeps(sweeps_record(message)))

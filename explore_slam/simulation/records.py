@@ -29,7 +29,7 @@ class SimEvent(NamedTuple):
 
 
 class Collision(NamedTuple):
-    """First contact of a vehicle with an obstacle: WALL (any solid), HAZARD or another vehicle's name."""
+    """First contact of a vehicle: obstacle is WALL (any solid), HAZARD or another vehicle."""
 
     stamp: float
     vehicle: str

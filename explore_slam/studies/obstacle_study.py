@@ -1,8 +1,8 @@
 """Obstacle study: teams explore a world with table tops, shelves and steps, with depth or without.
 
 Every run is a closed loop without ROS; contacts are those of the simulator, in which boards that
-hang lower than a vehicle is high, and steps, stop it. With depth, the layer of obstacles from depth
-images is in the map; without, everything else is the same.
+hang lower than a vehicle is high, and steps, stop it. With depth, the layer of obstacles from
+depth images is in the map; without, everything else is the same.
 """
 
 import json

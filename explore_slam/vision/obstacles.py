@@ -29,7 +29,6 @@ from explore_slam.data import (
     ObstacleView,
     RgbdFrame,
 )
-from explore_slam.geometry import Array
 from explore_slam.vision.camera_mount import CameraMount
 from explore_slam.vision.config import VisionConfig
 from explore_slam.vision.depth import camera_rays, depth_in_metres
@@ -46,7 +45,8 @@ _LEAST_READINGS = 2  # in a cell and slice: a single one may be wrong
 _LEAST_SHARE, _BESIDE = 0.15, 3
 _FILLED = 4  # readings that a cell between two of a horizontal surface counts for
 _LONGEST_GAP = 0.3  # m between successive readings of one surface
-_LEVEL = 0.1  # slope up to which a surface counts as horizontal
+_LEVEL, _ROUGH = 0.1, 0.005  # slope and m, up to which a surface counts as horizontal
+_NOTHING, _OBSTACLE, _FLOOR, _HOLE = 0, 1, 2, 3  # what a reading shows
 _OUTLIER = 2.5  # standard deviations of noise that two readings of a wall are not apart
 _MARGIN = 0.05  # m before a reading that its ray does not free
 _FLAT = 1e-6  # slope of a ray that stays in its slice
@@ -88,6 +88,14 @@ class _Band(NamedTuple):
     highest: float
     step: float
     noise: float
+
+
+class _Reading(NamedTuple):
+    """What a reading shows; place: how far ahead (m) it counts; z: its height (m)."""
+
+    kind: int
+    place: float
+    z: float
 
 
 class ObstacleDetector:
@@ -234,6 +242,33 @@ def _free_slices(
 
 
 @kernel
+def _kind_of(z: float, forward: float, band: _Band) -> int:
+    """Return what a reading at a height (m) and a distance ahead (m) shows."""
+    if z < -(band.step + _SLOPE * forward):
+        return _HOLE
+    if z < band.lowest + _SLOPE * forward:
+        return _FLOOR
+    return _OBSTACLE if z < band.highest else _NOTHING
+
+
+@kernel
+def _continues(before: _Reading, reading: _Reading, noise: float) -> bool:
+    """Return whether the surface goes on between two readings, one above the other in the image.
+
+    noise (m): of the latter. Of obstacles, only horizontal surfaces do: readings of a wall are
+    apart by noise.
+    """
+    gap = abs(reading.place - before.place)
+    if before.kind != reading.kind or gap > _LONGEST_GAP:
+        return False
+    if reading.kind != _OBSTACLE:
+        return True
+    if gap <= max(_ROW, 1.5 * _OUTLIER * noise):
+        return False
+    return bool(abs(reading.z - before.z) < _LEVEL * gap + _ROUGH)
+
+
+@kernel
 def _sort(
     rays: _Rays,
     depth: NDArray[np.float32],
@@ -246,69 +281,74 @@ def _sort(
 
     depth (W, H) m; tilt: slopes of the floor; height (m): of the camera above the floor.
     """
-    hole = view.slices
     hits = np.zeros((view.bins, view.slices + 1, view.rows + 1), np.int16)
     passes = np.zeros((view.bins, view.slices + 1, view.rows + 1), np.int16)
     reach = view.rows * _ROW
     for column in range(depth.shape[0]):
-        before_kind, before, before_z = 0, 0.0, 0.0  # of the reading above in the image
+        before = _Reading(_NOTHING, 0.0, 0.0)  # above in the image
         for row in range(depth.shape[1]):
             forward = float(depth[column, row]) * float(rays.ahead[column, row])
             if forward <= 0.0:
-                before_kind = 0
+                before = _Reading(_NOTHING, 0.0, 0.0)
                 continue
             at = rays.bin[column, row]
             slope = float(rays.slope[column, row]) - tilt[0]
             slope -= tilt[1] * float(rays.tangent[column, row])
             z = height + forward * slope
             noise = band.noise * forward * forward
-            end = min(forward - _MARGIN - noise, reach)
-            kind, piece, place = 0, 0, forward
-            if z < -(band.step + _SLOPE * forward):
-                kind, piece = 3, hole
+            kind, place = _kind_of(z, forward, band), forward
+            if kind == _HOLE:
                 place = -height / slope  # where the ray should have met the floor
-                end = min(end, place - _MARGIN)
-            elif z < band.lowest + _SLOPE * forward:
-                kind, piece = 2, hole
-            elif z < band.highest:
-                kind, piece = 1, min(int(z / SLICE_HEIGHT), view.slices - 1)
-            if end > 0.0 and row % _FREE_EVERY == 0:
-                _free_slices(passes, at, height, slope, end, band.lowest)
-            if kind > 0 and place < reach:
-                gap = abs(place - before)
-                same = before_kind == kind and gap < _LONGEST_GAP
-                if kind == 1 and same:
-                    same = gap > max(_ROW, 1.5 * _OUTLIER * noise)
-                    same = same and abs(z - before_z) < _LEVEL * gap + 0.005
-                start = before if same else place
-                weight = _FILLED if kind == 1 and same else 1
-                target = passes if kind == 2 else hits
+            if row % _FREE_EVERY == 0:
+                end = min(min(forward - noise, place) - _MARGIN, reach)
+                if end > 0.0:
+                    _free_slices(passes, at, height, slope, end, band.lowest)
+            reading = _Reading(kind, place, z)
+            if kind != _NOTHING and place < reach:
+                same = _continues(before, reading, noise)
+                start = before.place if same else place
                 low = int(min(start, place) / _ROW)
                 high = min(int(max(start, place) / _ROW) + 1, view.rows)
-                target[at, piece, low] += weight
-                target[at, piece, high] -= weight
-            before_kind, before, before_z = kind, place, z
-    occupied = np.zeros((view.bins, view.rows), np.uint16)
-    free = np.zeros((view.bins, view.rows), np.uint16)
-    line = np.zeros(view.rows, np.int32)
-    for at in range(view.bins):
-        for piece in range(view.slices + 1):
-            bit = np.uint16(1 << (HOLE_BIT if piece == hole else piece))
+                if kind == _FLOOR:
+                    passes[at, view.slices, low] += 1
+                    passes[at, view.slices, high] -= 1
+                else:
+                    obstacle = kind == _OBSTACLE
+                    piece = (
+                        min(int(z / SLICE_HEIGHT), view.slices - 1) if obstacle else view.slices
+                    )
+                    weight = _FILLED if same and obstacle else 1
+                    hits[at, piece, low] += weight
+                    hits[at, piece, high] -= weight
+            before = reading
+    return _judge(hits, passes)
+
+
+@kernel
+def _judge(
+    hits: NDArray[np.int16], passes: NDArray[np.int16]
+) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
+    """Return occupied and free slices as bits, from differences of counts along the rows."""
+    bins, slices, rows = hits.shape[0], hits.shape[1] - 1, hits.shape[2] - 1
+    occupied = np.zeros((bins, rows), np.uint16)
+    free = np.zeros((bins, rows), np.uint16)
+    line = np.zeros(rows, np.int32)
+    for at in range(bins):
+        for piece in range(slices + 1):
+            bit = np.uint16(1 << (HOLE_BIT if piece == slices else piece))
             total, passed = 0, 0
-            for row in range(view.rows):
+            for row in range(rows):
                 total += hits[at, piece, row]
                 line[row] = total
-            for row in range(view.rows):
+            for row in range(rows):
                 passed += passes[at, piece, row]
-                count = line[row]
-                if count >= _LEAST_READINGS:
-                    most = count
-                    for other in range(max(row - _BESIDE, 0), min(row + _BESIDE + 1, view.rows)):
+                most = line[row]
+                if most >= _LEAST_READINGS:
+                    for other in range(max(row - _BESIDE, 0), min(row + _BESIDE + 1, rows)):
                         most = max(most, line[other])
-                    if count >= _LEAST_SHARE * most:
-                        occupied[at, row] |= bit
-                        continue
-                if passed > 0:
+                if line[row] >= max(_LEAST_READINGS, _LEAST_SHARE * most):
+                    occupied[at, row] |= bit
+                elif passed > 0:
                     free[at, row] |= bit
     return occupied, free
 
@@ -330,8 +370,8 @@ def _to_vehicle(
     reach = view.rows * _ROW
     widest = max(abs(view.first), abs(view.first + view.bins)) * view.step
     around = int(reach * math.hypot(1.0, widest) / OBSTACLE_CELL) + 2
-    column0 = int(math.floor(x / OBSTACLE_CELL)) - around
-    line0 = int(math.floor(y / OBSTACLE_CELL)) - around
+    column0 = math.floor(x / OBSTACLE_CELL) - around
+    line0 = math.floor(y / OBSTACLE_CELL) - around
     hit = np.zeros((2 * around + 1, 2 * around + 1), np.uint16)
     passed = np.zeros((2 * around + 1, 2 * around + 1), np.uint16)
     count = 0
@@ -342,8 +382,8 @@ def _to_vehicle(
             if occupied[at, row] | free[at, row] == 0:
                 continue
             forward = (row + 0.5) * _ROW
-            column = int(math.floor((x + forward * dx) / OBSTACLE_CELL)) - column0
-            line = int(math.floor((y + forward * dy) / OBSTACLE_CELL)) - line0
+            column = math.floor((x + forward * dx) / OBSTACLE_CELL) - column0
+            line = math.floor((y + forward * dy) / OBSTACLE_CELL) - line0
             if hit[line, column] | passed[line, column] == 0:
                 count += 1
             hit[line, column] |= occupied[at, row]

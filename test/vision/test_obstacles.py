@@ -1,7 +1,8 @@
-"""Obstacles in depth images of scenes that are cast exactly: tables, cables, steps, tilted mounts."""
+"""Obstacles in depth images of scenes that are cast exactly: tables, steps, tilted mounts."""
 
 import logging
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -40,9 +41,13 @@ def cast(mount=MOUNT, tables=(), pit=None, wall=FAR, noise=0.0, limit=8.0):
         level(0.0, lambda px, _: px < begin)
         level(-drop, lambda px, _: (px >= begin) & (px < wall))
     for x0, x1, y0, y1, height in tables:
-        level(height, lambda px, py: (px >= x0) & (px <= x1) & (py >= y0) & (py <= y1))
+        level(height, partial(_within, x0, x1, y0, y1))
     measured = depth + noise * depth**2 * np.random.default_rng(5).standard_normal(depth.shape)
     return np.where(measured < limit, measured, 0.0).astype(np.float32)
+
+
+def _within(x0, x1, y0, y1, x, y):
+    return (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)
 
 
 def detector(**values):
@@ -59,7 +64,7 @@ def box(view, x0, x1, y0, y1):
     return (x > x0) & (x < x1) & (y > y0) & (y < y1)
 
 
-def heights(view, bits):
+def heights(bits):
     """Return the heights (m) of the lower side of the slices of which a cell has bits."""
     return sorted({piece / 10 for piece in range(HOLE_BIT) if (bits >> piece & 1).any()})
 
@@ -70,7 +75,7 @@ def test_a_table_top_fills_its_cells_in_its_slice_and_the_space_below_is_free():
     top = box(view, x0, x1, y0, y1)
     expected = round((x1 - x0) / OBSTACLE_CELL) * round((y1 - y0) / OBSTACLE_CELL)
     assert (view.occupied[top] > 0).sum() > 0.97 * expected
-    assert heights(view, view.occupied) == [0.6]
+    assert heights(view.occupied) == [0.6]
     elsewhere = ~box(view, x0 - 0.08, x1 + 0.08, y0 - 0.08, y1 + 0.08)
     assert not view.occupied[elsewhere].any()
     assert (view.free[top] & 1).mean() > 0.9  # just above the floor
@@ -101,7 +106,9 @@ def test_a_step_down_begins_at_its_edge_and_the_floor_before_it_is_none(edge):
     assert view.points[hole & ahead, 0].min() == pytest.approx(edge, abs=OBSTACLE_CELL)
     floor = (view.free >> HOLE_BIT & 1) > 0
     assert view.points[floor & ahead, 0].max() == pytest.approx(edge, abs=2 * OBSTACLE_CELL)
-    assert not (detector(step_depth=0.4).detect(frame(cast(pit=(edge, 0.18)))).occupied >> 15).any()
+    assert not (
+        detector(step_depth=0.4).detect(frame(cast(pit=(edge, 0.18)))).occupied >> 15
+    ).any()
 
 
 def test_no_reading_says_nothing():
@@ -122,7 +129,7 @@ def test_a_wall_is_an_obstacle_up_to_its_face_and_nothing_behind_it_is_free():
     assert ahead[view.occupied > 0].min() > 2.2 - 0.1
     assert ahead[view.occupied > 0].max() < 2.2 + 0.1
     assert ahead[view.free > 0].max() < 2.2 + 0.05
-    assert len(heights(view, view.occupied)) == 9  # all of the band
+    assert len(heights(view.occupied)) == 9  # all of the band
 
 
 @pytest.mark.parametrize('dtype', [np.uint16, np.float32])
@@ -160,7 +167,7 @@ def test_a_mount_that_is_off_is_corrected_by_the_floor_and_named_once(caplog):
     assert floor.along == pytest.approx(0.07, abs=0.008)
     assert floor.across == pytest.approx(-0.03, abs=0.008)
     assert floor.height == pytest.approx(-0.05, abs=0.015)
-    assert heights(view, view.occupied) == [0.6]
+    assert heights(view.occupied) == [0.6]
     x0, x1, y0, y1, _ = TABLE
     assert not view.occupied[~box(view, x0 - 0.15, x1 + 0.15, y0 - 0.15, y1 + 0.15)].any()
 

@@ -35,7 +35,7 @@ class Pillar(NamedTuple):
 
 
 class Board(NamedTuple):
-    """A box above the floor: centre and half sizes (m), heading (rad), lower and upper side (m)."""
+    """A box above the floor: centre, half sizes (m), heading (rad), lower and upper side (m)."""
 
     x: float
     y: float
