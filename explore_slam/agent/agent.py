@@ -16,7 +16,7 @@ What happens to a record:
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +65,7 @@ class Agent:
     bodies: size and speed of vehicles that are not standard.
     sources: what the odometry of a vehicle is measured by: wheels (the default), scan, or
     wheels+gyro.
+    camera_scans: vehicles without a laser, whose scans are made of their depth images.
     """
 
     def __init__(
@@ -74,6 +75,7 @@ class Agent:
         seed: int = 0,
         bodies: Mapping[str, VehicleBody] | None = None,
         sources: Mapping[str, str] | None = None,
+        camera_scans: Collection[str] = (),
     ) -> None:
         if not start_poses:
             raise AgentError('start_poses is empty, expected a pose for every vehicle')
@@ -83,7 +85,14 @@ class Agent:
         self.now = 0.0
         self.bodies = dict(bodies or {})
         self.sources = dict(sources or {})
-        self._team = Team(config, self.start_poses, seed, self.bodies, self.sources)
+        self.camera_scans = frozenset(camera_scans)
+        self._team = self._new_team(config)
+
+    def _new_team(self, config: AgentConfig) -> Team:
+        """Return a team at its start poses."""
+        return Team(
+            config, self.start_poses, self.seed, self.bodies, self.sources, self.camera_scans
+        )
 
     @property
     def config(self) -> AgentConfig:
@@ -100,7 +109,7 @@ class Agent:
         What has been learnt of the sensors is kept: of the sweeps of the lasers, and of the IMU.
         """
         before = self.tracks
-        self._team = Team(self.config, self.start_poses, self.seed, self.bodies, self.sources)
+        self._team = self._new_team(self.config)
         for name, track in self.tracks.items():
             track.sweeps.keep_knowledge(before[name].sweeps)
             track.source.keep_knowledge(before[name].source)

@@ -5,7 +5,7 @@ The measurement kinds (explore_slam.agent.measurements) work on this object.
 
 import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from explore_slam.agent.config import AgentConfig
@@ -56,16 +56,18 @@ class Team:
         seed: int,
         bodies: Mapping[str, VehicleBody] | None = None,
         sources: Mapping[str, str] | None = None,
+        camera_scans: Collection[str] = (),
     ) -> None:
         """Begin at the start poses.
 
         bodies: of vehicles that are not of the standard size. sources: of their odometry, where
-        it is not that of the wheels.
+        it is not that of the wheels. camera_scans: vehicles whose scans are made of depth images.
         """
         inputs, noise = config.inputs, config.slam.odometry_noise
         _check_sources(sources or {}, config)
         self.config = config
         self.start_poses = dict(start_poses)
+        self.camera_scans = frozenset(camera_scans)
         self.belief = TeamBelief(self.start_poses, config.slam, seed)
         self.laser_map = LaserMap(config.mapping)
         self.obstacle_map = ObstacleMap(config.mapping)

@@ -190,6 +190,11 @@ class VehicleConfig(Section):
         return [item._replace(sensor='') for item in found] if len(self.cameras) == 1 else found
 
     @property
+    def has_camera_scans(self) -> bool:
+        """Whether the agent makes scans of the images of the vehicle, which has no laser."""
+        return not self.use_laser and self.vision == 'agent'
+
+    @property
     def has_sensor(self) -> bool:
         """Whether the vehicle has a sensor that maps: a laser or a camera."""
         return self.use_laser or self.vision != 'none'

@@ -82,7 +82,8 @@ class AgentSession:
         self._vehicle_configs = dict(vehicle_configs)
         bodies = {name: one.view.of(one.body.record) for name, one in vehicle_configs.items()}
         sources = {name: one.odometry for name, one in vehicle_configs.items()}
-        self.agent = Agent(config.agent, config.poses(), config.seed, bodies, sources)
+        seeing = [name for name, one in vehicle_configs.items() if one.has_camera_scans]
+        self.agent = Agent(config.agent, config.poses(), config.seed, bodies, sources, seeing)
         batteries = {name: one.battery for name, one in vehicle_configs.items()}
         self.planner = TeamPlanner(self.agent, batteries)
         self.planner.pause(not config.explore)

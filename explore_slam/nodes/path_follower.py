@@ -11,7 +11,6 @@ import math
 import sys
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -140,10 +139,9 @@ class ActiveFollower:
         self._node = node
         self._vehicle = vehicle
         self._outputs = outputs
-        self._has_laser = bool(sensors.laser_topics)
         self.teleoperation = teleoperation
         self._teleop = Teleoperation()
-        self.follower = PathFollower(self._effective(config), vehicle)
+        self.follower = PathFollower(config, vehicle, bool(sensors.laser_topics))
         self._mounts = own_mounts(node, vehicle, config.laser_mount, sensors)
         self._lasers = VehicleReader((SCAN,), self._mounts)
         self._command: VelocityCommand | None = None
@@ -186,12 +184,8 @@ class ActiveFollower:
 
     def configure(self, config: PathFollowerConfig) -> None:
         """Replace the settings."""
-        self.follower.configure(self._effective(config))
+        self.follower.configure(config)
         self._timer.timer_period_ns = round(1e9 / config.control_frequency)
-
-    def _effective(self, config: PathFollowerConfig) -> PathFollowerConfig:
-        """Return the settings, without stops for scans that a vehicle without laser never has."""
-        return config if self._has_laser else replace(config, obstacle_stop=False)
 
     def _on_teleoperation(self, linear: float, angular: float) -> None:
         self._teleop.command(time.monotonic())

@@ -3,6 +3,7 @@
 The same seed gives the same run, bit for bit. The live demo runs the same components over topics.
 """
 
+import math
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,13 +20,14 @@ from explore_slam.data import (
     OdometryReading,
     Plan,
     RgbdFrame,
+    VehicleBody,
 )
 from explore_slam.errors import EvaluationError
 from explore_slam.exploration import ExplorationStatus, PlanningResult
 from explore_slam.geometry import Pose2
 from explore_slam.results.reachable_area import ReachableArea
 from explore_slam.results.run_data import RunData, RunRecorder
-from explore_slam.settings import Section, section, setting
+from explore_slam.settings import Section, section, setting, with_values
 from explore_slam.simulation import SimulationConfig, Simulator, load_world
 from explore_slam.simulation.records import TruePose
 from explore_slam.vehicle import PathFollower, PathFollowerConfig
@@ -62,6 +64,9 @@ class ClosedLoopConfig(Section):
         high=1e5,
         tier='basic',
     )
+    use_laser: bool = setting(
+        True, 'whether the vehicles have a laser; without, their cameras map and explore alone'
+    )
     agent: AgentConfig = section(AgentConfig)
     simulation: SimulationConfig = section(SimulationConfig)
 
@@ -90,10 +95,21 @@ class ClosedLoop:
                 '(start poses of the world)'
             )
         starts: dict[str, Pose2] = dict(list(world.starts.items())[: self.vehicles])
-        self.simulator = Simulator(world, starts, self.config.simulation, self.seed)
-        self.agent = Agent(self.config.agent, starts, self.seed)
+        simulation, bodies, laser = self.config.simulation, {}, self.config.use_laser
+        if not laser:
+            simulation = with_values(simulation, {'simulated_scan_rate': 0.0})
+            view = VehicleBody(
+                sensor_range=self.config.agent.vision.obstacles.obstacle_range,
+                field_of_view=math.radians(simulation.kinect.simulated_camera_angle),
+            )
+            bodies = dict.fromkeys(starts, view)
+        self.simulator = Simulator(world, starts, simulation, self.seed)
+        seeing = () if laser else tuple(starts)
+        self.agent = Agent(
+            self.config.agent, starts, self.seed, bodies=bodies, camera_scans=seeing
+        )
         self.planner: TeamGuide = TeamPlanner(self.agent)
-        self.followers = {name: PathFollower(self.follower) for name in starts}
+        self.followers = {name: PathFollower(self.follower, name, laser) for name in starts}
         self._title = f'{world.name}, seed {self.seed}'
         self._selectors = {name: KeyframeSelector(self.config.agent.vision) for name in starts}
         self._extractor = FeatureExtractor(self.config.agent.vision)

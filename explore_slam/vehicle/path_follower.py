@@ -91,9 +91,17 @@ class PathFollower:
     """
 
     def __init__(
-        self, config: PathFollowerConfig | None = None, vehicle: str = 'the vehicle'
+        self,
+        config: PathFollowerConfig | None = None,
+        vehicle: str = 'the vehicle',
+        has_laser: bool = True,
     ) -> None:
-        """Create a follower; vehicle: its name in messages."""
+        """Create a follower; vehicle: its name in messages.
+
+        has_laser: whether it stops when no scans arrive; the obstacles that cameras see count in
+        any case.
+        """
+        self._has_laser = has_laser
         self.config = config or PathFollowerConfig()
         self.progress = FollowerProgress()
         self.plan: Plan | None = None
@@ -220,7 +228,7 @@ class PathFollower:
             ('agent', t.agent, c.agent_timeout),
             ('map pose', self._reckoning.pose_stamp, c.pose_timeout),
         ]
-        if c.obstacle_stop:
+        if c.obstacle_stop and self._has_laser:
             checks.append(('laser', t.scan, c.scan_timeout))
         for name, last, limit in checks:
             if last == -math.inf:

@@ -26,13 +26,17 @@ from explore_slam.data import (
     OBSTACLE_CELL,
     SLICE_HEIGHT,
     Intrinsics,
+    LaserScan,
     ObstacleView,
     RgbdFrame,
 )
+from explore_slam.geometry import Pose2
 from explore_slam.vision.camera_mount import CameraMount
+from explore_slam.vision.camera_scan import camera_scan
 from explore_slam.vision.config import VisionConfig
-from explore_slam.vision.depth import camera_rays, depth_in_metres
+from explore_slam.vision.depth import depth_in_metres
 from explore_slam.vision.floor import Floor, FloorEstimate
+from explore_slam.vision.level_rays import Band, Rays, level_rays
 from explore_slam.vision.sections import ObstacleConfig
 
 logger = logging.getLogger(__name__)
@@ -51,7 +55,6 @@ _OUTLIER = 2.5  # standard deviations of noise that two readings of a wall are n
 _MARGIN = 0.05  # m before a reading that its ray does not free
 _FLAT = 1e-6  # slope of a ray that stays in its slice
 _FREE_EVERY = 2  # rows of samples of which the rays free space: neighbours pass the same cells
-_LEAST_FORWARD = 0.1  # of a ray, horizontally; steeper ones are left out
 _SLOPE = 0.01  # rad by which a levelled view may still be tilted: the floor rises with distance
 
 
@@ -68,34 +71,24 @@ class _View(NamedTuple):
     slices: int
 
 
-class _Rays(NamedTuple):
-    """Rays of an image (W, H), column by column, in a frame that looks ahead along the floor.
-
-    ahead: per metre of depth, 0 where a ray is too steep; tangent of the bearing to the left;
-    slope upwards per metre ahead; bin of the view.
-    """
-
-    ahead: NDArray[np.float32]
-    tangent: NDArray[np.float32]
-    slope: NDArray[np.float32]
-    bin: NDArray[np.int32]
-
-
-class _Band(NamedTuple):
-    """Heights (m): lowest and highest of obstacles, step; noise (1/m) of depth."""
-
-    lowest: float
-    highest: float
-    step: float
-    noise: float
-
-
 class _Reading(NamedTuple):
     """What a reading shows; place: how far ahead (m) it counts; z: its height (m)."""
 
     kind: int
     place: float
     z: float
+
+
+class _Look(NamedTuple):
+    """A frame: pose of the camera on the floor, its rays and their bins, depth (W, H) m, floor."""
+
+    mount: CameraMount
+    pose: Pose2
+    rays: Rays
+    view: _View
+    bins: NDArray[np.int32]
+    depth: NDArray[np.float32]
+    floor: Floor
 
 
 class ObstacleDetector:
@@ -115,7 +108,7 @@ class ObstacleDetector:
         self._mount = mount or CameraMount.from_config(self.config.mount)
         self._vehicle = vehicle
         self._floors: dict[str, FloorEstimate] = {}
-        self._prepared: dict[str, tuple[object, _Rays, _View]] = {}
+        self._prepared: dict[str, tuple[object, Rays, _View, NDArray[np.int32]]] = {}
 
     def floor(self, camera: str = '') -> Floor:
         """Return the floor as a camera sees it, relative to where its mount has it."""
@@ -123,43 +116,64 @@ class ObstacleDetector:
 
     def detect(self, frame: RgbdFrame) -> ObstacleView:
         """Return the obstacles and the free space in a frame, in the vehicle frame."""
-        mount = self._mount if frame.mount is None else CameraMount.from_optical(frame.mount)
-        band = self.config.obstacles
-        stride = max(1, round(frame.intrinsics.width / _SAMPLES))
-        depth = np.ascontiguousarray(depth_in_metres(frame.depth[::stride, ::stride].T))
-        axis = mount.rotation[:, 2]
-        heading = math.atan2(axis[1], axis[0])
-        rays, view = self._rays_of(frame, stride, mount, heading)
+        seen, band = self._look(frame), self.config.obstacles
         estimate = self._floors.setdefault(frame.sensor, FloorEstimate())
-        estimate.add(rays.ahead, rays.tangent, rays.slope, depth, mount.z, band.obstacle_range)
+        rays = seen.rays
+        height = seen.mount.z
+        estimate.add(rays.ahead, rays.tangent, rays.slope, seen.depth, height, band.obstacle_range)
         self._check(frame.sensor, estimate)
         floor = estimate.floor
         occupied, free = _sort(
             rays,
-            depth,
+            seen.bins,
+            seen.depth,
             (floor.along, floor.across),
-            mount.z - floor.height,
-            view,
-            _Band(
+            height - floor.height,
+            seen.view,
+            Band(
                 band.obstacle_lowest,
                 band.obstacle_highest,
                 band.step_depth,
                 self.config.depth.depth_noise,
             ),
         )
-        cells, hits, passes = _to_vehicle(occupied, free, view, mount.x, mount.y, heading)
+        x, y, heading = seen.pose
+        cells, hits, passes = _to_vehicle(occupied, free, seen.view, x, y, heading)
         return ObstacleView(frame.stamp, cells, hits, passes)
 
-    def _rays_of(
-        self, frame: RgbdFrame, stride: int, mount: CameraMount, heading: float
-    ) -> tuple[_Rays, _View]:
-        """Return the rays of a camera, ahead along the floor, and the cells of its view."""
+    def scan(self, frame: RgbdFrame) -> LaserScan:
+        """Return what a laser in the place of the camera would measure, for a vehicle without."""
+        seen, band = self._look(frame), self.config.obstacles
+        return camera_scan(
+            frame.stamp,
+            seen.rays,
+            seen.depth,
+            (seen.floor.along, seen.floor.across),
+            seen.mount.z - seen.floor.height,
+            Band(
+                band.camera_scan_lowest,
+                band.camera_scan_highest,
+                band.step_depth,
+                self.config.depth.depth_noise,
+            ),
+            band.obstacle_range,
+            seen.pose,
+        )
+
+    def _look(self, frame: RgbdFrame) -> _Look:
+        """Return a frame as the kernels take it."""
+        mount = self._mount if frame.mount is None else CameraMount.from_optical(frame.mount)
+        stride = max(1, round(frame.intrinsics.width / _SAMPLES))
+        axis = mount.rotation[:, 2]
+        pose = Pose2(mount.x, mount.y, math.atan2(axis[1], axis[0]))
         key = (frame.intrinsics, stride, mount)
         if frame.sensor not in self._prepared or self._prepared[frame.sensor][0] != key:
-            made = _prepare(frame.intrinsics, stride, mount, heading, self.config.obstacles)
-            self._prepared[frame.sensor] = (key, *made)
-        _, rays, view = self._prepared[frame.sensor]
-        return rays, view
+            rays = level_rays(frame.intrinsics, stride, mount.rotation, pose.theta)
+            view, bins = _view_of(rays, 2.5 * stride / frame.intrinsics.fx, self.config.obstacles)
+            self._prepared[frame.sensor] = (key, rays, view, bins)
+        _, rays, view, bins = self._prepared[frame.sensor]
+        depth = np.ascontiguousarray(depth_in_metres(frame.depth[::stride, ::stride].T))
+        return _Look(mount, pose, rays, view, bins, depth, self.floor(frame.sensor))
 
     def _check(self, camera: str, estimate: FloorEstimate) -> None:
         """Warn once of a mount that the floor contradicts."""
@@ -181,34 +195,19 @@ class ObstacleDetector:
         )
 
 
-def _prepare(
-    camera: Intrinsics, stride: int, mount: CameraMount, heading: float, band: ObstacleConfig
-) -> tuple[_Rays, _View]:
-    """Return the rays of every stride-th pixel and the cells of the view."""
-    u, v = np.mgrid[0 : camera.width : stride, 0 : camera.height : stride]
-    pixels = np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float64)
-    flat = camera_rays(pixels, camera)
-    cos, sin = math.cos(heading), math.sin(heading)
-    turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    rays = np.column_stack([flat, np.ones(len(flat))]) @ (turn @ mount.rotation).T
-    usable = rays[:, 0] > _LEAST_FORWARD
-    ahead = np.where(usable, rays[:, 0], 1.0)
-    tangent, slope = rays[:, 1] / ahead, rays[:, 2] / ahead
-    step = max(0.5 * OBSTACLE_CELL / band.obstacle_range, 2.5 * stride / camera.fx)
-    bins = np.floor(tangent / step).astype(np.int32)
+def _view_of(rays: Rays, finest: float, band: ObstacleConfig) -> tuple[_View, NDArray[np.int32]]:
+    """Return the cells of a view, and the bin (W, H) of every ray.
+
+    finest: tangent that a few samples are apart.
+    """
+    usable = rays.ahead > 0.0
+    step = max(0.5 * OBSTACLE_CELL / band.obstacle_range, finest)
+    bins = np.floor(rays.tangent / np.float32(step)).astype(np.int32)
     first = int(bins[usable].min(initial=0))
     last = int(bins[usable].max(initial=first))
     slices = min(math.ceil(band.obstacle_highest / SLICE_HEIGHT - 1e-9), HOLE_BIT)
     view = _View(first, step, last - first + 1, math.ceil(band.obstacle_range / _ROW), slices)
-    return (
-        _Rays(
-            np.where(usable, ahead, 0.0).astype(np.float32).reshape(u.shape),
-            tangent.astype(np.float32).reshape(u.shape),
-            slope.astype(np.float32).reshape(u.shape),
-            np.where(usable, bins - first, 0).astype(np.int32).reshape(u.shape),
-        ),
-        view,
-    )
+    return view, np.where(usable, bins - first, 0).astype(np.int32)
 
 
 @kernel
@@ -242,7 +241,7 @@ def _free_slices(
 
 
 @kernel
-def _kind_of(z: float, forward: float, band: _Band) -> int:
+def _kind_of(z: float, forward: float, band: Band) -> int:
     """Return what a reading at a height (m) and a distance ahead (m) shows."""
     if z < -(band.step + _SLOPE * forward):
         return _HOLE
@@ -270,16 +269,17 @@ def _continues(before: _Reading, reading: _Reading, noise: float) -> bool:
 
 @kernel
 def _sort(
-    rays: _Rays,
+    rays: Rays,
+    bins: NDArray[np.int32],
     depth: NDArray[np.float32],
     tilt: tuple[float, float],
     height: float,
     view: _View,
-    band: _Band,
+    band: Band,
 ) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
     """Return which slices are occupied, and which are free, as bits by bin and row.
 
-    depth (W, H) m; tilt: slopes of the floor; height (m): of the camera above the floor.
+    bins (W, H): of the rays; depth (W, H) m; tilt: slopes of the floor; height (m): of the camera.
     """
     hits = np.zeros((view.bins, view.slices + 1, view.rows + 1), np.int16)
     passes = np.zeros((view.bins, view.slices + 1, view.rows + 1), np.int16)
@@ -291,7 +291,7 @@ def _sort(
             if forward <= 0.0:
                 before = _Reading(_NOTHING, 0.0, 0.0)
                 continue
-            at = rays.bin[column, row]
+            at = bins[column, row]
             slope = float(rays.slope[column, row]) - tilt[0]
             slope -= tilt[1] * float(rays.tangent[column, row])
             z = height + forward * slope
@@ -406,4 +406,6 @@ def warm_up() -> None:
     camera = Intrinsics(32, 24, 30.0, 30.0, 15.5, 11.5)
     image = np.zeros((24, 32), np.uint8)
     depth = np.full((24, 32), 2.0, np.float32)
-    ObstacleDetector().detect(RgbdFrame(0.0, image, depth, camera))
+    detector, frame = ObstacleDetector(), RgbdFrame(0.0, image, depth, camera)
+    detector.detect(frame)
+    detector.scan(frame)

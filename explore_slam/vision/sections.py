@@ -130,6 +130,21 @@ class ObstacleConfig(Section):
         low=0.5,
         high=10.0,
     )
+    camera_scan_lowest: float = setting(
+        0.1,
+        'Of a vehicle without a laser: height above the floor from which readings of its camera '
+        'make up the scans that take the place of those of a laser',
+        unit='m',
+        low=0.01,
+        high=1.0,
+    )
+    camera_scan_highest: float = setting(
+        0.5,
+        'Height up to which they do; below table tops, whose edges look different from everywhere',
+        unit='m',
+        low=0.05,
+        high=2.0,
+    )
 
 
 @dataclass(frozen=True)

@@ -179,3 +179,32 @@ def test_a_mount_that_is_right_is_not_complained_of(caplog):
             found.detect(frame(cast(pit=(1.8, 0.18), noise=0.003, limit=3.5), stamp))
     assert not caplog.records
     assert max(map(abs, found.floor())) < 0.02
+
+
+# -- scans of vehicles without a laser -------------------------------------------------------------
+
+
+def test_the_scan_of_a_camera_is_that_of_a_laser_in_its_place():
+    scan = detector().scan(frame(cast(wall=2.2, noise=0.003, limit=3.5)))
+    hit = np.isfinite(scan.ranges)
+    assert hit.sum() == scan.ranges.size == pytest.approx(115, abs=2)  # 57.6 degrees
+    expected = (2.2 - MOUNT.x) / np.cos(scan.angles)
+    assert np.abs(scan.ranges - expected).max() < 0.02
+    assert abs(float((scan.ranges - expected).mean())) < 0.003
+    assert scan.mount == (MOUNT.x, MOUNT.y, 0.0)
+
+
+def test_beams_over_open_floor_have_no_return_and_those_without_readings_no_measurement():
+    open_floor = cast(noise=0.003, limit=3.5)
+    assert np.isposinf(detector().scan(frame(open_floor)).ranges).all()
+    near = open_floor.copy()
+    near[near > 2.0] = 0.0  # something dark: the floor is seen up to there alone
+    assert np.isnan(detector().scan(frame(near)).ranges).all()
+
+
+def test_a_scan_of_a_camera_passes_below_table_tops_and_ends_at_lower_things():
+    below = detector().scan(frame(cast(tables=[TABLE], limit=3.5))).ranges
+    assert np.isposinf(below[30:80]).all()
+    low = detector().scan(frame(cast(tables=[(1.6, 2.6, -0.6, 0.6, 0.3)], limit=3.5))).ranges
+    # a sheet without a front: the mean of the nearest 0.15 m of it
+    assert np.nanmin(low) == pytest.approx(1.6 - MOUNT.x, abs=0.16)

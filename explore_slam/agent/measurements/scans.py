@@ -13,7 +13,7 @@ def enqueue_scan(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
     sweeps = track.sweeps.of(scan.sensor)
     dropped = sweeps.takes(scan, team.config.inputs.measurement_queue_length)
     if dropped is None:
-        _enqueue_scan_of_one_moment(team, track, scan)
+        enqueue_scan_of_one_moment(team, track, scan)
     elif dropped:
         track.count('dropped_without_odometry')
 
@@ -24,10 +24,10 @@ def release_sweeps(team: Team, track: VehicleTrack) -> None:
     for sweeps in track.sweeps.all:
         while (scan := sweeps.pop(track.odometry, laser)) is not None:
             track.count('deskewed_scans', int(scan.bearings is not None))
-            _enqueue_scan_of_one_moment(team, track, scan)
+            enqueue_scan_of_one_moment(team, track, scan)
 
 
-def _enqueue_scan_of_one_moment(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
+def enqueue_scan_of_one_moment(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
     """Queue a scan for the map and, if scan matching is on, for matching."""
     if team.config.scan_matching.scan_matching:
         track.unmatched.push(scan, team.config.inputs.measurement_queue_length)
