@@ -3,12 +3,20 @@
 import cv2
 import numpy as np
 import pytest
+from vision.depth_scenes import TABLE, cast
+from vision.depth_scenes import frame as depth_frame
 
 from explore_slam.data import Intrinsics, RgbdFrame
 from explore_slam.errors import ConfigError
 from explore_slam.geometry import Pose2
 from explore_slam.settings import settings_of, with_values
-from explore_slam.vision import DETECTORS, FeatureExtractor, KeyframeSelector, VisionConfig
+from explore_slam.vision import (
+    DETECTORS,
+    FeatureExtractor,
+    KeyframeSelector,
+    ObstacleDetector,
+    VisionConfig,
+)
 from explore_slam.vision.detectors.sift import Sift
 
 CAMERA = Intrinsics(320, 240, 260.0, 262.0, 158.0, 121.0)
@@ -40,6 +48,16 @@ def keyframes(config):
     return [selector.select(0.1 * k, pose) for k, pose in enumerate(poses)]
 
 
+def obstacles(config):
+    """Return what is seen of a table, of a thing on the floor and of a step; and the scan."""
+    things = [TABLE, (1.3, 1.5, -0.2, 0.2, 0.08), (1.3, 1.5, 0.3, 0.4, 0.8)]
+    depth = cast(tables=things, pit=(2.2, 0.1), noise=0.003, limit=3.5)
+    detector, scene = ObstacleDetector(config), depth_frame(depth)
+    view = detector.detect(scene)
+    scan = detector.scan(scene)
+    return view.cells.tobytes(), view.occupied.tobytes(), scan.ranges.tobytes()
+
+
 class Blind(Sift):
     """A detector that finds nothing."""
 
@@ -65,6 +83,12 @@ EFFECTS = {
     'minimum_travel_distance': (0.5, keyframes),
     'minimum_travel_heading': (0.4, keyframes),
     'maximum_keyframe_gap': (1.0, keyframes),
+    'obstacle_lowest': (0.15, obstacles),
+    'obstacle_highest': (0.7, obstacles),
+    'step_depth': (0.3, obstacles),
+    'obstacle_range': (2.0, obstacles),
+    'camera_scan_lowest': (0.04, obstacles),
+    'camera_scan_highest': (0.9, obstacles),
     'camera_x': (0.3, observations),
     'camera_y': (0.1, observations),
     'camera_z': (0.8, observations),
@@ -103,4 +127,6 @@ def test_the_detector_is_the_one_of_the_setting(monkeypatch):
 
 
 def test_no_setting_is_left_out():
-    assert {info.name for info, _ in settings_of(VisionConfig())} == {*EFFECTS, 'feature_detector'}
+    # depth_obstacles is the agent's: test/agent/measurements/test_obstacles.py
+    elsewhere = {'feature_detector', 'depth_obstacles'}
+    assert {info.name for info, _ in settings_of(VisionConfig())} == {*EFFECTS, *elsewhere}
