@@ -86,6 +86,8 @@ class Agent:
         self.bodies = dict(bodies or {})
         self.sources = dict(sources or {})
         self.camera_scans = frozenset(camera_scans)
+        # grid with obstacles, and the drawings of which it was made
+        self._merged: tuple[tuple[Team, int, int], OccupancyGrid] | None = None
         self._team = self._new_team(config)
 
     def _new_team(self, config: AgentConfig) -> Team:
@@ -271,7 +273,11 @@ class Agent:
         if not self.obstacle_map.views:
             return self.laser_map.grid
         self.obstacle_map.redraw(path, in_map)
-        return with_obstacles(self.laser_map.grid, self.obstacle_map.layer)
+        drawn = (self._team, self.laser_map.revision, self.obstacle_map.revision)
+        if self._merged is None or self._merged[0] != drawn:
+            merged = with_obstacles(self.laser_map.grid, self.obstacle_map.layer)
+            self._merged = (drawn, merged)
+        return self._merged[1]
 
     @property
     def no_returns(self) -> dict[str, tuple[float, bool]]:
@@ -398,6 +404,7 @@ class Agent:
         self.reset()
         self._team.belief, self._team.loops = belief, loops
         self._team.laser_map, self._team.obstacle_map = laser_map, obstacle_map
+        self._merged = None
         for vehicle in self.tracks:
             belief.restart_clock(vehicle)
             loaded = belief.estimate(vehicle)[0]

@@ -101,6 +101,7 @@ class PathDrawing[I: Anchored, C: Canvas](ABC):
         self._path: Array = np.empty((0, 3))
         self._in_map: NDArray[np.bool_] = np.empty(0, np.bool_)  # which of these keyframes
         self._snapshots: dict[int, C] = {}
+        self.revision = 0  # counts the redraws that have changed the drawing
 
     @abstractmethod
     def _empty(self) -> C:
@@ -144,7 +145,8 @@ class PathDrawing[I: Anchored, C: Canvas](ABC):
         kept = self._count_unchanged(moved)
         if self._must_start_over():
             kept = 0
-        if kept < self._drawn:
+        restored = kept < self._drawn
+        if restored:
             self._restore_snapshot(kept)
         start, refused = self._drawn, 0
         poses[: len(moved)][~moved] = self._path[: len(moved)][~moved]
@@ -159,6 +161,7 @@ class PathDrawing[I: Anchored, C: Canvas](ABC):
             refused += self._draw_items([i for i in items if self._in_map[i.keyframe]])
             if stop % SNAPSHOT_SPACING == 0 and stop > start:
                 self._keep_snapshot()
+        self.revision += restored or self._drawn > start
         return RedrawSummary(start, self._drawn - start, len(self._items) - self._drawn, refused)
 
     @property

@@ -43,7 +43,12 @@ class VehicleConfig(Section):
         choices=('wheels', 'scan', 'wheels+gyro'),
     )
     imu: str = setting('imu', 'Topic of its IMU (sensor_msgs/Imu), below its namespace')
-    use_laser: bool = setting(True, 'Whether the vehicle has a laser scanner', tier='basic')
+    use_laser: bool = setting(
+        True,
+        'Whether the vehicle has a laser scanner; without one, and with vision: agent, scans are '
+        'made of its depth images',
+        tier='basic',
+    )
     scans: tuple[str, ...] = setting(
         ('scan',),
         'Topics of its laser scanners (LaserScan), below its namespace; a single empty name: none',

@@ -50,6 +50,7 @@ def test_a_table_is_in_the_map_though_the_laser_looks_below_it(record):
         assert is_occupied(agent, ahead, 0.3)
     assert not is_occupied(agent, 1.2)
     assert not is_occupied(agent, 2.1, 1.0)
+    assert agent.grid is agent.grid  # made once for one state of the map
     grid = agent.laser_map.grid
     ((row, column),) = grid.to_cell([START.compose(Pose2(2.1, 0.3, 0.0))[:2]])
     assert grid.to_trinary()[row, column] == 0
