@@ -294,6 +294,48 @@ class RgbdFrame:
         _check_shape(self, 'depth', self.depth, size)
 
 
+OBSTACLE_CELL = 0.05  # m, side of the cells of an ObstacleView; as that of the default grid
+SLICE_HEIGHT = 0.1  # m, of a slice of height
+HOLE_BIT = 15  # of the floor being lower; the bits below are slices of height, upwards from 0
+
+
+@dataclass(frozen=True)
+class ObstacleView:
+    """What a depth camera sees above the floor, in cells of the vehicle frame at the stamp.
+
+    cells (N, 2) int16: columns along x and rows along y of squares with the side OBSTACLE_CELL.
+    occupied, free (N,) uint16: slices of height in which something was seen, and through which the
+    camera looked, as bits; HOLE_BIT: the floor is lower there, or it was seen where it should be.
+    """
+
+    stamp: float
+    cells: NDArray[np.int16]
+    occupied: NDArray[np.uint16]
+    free: NDArray[np.uint16]
+
+    def __post_init__(self) -> None:
+        _check_stamp(self, self.stamp)
+        count = len(self.cells)
+        _check_shape(self, 'cells', self.cells, (count, 2))
+        for name in ('occupied', 'free'):
+            _check_shape(self, name, getattr(self, name), (count,))
+        for name, dtype in (('cells', np.int16), ('occupied', np.uint16), ('free', np.uint16)):
+            if getattr(self, name).dtype != dtype:
+                raise DataError(
+                    f'ObstacleView: {name} is of type {getattr(self, name).dtype}, '
+                    f'expected {np.dtype(dtype)}'
+                )
+
+    def __len__(self) -> int:
+        return len(self.cells)
+
+    @property
+    def points(self) -> Array:
+        """Centres (N, 2) m of the cells."""
+        centers: Array = (self.cells.astype(np.float64) + 0.5) * OBSTACLE_CELL
+        return centers
+
+
 @dataclass(frozen=True)
 class LandmarkObservations:
     """K landmarks observed at once, in the vehicle frame at the stamp.

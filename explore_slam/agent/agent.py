@@ -16,7 +16,7 @@ What happens to a record:
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,7 @@ from explore_slam.agent.vehicle_track import VehicleTrack
 from explore_slam.data import (
     ImuReading,
     LaserScan,
+    ObstacleView,
     OdometryReading,
     VehicleBody,
     VehicleState,
@@ -44,7 +45,7 @@ from explore_slam.data import (
 )
 from explore_slam.errors import AgentError
 from explore_slam.geometry import IDENTITY, Array, Pose2, rotated
-from explore_slam.mapping import LaserMap, OccupancyGrid, save_map
+from explore_slam.mapping import LaserMap, ObstacleMap, OccupancyGrid, save_map, with_obstacles
 from explore_slam.slam import Landmarks, OdometryCalibration, TeamBelief, compound
 from explore_slam.slam.checks import check_motion_covariance, check_pose
 from explore_slam.sweeps import Sweep
@@ -65,6 +66,7 @@ class Agent:
     bodies: size and speed of vehicles that are not standard.
     sources: what the odometry of a vehicle is measured by: wheels (the default), scan, or
     wheels+gyro.
+    camera_scans: vehicles without a laser, whose scans are made of their depth images.
     """
 
     def __init__(
@@ -74,6 +76,7 @@ class Agent:
         seed: int = 0,
         bodies: Mapping[str, VehicleBody] | None = None,
         sources: Mapping[str, str] | None = None,
+        camera_scans: Collection[str] = (),
     ) -> None:
         if not start_poses:
             raise AgentError('start_poses is empty, expected a pose for every vehicle')
@@ -83,7 +86,16 @@ class Agent:
         self.now = 0.0
         self.bodies = dict(bodies or {})
         self.sources = dict(sources or {})
-        self._team = Team(config, self.start_poses, seed, self.bodies, self.sources)
+        self.camera_scans = frozenset(camera_scans)
+        # grid with obstacles, and the drawings of which it was made
+        self._merged: tuple[tuple[Team, int, int], OccupancyGrid] | None = None
+        self._team = self._new_team(config)
+
+    def _new_team(self, config: AgentConfig) -> Team:
+        """Return a team at its start poses."""
+        return Team(
+            config, self.start_poses, self.seed, self.bodies, self.sources, self.camera_scans
+        )
 
     @property
     def config(self) -> AgentConfig:
@@ -100,7 +112,7 @@ class Agent:
         What has been learnt of the sensors is kept: of the sweeps of the lasers, and of the IMU.
         """
         before = self.tracks
-        self._team = Team(self.config, self.start_poses, self.seed, self.bodies, self.sources)
+        self._team = self._new_team(self.config)
         for name, track in self.tracks.items():
             track.sweeps.keep_knowledge(before[name].sweeps)
             track.source.keep_knowledge(before[name].source)
@@ -251,10 +263,27 @@ class Agent:
         return self._team.laser_map
 
     @property
+    def obstacle_map(self) -> ObstacleMap:
+        """All mapped views of obstacles, and the layer as it was drawn last."""
+        return self._team.obstacle_map
+
+    def newest_view(self, vehicle: str) -> ObstacleView | None:
+        """Return the newest view of obstacles of a vehicle that was processed."""
+        return self.track(vehicle).newest_view
+
+    @property
     def grid(self) -> OccupancyGrid:
-        """The occupancy grid, redrawn along the most likely path."""
-        self.laser_map.redraw(self.belief.best_path(), self.belief.keyframes_in_map())
-        return self.laser_map.grid
+        """The occupancy grid with the obstacles of the cameras, along the most likely path."""
+        path, in_map = self.belief.best_path(), self.belief.keyframes_in_map()
+        self.laser_map.redraw(path, in_map)
+        if not self.obstacle_map.views:
+            return self.laser_map.grid
+        self.obstacle_map.redraw(path, in_map)
+        drawn = (self._team, self.laser_map.revision, self.obstacle_map.revision)
+        if self._merged is None or self._merged[0] != drawn:
+            merged = with_obstacles(self.laser_map.grid, self.obstacle_map.layer)
+            self._merged = (drawn, merged)
+        return self._merged[1]
 
     @property
     def no_returns(self) -> dict[str, tuple[float, bool]]:
@@ -359,7 +388,10 @@ class Agent:
         for track in self.tracks.values():
             self._add_keyframe_here(track)
         team = self._team
-        checkpoint.save(path, checkpoint.Saved(team.belief, team.laser_map, team.loops, team.tags))
+        saved = checkpoint.Saved(
+            team.belief, team.laser_map, team.obstacle_map, team.loops, team.tags
+        )
+        checkpoint.save(path, saved)
         return path
 
     def _add_keyframe_here(self, track: VehicleTrack) -> None:
@@ -370,7 +402,8 @@ class Agent:
 
     def load_state(self, path: Path) -> None:
         """Continue from a saved state of the same vehicles; AgentError changes nothing."""
-        belief, laser_map, loops, tags = checkpoint.load(path, self.config)
+        saved = checkpoint.load(path, self.config)
+        belief = saved.belief
         if set(belief.vehicles) != set(self.start_poses):
             raise AgentError(
                 f'{path} is of vehicles {sorted(belief.vehicles)}, '
@@ -380,8 +413,9 @@ class Agent:
             name: self.estimate(name)[0] for name, track in self.tracks.items() if track.keyframe
         }
         self.reset()
-        self._team.belief, self._team.laser_map, self._team.loops = belief, laser_map, loops
-        self._team.tags = tags
+        self._team.belief, self._team.loops, self._team.tags = belief, saved.loops, saved.tags
+        self._team.laser_map, self._team.obstacle_map = saved.laser_map, saved.obstacle_map
+        self._merged = None
         for vehicle in self.tracks:
             belief.restart_clock(vehicle)
             loaded = belief.estimate(vehicle)[0]

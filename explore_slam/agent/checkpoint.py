@@ -1,4 +1,4 @@
-"""The agent's state as a file: the filter, the scans with their keyframes, closures and tags.
+"""The agent's state as a file: filter, scans and views with their keyframes, closures and tags.
 
 One npz file, written atomically, without pickled objects. Odometry is not stored, since its frame
 does not survive a restart of the bases: after loading, each vehicle continues from its pose.
@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 from explore_slam.agent.config import AgentConfig
 from explore_slam.agent.loop_closing import LoopClosing
 from explore_slam.agent.tag_mapping import TagMapping
-from explore_slam.data import LaserScan
+from explore_slam.data import LaserScan, ObstacleView
 from explore_slam.errors import AgentError, ExploreSlamError
 from explore_slam.geometry import Pose2
-from explore_slam.mapping import GridConfig, LaserMap, VehicleDisc
+from explore_slam.mapping import GridConfig, LaserMap, ObstacleMap, VehicleDisc
 from explore_slam.slam import TeamBelief, checkpoint
 from explore_slam.tags import table_of
 
 State = dict[str, NDArray[Any]]
-VERSION = 4
+VERSION = 5
 
 
 class Saved(NamedTuple):
@@ -29,6 +29,7 @@ class Saved(NamedTuple):
 
     belief: TeamBelief
     laser_map: LaserMap
+    obstacle_map: ObstacleMap
     loops: LoopClosing
     tags: TagMapping
 
@@ -39,6 +40,7 @@ def save(path: Path, saved: Saved) -> None:
     vehicles = list(saved.belief.vehicles)
     state |= checkpoint.under('belief', saved.belief.state_dict())
     state |= checkpoint.under('scans', _scans_state(saved.laser_map, vehicles))
+    state |= checkpoint.under('views', _views_state(saved.obstacle_map, vehicles))
     state |= checkpoint.under('loops', saved.loops.state_dict())
     state |= checkpoint.under('tags', saved.tags.state_dict())
     try:
@@ -49,7 +51,7 @@ def save(path: Path, saved: Saved) -> None:
 
 
 def load(path: Path, config: AgentConfig) -> Saved:
-    """Read filter, scans, closures and tags; AgentError for a missing or different file."""
+    """Read filter, scans, views, closures and tags; AgentError for a missing or different file."""
     try:
         state = checkpoint.read(path)
         version = int(state.get('agent_version', np.array(-1)))
@@ -60,8 +62,10 @@ def load(path: Path, config: AgentConfig) -> Saved:
         loops = LoopClosing.from_state(checkpoint.part('loops', state), config.closures)
         tags = TagMapping(config.vision.tags, table_of(config.vision.tags).poses)
         tags.restore(checkpoint.part('tags', state))
-        laser_map = _laser_map(scans, list(belief.vehicles), config.mapping)
-        return Saved(belief, laser_map, loops, tags)
+        vehicles, views = list(belief.vehicles), checkpoint.part('views', state)
+        laser_map = _laser_map(scans, vehicles, config.mapping)
+        obstacle_map = _obstacle_map(views, vehicles, config.mapping)
+        return Saved(belief, laser_map, obstacle_map, loops, tags)
     except AgentError:
         raise
     except (ExploreSlamError, KeyError, ValueError, IndexError) as error:
@@ -96,11 +100,7 @@ def _scans_state(laser_map: LaserMap, vehicles: list[str]) -> State:
 def _laser_map(state: State, vehicles: list[str], config: GridConfig) -> LaserMap:
     """Return the laser map of the arrays that _scans_state made."""
     laser_map = LaserMap(config)
-    bodies: dict[int, list[VehicleDisc]] = {}
-    for row, keyframe, x, y, theta, radius in state['bodies'].tolist():
-        bodies.setdefault(int(row), []).append(
-            VehicleDisc(int(keyframe), Pose2(x, y, theta), radius)
-        )
+    bodies = _bodies_by_row(state['bodies'])
     first, first_bearing = 0, 0
     deskewed = set(state['deskewed'].tolist())
     rows = zip(state['numbers'].tolist(), state['scans'].tolist(), strict=True)
@@ -117,3 +117,52 @@ def _laser_map(state: State, vehicles: list[str], config: GridConfig) -> LaserMa
         )
         laser_map.add(keyframe, vehicles[vehicle], scan, Pose2(x, y, theta), bodies.get(row, []))
     return laser_map
+
+
+def _views_state(obstacle_map: ObstacleMap, vehicles: list[str]) -> State:
+    """Return the views of an obstacle map as arrays; vehicles by their index in the list."""
+    views = obstacle_map.views
+    numbers = [(i.keyframe, vehicles.index(i.vehicle), len(i.view)) for i in views]
+    poses = [(item.view.stamp, *item.vehicle_in_keyframe) for item in views]
+    bodies = [
+        (row, body.keyframe, *body.offset, body.radius)
+        for row, item in enumerate(views)
+        for body in item.bodies
+    ]
+    none = np.empty(0, np.uint16)
+    return {
+        'numbers': np.array(numbers, np.int64).reshape(-1, 3),
+        'poses': np.array(poses, np.float64).reshape(-1, 4),
+        'cells': np.concatenate([np.empty((0, 2), np.int16), *(i.view.cells for i in views)]),
+        'occupied': np.concatenate([none, *(item.view.occupied for item in views)]),
+        'free': np.concatenate([none, *(item.view.free for item in views)]),
+        'bodies': np.array(bodies, np.float64).reshape(-1, 6),
+    }
+
+
+def _obstacle_map(state: State, vehicles: list[str], config: GridConfig) -> ObstacleMap:
+    """Return the obstacle map of the arrays that _views_state made."""
+    obstacle_map = ObstacleMap(config)
+    bodies = _bodies_by_row(state['bodies'])
+    first = 0
+    rows = zip(state['numbers'].tolist(), state['poses'].tolist(), strict=True)
+    for row, ((keyframe, vehicle, count), (stamp, x, y, theta)) in enumerate(rows):
+        part = slice(first, first + count)
+        first += count
+        view = ObstacleView(
+            stamp, state['cells'][part], state['occupied'][part], state['free'][part]
+        )
+        obstacle_map.add(
+            keyframe, vehicles[vehicle], view, Pose2(x, y, theta), bodies.get(row, [])
+        )
+    return obstacle_map
+
+
+def _bodies_by_row(table: NDArray[np.float64]) -> dict[int, list[VehicleDisc]]:
+    """Return the discs of a table (N, 6) by the row of their scan or view."""
+    bodies: dict[int, list[VehicleDisc]] = {}
+    for row, keyframe, x, y, theta, radius in table.tolist():
+        bodies.setdefault(int(row), []).append(
+            VehicleDisc(int(keyframe), Pose2(x, y, theta), radius)
+        )
+    return bodies

@@ -5,7 +5,7 @@ The measurement kinds (explore_slam.agent.measurements) work on this object.
 
 import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from explore_slam.agent.config import AgentConfig
@@ -15,15 +15,21 @@ from explore_slam.agent.odometry_sources import make_source
 from explore_slam.agent.placement import Placement
 from explore_slam.agent.tag_mapping import TagMapping
 from explore_slam.agent.vehicle_track import Keyframe, VehicleTrack, merged_steps
-from explore_slam.data import LandmarkObservations, LaserScan, TagObservations, VehicleBody
+from explore_slam.data import (
+    LandmarkObservations,
+    LaserScan,
+    ObstacleView,
+    TagObservations,
+    VehicleBody,
+)
 from explore_slam.errors import AgentError
 from explore_slam.exploration import paths_of
 from explore_slam.geometry import Array, Pose2
-from explore_slam.mapping import LaserMap
+from explore_slam.mapping import MAP_FRAME, LaserMap, ObstacleMap, VehicleDisc
 from explore_slam.registration import ScanMatcher
 from explore_slam.slam import TeamBelief, UpdateSummary
 from explore_slam.tags import table_of
-from explore_slam.vision import FeatureExtractor, KeyframeSelector
+from explore_slam.vision import FeatureExtractor, KeyframeSelector, ObstacleDetector
 
 # Steps that the motion since the newest keyframe is compounded of: joining those of long drives
 # without keyframes keeps the poses between them cheap.
@@ -58,21 +64,27 @@ class Team:
         seed: int,
         bodies: Mapping[str, VehicleBody] | None = None,
         sources: Mapping[str, str] | None = None,
+        camera_scans: Collection[str] = (),
     ) -> None:
         """Begin at the start poses.
 
         bodies: of vehicles that are not of the standard size. sources: of their odometry, where
-        it is not that of the wheels.
+        it is not that of the wheels. camera_scans: vehicles whose scans are made of depth images.
         """
         inputs, noise = config.inputs, config.slam.odometry_noise
         _check_sources(sources or {}, config)
         self.config = config
         self.start_poses = dict(start_poses)
+        self.camera_scans = frozenset(camera_scans)
         self.belief = TeamBelief(self.start_poses, config.slam, seed)
         self.laser_map = LaserMap(config.mapping)
+        self.obstacle_map = ObstacleMap(config.mapping)
         self.loops = LoopClosing(config.closures)
         self.tags = TagMapping(config.vision.tags, table_of(config.vision.tags).poses)
         self.extractor = FeatureExtractor(config.vision)
+        self.detectors = {
+            name: ObstacleDetector(config.vision, vehicle=name) for name in self.start_poses
+        }
         self.events: list[KeyframeEvent] = []
         self.tracks = {
             name: VehicleTrack(
@@ -102,6 +114,10 @@ class Team:
         _check_sources({name: track.source.name for name, track in self.tracks.items()}, config)
         self.extractor = FeatureExtractor(config.vision)
         self.tags.configure(config.vision.tags, table_of(config.vision.tags).poses)
+        if config.vision != self.config.vision:
+            self.detectors = {
+                name: ObstacleDetector(config.vision, vehicle=name) for name in self.tracks
+            }
         self.config = config
         for track in self.tracks.values():
             track.configure(config.vision.keyframes, config.scan_matching)
@@ -138,15 +154,31 @@ class Team:
         ]
         return [(*own.between(pose)[:2], radius) for pose, radius in others]
 
-    def body_radius(self, track: VehicleTrack, scan: LaserScan) -> float:
-        """Return the radius (m) around a vehicle in which another may see its body in a scan.
+    def bodies(self, track: VehicleTrack, seen: LaserScan | ObstacleView) -> list[VehicleDisc]:
+        """Return the positions of the other vehicles, so that they do not become walls."""
+        bodies = []
+        for other in self.tracks.values():
+            if other is track:
+                continue
+            radius = self.body_radius(other, seen)
+            if other.keyframe is None:
+                if other.start is None:
+                    continue
+                bodies.append(VehicleDisc(MAP_FRAME, other.start, radius))
+            else:
+                moved = other.moved_since_keyframe(seen.stamp)
+                bodies.append(VehicleDisc(other.keyframe.number, moved, radius))
+        return bodies
+
+    def body_radius(self, track: VehicleTrack, scan: LaserScan | ObstacleView) -> float:
+        """Return the radius (m) around a vehicle in which another may see its body.
 
         The vehicle moves while the beams of a sweep are measured one after the other: as far as
         it gets from where it is in the middle of the sweep, the radius is larger.
         """
         paths = paths_of(self.config.exploration.paths, track.body)
         radius = paths.planning_radius + self.config.scans.body_margin
-        half = 0.5 * scan.undone_sweep
+        half = 0.5 * scan.undone_sweep if isinstance(scan, LaserScan) else 0.0
         if half == 0.0 or not len(track.odometry):
             return radius
         middle = track.odometry.at(scan.stamp)

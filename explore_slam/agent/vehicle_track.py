@@ -11,7 +11,14 @@ from explore_slam.agent.odometry_sources import OdometrySource, SlipMonitor, Whe
 from explore_slam.agent.placement import Placement
 from explore_slam.agent.scan_sets import ScanSets
 from explore_slam.agent.sweep_queue import SweepQueues
-from explore_slam.data import FollowerReport, LaserScan, Plan, VehicleBody, VehicleState
+from explore_slam.data import (
+    FollowerReport,
+    LaserScan,
+    ObstacleView,
+    Plan,
+    VehicleBody,
+    VehicleState,
+)
 from explore_slam.geometry import IDENTITY, Pose2
 from explore_slam.registration import PointCloud, ScanMatcher, ScanMatchingConfig
 from explore_slam.vision import KeyframeSelector
@@ -40,6 +47,8 @@ class VehicleTrack:
     unmapped: its scans are matched, but do not enter the map.
     body: its size and speed.
     last_scans: stamp (s) and odometry pose of the newest scan of each laser in the map.
+    last_view: stamp (s) and odometry pose of the newest view of obstacles in the map.
+    newest_view: of obstacles, whether or not it is in the map.
     matched_until: stamp (s) up to which scan matching has refined the odometry.
     sweeps: scans whose beams were measured one after the other, until odometry covers them.
     sets: clouds of several lasers, until they can be matched together.
@@ -62,6 +71,8 @@ class VehicleTrack:
     unmapped: bool = False
     keyframe: Keyframe | None = None
     last_scans: dict[str, tuple[float, Pose2]] = field(default_factory=dict)
+    last_view: tuple[float, Pose2] | None = None
+    newest_view: ObstacleView | None = None
     matched_until: float = -np.inf
     last_match_attempt: float = -np.inf
     last_heard: float = -np.inf
@@ -159,6 +170,7 @@ class VehicleTrack:
         self.slip.clear()
         self.clouds.clear()
         self.last_scans.clear()
+        self.last_view = None
         self.last_seen = -np.inf
         self.matched_until = self.last_match_attempt = -np.inf
         if self.keyframe is not None:

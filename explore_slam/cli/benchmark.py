@@ -6,7 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from explore_slam.cli import benchmark_mapping, benchmark_sensors, benchmark_tags
+from explore_slam.cli import (
+    benchmark_mapping,
+    benchmark_obstacles,
+    benchmark_sensors,
+    benchmark_tags,
+)
 from explore_slam.cli.arguments import (
     add_seeds_option,
     add_set_option,
@@ -19,7 +24,9 @@ from explore_slam.cli.arguments import (
 if TYPE_CHECKING:
     from explore_slam.studies.exploration_run import ExplorationRun
 
-HELP = 'measure exploration, mapping, consistency, endurance, aliasing, sensors, or tags'
+HELP = (
+    'measure exploration, mapping, consistency, endurance, aliasing, obstacles, sensors, or tags'
+)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -273,6 +280,11 @@ KINDS: dict[str, tuple[str, Declare, Run]] = {
         _run_twins,
     ),
     'mapping': (benchmark_mapping.HELP, benchmark_mapping.configure, benchmark_mapping.run),
+    'obstacles': (
+        benchmark_obstacles.HELP,
+        benchmark_obstacles.configure,
+        benchmark_obstacles.run,
+    ),
     'sensors': (benchmark_sensors.HELP, benchmark_sensors.configure, benchmark_sensors.run),
     'tags': (benchmark_tags.HELP, benchmark_tags.configure, benchmark_tags.run),
 }

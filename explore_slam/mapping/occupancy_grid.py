@@ -345,6 +345,29 @@ class OccupancyGrid:
         self._touched = np.zeros(area.shape, np.int32)
         self._first_col, self._first_row = area.left, area.below
 
+    def extended(self, row: int, column: int, rows: int, columns: int) -> 'OccupancyGrid':
+        """Return a copy that holds further cells; row, column: counted from the map's origin."""
+        other = self.copy()
+        needed = _Area(column, row, column + columns, row + rows)
+        area = other._area()
+        needed = needed if area is None else area.including(needed)
+        if needed != area:
+            other._grow(needed)
+        return other
+
+    def offset_of(self, row: int, column: int) -> tuple[int, int]:
+        """Return the indices of a cell whose row and column are counted from the map's origin."""
+        return row - self._first_row, column - self._first_col
+
+    def occupy(self, cells: NDArray[np.bool_]) -> None:
+        """Make cells (H, W) certain obstacles."""
+        self._evidence[cells] = self._steps.high
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the evidence."""
+        return self._evidence.nbytes
+
     def to_percent(self) -> NDArray[np.int8]:
         """Return the probability (H, W) that a cell is occupied in percent; -1 where unknown."""
         percent = np.rint(self.probability() * 100.0).astype(np.int8)

@@ -6,7 +6,7 @@ Nothing here imports ROS: reading works on any object with the field names of co
 topics                 names, types, quality of service
 frames                 names of coordinate frames
 measurement            the interface of a measurement kind; measurement_kinds is the table
-odometry, scans, frame_pairing, landmarks, tags, inter_robot    one measurement kind each
+odometry, scans, frame_pairing, landmarks, tags, obstacles, inter_robot    a measurement kind each
 base, motion, images, clouds, maps                      conversions
 """
 
@@ -42,6 +42,7 @@ from explore_slam.messages.motion import (
     stamped_twist_message,
     twist_message,
 )
+from explore_slam.messages.obstacles import obstacles_message, obstacles_record
 from explore_slam.messages.odometry import odometry_message, odometry_record
 from explore_slam.messages.scans import scan_message, scan_record
 from explore_slam.messages.tags import tags_message, tags_record
@@ -65,6 +66,8 @@ __all__ = [
     'intrinsics_record',
     'landmarks_message',
     'landmarks_record',
+    'obstacles_message',
+    'obstacles_record',
     'odometry_message',
     'odometry_record',
     'path_message',

@@ -10,6 +10,7 @@ from explore_slam.data import (
     InterRobotObservation,
     LandmarkObservations,
     LaserScan,
+    ObstacleView,
     OdometryReading,
     RgbdFrame,
     TagObservations,
@@ -33,6 +34,7 @@ Record = (
     | RgbdFrame
     | LandmarkObservations
     | TagObservations
+    | ObstacleView
     | InterRobotObservation
 )
 TopicMessages = list[tuple[TopicKind, Any]]
@@ -104,6 +106,7 @@ class MeasurementKind:
     camera: it comes from a camera, of which there may be several.
     sources: the values of the setting `odometry` with which it is expected; () is any.
     clock: the setting of the vehicle that is added to its stamps.
+    exclusive: it is used with that value of the setting only, otherwise others publish it.
     high_bandwidth: subscribed to only with that setting, to save bandwidth.
     """
 
@@ -114,6 +117,7 @@ class MeasurementKind:
     queue_limit: int
     expected: tuple[TopicKind, ...] = ()
     vision: str = ''
+    exclusive: bool = False
     high_bandwidth: bool = False
     laser: bool = False
     camera: bool = False
@@ -139,6 +143,8 @@ class MeasurementKind:
     def is_accepted(self, config: VehicleConfig) -> bool:
         """Return whether it is used if it arrives: it is from sensors that the vehicle has."""
         if self.laser and not config.use_laser:
+            return False
+        if self.exclusive and self.vision != config.vision:
             return False
         return not self.high_bandwidth and (not self.vision or config.vision != 'none')
 

@@ -43,7 +43,12 @@ class VehicleConfig(Section):
         choices=('wheels', 'scan', 'wheels+gyro'),
     )
     imu: str = setting('imu', 'Topic of its IMU (sensor_msgs/Imu), below its namespace')
-    use_laser: bool = setting(True, 'Whether the vehicle has a laser scanner', tier='basic')
+    use_laser: bool = setting(
+        True,
+        'Whether the vehicle has a laser scanner; without one, and with vision: agent, scans are '
+        'made of its depth images',
+        tier='basic',
+    )
     scans: tuple[str, ...] = setting(
         ('scan',),
         'Topics of its laser scanners (LaserScan), below its namespace; a single empty name: none',
@@ -188,6 +193,11 @@ class VehicleConfig(Section):
         """Return the topics of all cameras, of some kinds."""
         found = [sensor_topic(kind, name) for name in self.cameras for kind in kinds]
         return [item._replace(sensor='') for item in found] if len(self.cameras) == 1 else found
+
+    @property
+    def has_camera_scans(self) -> bool:
+        """Whether the agent makes scans of the images of the vehicle, which has no laser."""
+        return not self.use_laser and self.vision == 'agent'
 
     @property
     def has_sensor(self) -> bool:

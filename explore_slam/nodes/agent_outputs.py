@@ -10,7 +10,7 @@ from rclpy.node import Node
 from std_msgs.msg import ColorRGBA, String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from explore_slam.data import OdometryReading
+from explore_slam.data import ObstacleView, OdometryReading
 from explore_slam.exploration import Frontier
 from explore_slam.geometry import Array, Pose2
 from explore_slam.mapping import OccupancyGrid
@@ -23,8 +23,9 @@ from explore_slam.messages import (
     pose_array_message,
     time_message,
 )
+from explore_slam.messages.obstacles import obstacles_message
 from explore_slam.messages.sweep_status import sweeps_message
-from explore_slam.messages.topics import TeamTopic, VehicleTopic
+from explore_slam.messages.topics import TeamTopic, TopicKind, VehicleTopic
 from explore_slam.nodes.agent_parameters import AgentNodeConfig
 from explore_slam.nodes.endpoints import TransformBroadcaster, publisher
 from explore_slam.nodes.map_outputs import MapOutputs
@@ -54,6 +55,7 @@ class AgentOutputs:
             for vehicle in config.vehicles
             for topic in _RESULTS
         }
+        self._obstacles: dict[str, Any] = {}  # of vehicles whose images the agent has
         self.maps = MapOutputs(node)
         self._landmarks = publisher(node, TeamTopic.MAP_LANDMARKS)
         self._frontiers = publisher(node, TeamTopic.FRONTIERS)
@@ -99,6 +101,12 @@ class AgentOutputs:
             self._transforms.send(
                 planar_transform_message(MESSAGES, reading.stamp, *frames, reading.pose), vehicle
             )
+
+    def obstacles(self, vehicle: str, view: ObstacleView, base: str) -> None:
+        """Publish what the cameras of a vehicle see, for its path follower; base: its frame."""
+        if vehicle not in self._obstacles:
+            self._obstacles[vehicle] = publisher(self._node, TopicKind.OBSTACLES, vehicle)
+        self._obstacles[vehicle].publish(obstacles_message(MESSAGES, view, base))
 
     def particles(self, vehicle: str, stamp: float, poses: Array) -> None:
         """Publish the poses (M, 3) of the particles, thinned to published_particles."""

@@ -21,7 +21,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
 from explore_slam.agent import Agent, TeamPlanner, explicit_mounts
-from explore_slam.data import BatteryReading, FollowerReport, OdometryReading
+from explore_slam.data import BatteryReading, FollowerReport, ObstacleView, OdometryReading
 from explore_slam.errors import DataError, ExploreSlamError
 from explore_slam.exploration import PlanningMode
 from explore_slam.geometry import Pose2
@@ -82,7 +82,8 @@ class AgentSession:
         self._vehicle_configs = dict(vehicle_configs)
         bodies = {name: one.view.of(one.body.record) for name, one in vehicle_configs.items()}
         sources = {name: one.odometry for name, one in vehicle_configs.items()}
-        self.agent = Agent(config.agent, config.poses(), config.seed, bodies, sources)
+        seeing = [name for name, one in vehicle_configs.items() if one.has_camera_scans]
+        self.agent = Agent(config.agent, config.poses(), config.seed, bodies, sources, seeing)
         batteries = {name: one.battery for name, one in vehicle_configs.items()}
         self.planner = TeamPlanner(self.agent, batteries)
         self.planner.pause(not config.explore)
@@ -94,6 +95,7 @@ class AgentSession:
         self._inputs: dict[str, VehicleInputs] = {}
         self._diagnostics = publisher(node, GlobalTopic.DIAGNOSTICS)
         self._due = dict.fromkeys(_PERIODIC, -np.inf)
+        self._viewed: dict[str, ObstacleView] = {}
         self._posed = dict.fromkeys(config.vehicles, -np.inf)
         self._sweeps: dict[str, dict[str, Sweep]] = {name: {} for name in config.vehicles}
         self._reported = time.monotonic()
@@ -385,6 +387,7 @@ class AgentSession:
 
     def _publish_keyframes(self, item: Item | None) -> None:
         now = now_seconds(self._node)
+        self._publish_obstacles()
         received = item.received if item is not None and item.kind == FRAME.name else None
         for event in self.agent.take_events():
             self._publish_pose(event.vehicle)
@@ -393,6 +396,16 @@ class AgentSession:
                     event.vehicle, event.stamp, self.agent.belief.particle_poses(event.vehicle)
                 )
             self.statistics.add_keyframe(event, now, received)
+
+    def _publish_obstacles(self) -> None:
+        """Publish new views of obstacles of vehicles whose images the agent has."""
+        for vehicle, inputs in self._inputs.items():
+            view = self.agent.newest_view(vehicle)
+            if view is None or view is self._viewed.get(vehicle):
+                continue
+            self._viewed[vehicle] = view
+            if inputs.config.vision == 'agent':
+                self.outputs.obstacles(vehicle, view, inputs.mounts.base)
 
     def _publish_newer_poses(self, idle: bool) -> None:
         """Publish each pose that is pose_period of odometry newer, or any newer one when idle.

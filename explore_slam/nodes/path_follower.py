@@ -11,7 +11,6 @@ import math
 import sys
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -23,6 +22,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Empty
 
 from explore_slam.data import FollowerReport, FollowerState
@@ -35,6 +35,7 @@ from explore_slam.messages import (
 )
 from explore_slam.messages.follower_status import follower_status_message
 from explore_slam.messages.measurement import VehicleReader
+from explore_slam.messages.obstacles import obstacles_record
 from explore_slam.messages.scans import SCAN
 from explore_slam.messages.sweep_status import sweeps_record
 from explore_slam.messages.topics import (
@@ -88,7 +89,7 @@ _AT_START = dict.fromkeys(
 _TELEOP_SILENCE = 0.6  # s without a command by hand after which the vehicle is told to stand
 _FINE = (FollowerState.DRIVING, FollowerState.ARRIVED, FollowerState.TELEOPERATED)
 _TELEOP = FollowerReport(FollowerState.TELEOPERATED, 'driven by cmd_vel_teleop')
-_INPUTS = (VehicleTopic.PLAN, VehicleTopic.POSE, TopicKind.SCAN)
+_INPUTS = (VehicleTopic.PLAN, VehicleTopic.POSE, TopicKind.SCAN, TopicKind.OBSTACLES)
 
 
 class PathFollowerOutputs:
@@ -138,10 +139,9 @@ class ActiveFollower:
         self._node = node
         self._vehicle = vehicle
         self._outputs = outputs
-        self._has_laser = bool(sensors.laser_topics)
         self.teleoperation = teleoperation
         self._teleop = Teleoperation()
-        self.follower = PathFollower(self._effective(config), vehicle)
+        self.follower = PathFollower(config, vehicle, bool(sensors.laser_topics))
         self._mounts = own_mounts(node, vehicle, config.laser_mount, sensors)
         self._lasers = VehicleReader((SCAN,), self._mounts)
         self._command: VelocityCommand | None = None
@@ -167,6 +167,7 @@ class ActiveFollower:
         for topic in sensors.laser_topics:
             subscribe(node, topic.kind, partial(self._on_scan, topic), name=topic.name)
         subscribe(node, VehicleTopic.SWEEPS, self._on_sweeps)
+        subscribe(node, TopicKind.OBSTACLES, self._on_obstacles)
         self._silence_timer = node.create_timer(
             SILENCE, self._explain_silence, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
@@ -183,12 +184,8 @@ class ActiveFollower:
 
     def configure(self, config: PathFollowerConfig) -> None:
         """Replace the settings."""
-        self.follower.configure(self._effective(config))
+        self.follower.configure(config)
         self._timer.timer_period_ns = round(1e9 / config.control_frequency)
-
-    def _effective(self, config: PathFollowerConfig) -> PathFollowerConfig:
-        """Return the settings, without stops for scans that a vehicle without laser never has."""
-        return config if self._has_laser else replace(config, obstacle_stop=False)
 
     def _on_teleoperation(self, linear: float, angular: float) -> None:
         self._teleop.command(time.monotonic())
@@ -226,6 +223,12 @@ class ActiveFollower:
                 self._silent_lasers = [item for item in self._silent_lasers if item != topic]
 
         self._take(TopicKind.SCAN, take)
+
+    def _on_obstacles(self, message: PointCloud2) -> None:
+        self._take(
+            TopicKind.OBSTACLES,
+            lambda _: self.follower.set_obstacles(obstacles_record(message)),
+        )
 
     def _on_sweeps(self, message: DiagnosticStatus) -> None:
         self._take(VehicleTopic.SWEEPS, lambda _: self.follower.set_sweeps(sweeps_record(message)))

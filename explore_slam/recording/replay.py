@@ -129,6 +129,7 @@ class Replay:
         self.tally = Tally()
         configs = settings_of_vehicles(settings or {}, self.vehicles)
         self.bodies = {name: config.body.record for name, config in configs.items()}
+        self.camera_scans = [name for name, one in configs.items() if one.has_camera_scans]
         self.sources = {name: self._source(name, config) for name, config in configs.items()}
         trees = recorded_transforms(bag, self.vehicles)
         self.mounts = {

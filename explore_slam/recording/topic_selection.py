@@ -20,6 +20,11 @@ from explore_slam.messages.topics import (
 
 SINGLE_VEHICLE = 'robot1'  # name of the vehicle of a recording without namespaces
 # one of these makes a recording of a vehicle useful
+_EXTRACTED = (
+    TopicKind.LANDMARKS,
+    TopicKind.TAGS,
+    TopicKind.OBSTACLES,
+)  # from frames, on the vehicle
 _SENSORS = {TopicKind.ODOMETRY, TopicKind.SCAN, *COLOR_TOPICS, TopicKind.LANDMARKS}
 # words in the names of topics that are no odometry, no colour image, and a registered depth image
 _TRUTH = ('truth', 'groundtruth', '/gt')
@@ -346,7 +351,7 @@ def frames_or_landmarks(
 
     The landmarks were extracted from the same frames: using both would count each observation
     twice. vision: 'agent' keeps frames, 'vehicle' landmarks, 'none' neither; None keeps landmarks
-    and adds a warning.
+    and adds a warning. Obstacles are of the frames as well: they are kept with the landmarks.
     """
     kinds: dict[str, set[TopicKind]] = {}
     for topic in topics:
@@ -359,7 +364,8 @@ def frames_or_landmarks(
     if both and vision is None:
         warnings.append(f'{sorted(both)}: both frames and landmarks recorded: landmarks are used')
     if vision == 'none':
-        return [t for t in topics if t.kind not in (*FRAME.topics, TopicKind.LANDMARKS)]
-    # tags come with the landmarks, from the same frames
-    unused = (TopicKind.LANDMARKS, TopicKind.TAGS) if vision == 'agent' else FRAME.topics
-    return [topic for topic in topics if topic.vehicle not in both or topic.kind not in unused]
+        return [t for t in topics if t.kind not in (*FRAME.topics, *_EXTRACTED)]
+    unused = _EXTRACTED if vision == 'agent' else FRAME.topics
+    kept = [topic for topic in topics if topic.vehicle not in both or topic.kind not in unused]
+    framed = {topic.vehicle for topic in kept if topic.kind in FRAME.topics}
+    return [t for t in kept if t.kind is not TopicKind.OBSTACLES or t.vehicle not in framed]

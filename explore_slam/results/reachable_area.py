@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from explore_slam.agent import OperatorAreas
 from explore_slam.errors import EvaluationError
 from explore_slam.geometry import Array, Pose2
+from explore_slam.simulation.config import SimulatedBaseConfig
 from explore_slam.simulation.worlds.grid_world import GridWorld
 from explore_slam.simulation.worlds.loading import load_grid_world
 
@@ -34,8 +35,9 @@ class ReachableArea:
 
     @classmethod
     def of_file(cls, path: Path, starts: Iterable[Pose2], radius: float) -> 'ReachableArea':
-        """Read a world file or a map_server map."""
-        return cls(load_grid_world(path), starts, radius)
+        """Read a world file or a map_server map; no vehicle gets below low boards or into pits."""
+        height = SimulatedBaseConfig().simulated_height
+        return cls(load_grid_world(path, height=height), starts, radius)
 
     @property
     def area(self) -> float:

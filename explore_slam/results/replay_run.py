@@ -208,7 +208,7 @@ def replay_bag(
         if not _has_odometry(replay):
             return evaluate_frames(replay, effective, until)
         poses = replay.start_poses()
-        agent = Agent(effective, poses, seed, replay.bodies, replay.sources)
+        agent = Agent(effective, poses, seed, replay.bodies, replay.sources, replay.camera_scans)
         recorder = RunRecorder(
             f'Replay of {path.name}', poses, effective.slam.particles, coverage_unit='m²'
         )

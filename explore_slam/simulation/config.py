@@ -19,6 +19,10 @@ class SimulatedBaseConfig(Section):
         0.26, 'Radius of the circle that contains the body and collides', unit='m',
         low=0.05, high=2.0, tier='basic',
     )  # fmt: skip
+    simulated_height: float = setting(
+        0.8, 'Height of the vehicle with its mast: table tops and shelves that hang lower collide',
+        unit='m', low=0.05, high=5.0,
+    )  # fmt: skip
     simulated_max_speed: float = setting(
         0.75, 'Maximum speed, whatever is commanded', unit='m/s', low=0.01, high=5.0,
         tier='basic',

@@ -16,6 +16,7 @@ class TruePose(NamedTuple):
 
 
 WALL = 'wall'
+HAZARD = 'hazard'  # a board that hangs lower than a vehicle is high, or a step down
 Record = OdometryReading | LaserScan | RgbdFrame | TruePose
 
 
@@ -28,7 +29,7 @@ class SimEvent(NamedTuple):
 
 
 class Collision(NamedTuple):
-    """First contact of a vehicle with an obstacle: WALL (any solid) or another vehicle's name."""
+    """First contact of a vehicle: obstacle is WALL (any solid), HAZARD or another vehicle."""
 
     stamp: float
     vehicle: str

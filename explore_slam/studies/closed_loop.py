@@ -3,6 +3,7 @@
 The same seed gives the same run, bit for bit. The live demo runs the same components over topics.
 """
 
+import math
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,21 +16,23 @@ from explore_slam.data import (
     FollowerReport,
     LandmarkObservations,
     LaserScan,
+    ObstacleView,
     OdometryReading,
     Plan,
     RgbdFrame,
     TagObservations,
+    VehicleBody,
 )
 from explore_slam.errors import EvaluationError
 from explore_slam.exploration import ExplorationStatus, PlanningResult
 from explore_slam.geometry import Pose2
 from explore_slam.results.reachable_area import ReachableArea
 from explore_slam.results.run_data import RunData, RunRecorder
-from explore_slam.settings import Section, section, setting
+from explore_slam.settings import Section, section, setting, with_values
 from explore_slam.simulation import SimulationConfig, Simulator, load_world
 from explore_slam.simulation.records import TruePose
 from explore_slam.vehicle import PathFollower, PathFollowerConfig
-from explore_slam.vision import FeatureExtractor, KeyframeSelector
+from explore_slam.vision import FeatureExtractor, KeyframeSelector, ObstacleDetector
 
 _NO_WAYPOINTS = np.empty((0, 2))
 FIRST_PLANNING = 1.0  # s; by then every vehicle has delivered scans and frames
@@ -62,6 +65,9 @@ class ClosedLoopConfig(Section):
         high=1e5,
         tier='basic',
     )
+    use_laser: bool = setting(
+        True, 'whether the vehicles have a laser; without, their cameras map and explore alone'
+    )
     agent: AgentConfig = section(AgentConfig)
     simulation: SimulationConfig = section(SimulationConfig)
 
@@ -90,13 +96,27 @@ class ClosedLoop:
                 '(start poses of the world)'
             )
         starts: dict[str, Pose2] = dict(list(world.starts.items())[: self.vehicles])
-        self.simulator = Simulator(world, starts, self.config.simulation, self.seed)
-        self.agent = Agent(self.config.agent, starts, self.seed)
+        simulation, bodies, laser = self.config.simulation, {}, self.config.use_laser
+        if not laser:
+            simulation = with_values(simulation, {'simulated_scan_rate': 0.0})
+            view = VehicleBody(
+                sensor_range=self.config.agent.vision.obstacles.obstacle_range,
+                field_of_view=math.radians(simulation.kinect.simulated_camera_angle),
+            )
+            bodies = dict.fromkeys(starts, view)
+        self.simulator = Simulator(world, starts, simulation, self.seed)
+        seeing = () if laser else tuple(starts)
+        self.agent = Agent(
+            self.config.agent, starts, self.seed, bodies=bodies, camera_scans=seeing
+        )
         self.planner: TeamGuide = TeamPlanner(self.agent)
-        self.followers = {name: PathFollower(self.follower) for name in starts}
+        self.followers = {name: PathFollower(self.follower, name, laser) for name in starts}
         self._title = f'{world.name}, seed {self.seed}'
         self._selectors = {name: KeyframeSelector(self.config.agent.vision) for name in starts}
         self._extractor = FeatureExtractor(self.config.agent.vision)
+        self._detectors = {
+            name: ObstacleDetector(self.config.agent.vision, vehicle=name) for name in starts
+        }
         self._odometry: dict[str, Pose2] = {}
         self.discard_records()
         radius = self.config.agent.exploration.paths.planning_radius
@@ -174,22 +194,32 @@ class ClosedLoop:
             self.recorder.add_odometry(name, record)
             follower.set_odometry(record)
             follower.set_pose(record.stamp, self.agent.map_pose(name))
+            view = self.agent.newest_view(name)
+            if view is not None:
+                follower.set_obstacles(view)
         elif isinstance(record, LaserScan):
             follower.set_scan(record)
 
     def _add_features(self, name: str, frame: RgbdFrame) -> None:
-        """Extract the features of a keyframe as the vehicle does, and add them."""
+        """Extract features of a keyframe, and obstacles, as the vehicle does, and add them."""
         pose = self._odometry.get(name)
         if pose is not None and self._selectors[name].select(frame.stamp, pose):
             self._add(name, self._extractor.extract(frame))
             tags = self._extractor.observe_tags(frame)
             if tags is not None:
                 self._add(name, tags)
+        if self.config.agent.vision.obstacles.depth_obstacles:
+            self._add(name, self._detectors[name].detect(frame))
 
     def _add(
         self,
         name: str,
-        record: OdometryReading | LaserScan | RgbdFrame | LandmarkObservations | TagObservations,
+        record: OdometryReading
+        | LaserScan
+        | RgbdFrame
+        | LandmarkObservations
+        | TagObservations
+        | ObstacleView,
     ) -> None:
         """Add a record to the agent, and record the keyframes that result."""
         began = time.perf_counter()

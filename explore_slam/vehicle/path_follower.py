@@ -11,13 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from explore_slam.data import FollowerState, LaserScan, OdometryReading, Plan
+from explore_slam.data import FollowerState, LaserScan, ObstacleView, OdometryReading, Plan
 from explore_slam.geometry import Pose2, to_world
 from explore_slam.sweeps import Sweep
 from explore_slam.vehicle.clearance import free_distance
 from explore_slam.vehicle.config import PathFollowerConfig
 from explore_slam.vehicle.dead_reckoning import DeadReckoning
 from explore_slam.vehicle.laser_view import LaserView
+from explore_slam.vehicle.obstacle_view import CameraView
 from explore_slam.vehicle.reference_path import ReferencePath
 
 _PROJECTION_WINDOW = 2.0  # m of path searched for the nearest point: paths may cross themselves
@@ -90,9 +91,17 @@ class PathFollower:
     """
 
     def __init__(
-        self, config: PathFollowerConfig | None = None, vehicle: str = 'the vehicle'
+        self,
+        config: PathFollowerConfig | None = None,
+        vehicle: str = 'the vehicle',
+        has_laser: bool = True,
     ) -> None:
-        """Create a follower; vehicle: its name in messages."""
+        """Create a follower; vehicle: its name in messages.
+
+        has_laser: whether it stops when no scans arrive; the obstacles that cameras see count in
+        any case.
+        """
+        self._has_laser = has_laser
         self.config = config or PathFollowerConfig()
         self.progress = FollowerProgress()
         self.plan: Plan | None = None
@@ -100,6 +109,7 @@ class PathFollower:
         self._s = 0.0
         self._reckoning = DeadReckoning()
         self._view = LaserView(vehicle, self._reckoning)
+        self._cameras = CameraView(self._reckoning)
         self._times = _Timers()
         self._best = _Best()
         self._motion = _Motion()
@@ -148,6 +158,10 @@ class PathFollower:
         laser = scan.mount or self.config.laser_mount.pose
         self._view.add(scan, laser, scan.stamp if received is None else received)
         self._times.scan = self._view.last_received
+
+    def set_obstacles(self, view: ObstacleView) -> None:
+        """Take what a depth camera has seen; see CameraView."""
+        self._cameras.add(view)
 
     def set_sweeps(self, found: Mapping[str, Sweep]) -> None:
         """Set when the beams of lasers are measured, as the agent has found from their scans."""
@@ -214,7 +228,7 @@ class PathFollower:
             ('agent', t.agent, c.agent_timeout),
             ('map pose', self._reckoning.pose_stamp, c.pose_timeout),
         ]
-        if c.obstacle_stop:
+        if c.obstacle_stop and self._has_laser:
             checks.append(('laser', t.scan, c.scan_timeout))
         for name, last, limit in checks:
             if last == -math.inf:
@@ -266,6 +280,7 @@ class PathFollower:
         if not c.obstacle_stop:
             return speed, False
         points = self._view.points(now)
+        points = np.concatenate([points, self._cameras.points(now, points)])
         body = c.body.record.envelope
         free = free_distance(points, curvature, body)
         straight = free

@@ -6,7 +6,12 @@ from explore_slam.mounts import CameraMountConfig
 from explore_slam.settings import Section, section, setting
 from explore_slam.tags import TagConfig
 from explore_slam.vision.detectors import DETECTORS
-from explore_slam.vision.sections import DepthConfig, FeatureConfig, KeyframeConfig
+from explore_slam.vision.sections import (
+    DepthConfig,
+    FeatureConfig,
+    KeyframeConfig,
+    ObstacleConfig,
+)
 
 
 @dataclass(frozen=True)
@@ -21,5 +26,6 @@ class VisionConfig(Section):
     features: FeatureConfig = section(FeatureConfig)
     depth: DepthConfig = section(DepthConfig)
     keyframes: KeyframeConfig = section(KeyframeConfig)
+    obstacles: ObstacleConfig = section(ObstacleConfig)
     mount: CameraMountConfig = section(CameraMountConfig)
     tags: TagConfig = section(TagConfig)

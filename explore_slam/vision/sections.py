@@ -91,6 +91,63 @@ class DepthConfig(Section):
 
 
 @dataclass(frozen=True)
+class ObstacleConfig(Section):
+    """Which readings of a depth image are obstacles that a laser does not see."""
+
+    depth_obstacles: bool = setting(
+        True,
+        'Map what depth images show of table tops, shelves, things on the floor and steps down',
+        tier='basic',
+    )
+    obstacle_lowest: float = setting(
+        0.06,
+        'Height above the floor from which readings count as obstacles; about three times the '
+        'noise of height at obstacle_range',
+        unit='m',
+        low=0.01,
+        high=1.0,
+    )
+    obstacle_highest: float = setting(
+        0.9,
+        'Height up to which they do: that of the highest vehicle, mast and camera included, with '
+        'a margin',
+        unit='m',
+        low=0.1,
+        high=1.5,
+        tier='basic',
+    )
+    step_depth: float = setting(
+        0.06,
+        'Depth below the floor from which a reading shows a step down',
+        unit='m',
+        low=0.01,
+        high=1.0,
+    )
+    obstacle_range: float = setting(
+        3.0,
+        'Range of depth images within which obstacles are mapped; well below that of the camera',
+        unit='m',
+        low=0.5,
+        high=10.0,
+    )
+    camera_scan_lowest: float = setting(
+        0.1,
+        'Of a vehicle without a laser: height above the floor from which readings of its camera '
+        'make up the scans that take the place of those of a laser',
+        unit='m',
+        low=0.01,
+        high=1.0,
+    )
+    camera_scan_highest: float = setting(
+        0.5,
+        'Height up to which they do; below table tops, whose edges look different from everywhere',
+        unit='m',
+        low=0.05,
+        high=2.0,
+    )
+
+
+@dataclass(frozen=True)
 class KeyframeConfig(Section):
     """Which frames become keyframes."""
 

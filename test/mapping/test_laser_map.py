@@ -10,7 +10,7 @@ from explore_slam.data import LaserScan
 from explore_slam.errors import MappingError
 from explore_slam.geometry import IDENTITY, Pose2
 from explore_slam.mapping import MAP_FRAME, GridConfig, LaserMap, VehicleDisc
-from explore_slam.mapping.laser_map import _snapshot_positions
+from explore_slam.mapping.path_drawing import snapshot_positions
 
 
 @pytest.fixture
@@ -177,11 +177,11 @@ def test_a_scan_too_far_out_is_left_out_and_counted(generator):
 
 
 def test_snapshots_are_dense_towards_the_present_and_few_in_number():
-    assert _snapshot_positions(15) == set()
-    assert _snapshot_positions(16) == {16}
-    assert _snapshot_positions(48) == {48, 32}
-    assert _snapshot_positions(500) == {496, 480, 448, 384, 256}
-    assert len(_snapshot_positions(10**6)) < 2 * 17
+    assert snapshot_positions(15) == set()
+    assert snapshot_positions(16) == {16}
+    assert snapshot_positions(48) == {48, 32}
+    assert snapshot_positions(500) == {496, 480, 448, 384, 256}
+    assert len(snapshot_positions(10**6)) < 2 * 17
 
 
 def test_memory_bounds_the_number_of_snapshots(generator):

@@ -12,6 +12,7 @@ from explore_slam.data import (
     Intrinsics,
     LandmarkObservations,
     LaserScan,
+    ObstacleView,
     OdometryReading,
     RgbdFrame,
     TagObservations,
@@ -45,6 +46,12 @@ RECORDS = {
         np.array([3, 2319]),
         np.array([[1.0, 0.5, 3.0]] * 2),
         np.tile(np.eye(3) / 4, (2, 1, 1)),
+    ),
+    'obstacles': ObstacleView(
+        2.5,
+        np.array([[20, -3], [21, 5], [-30, 0]], np.int16),
+        np.array([1 << 6, 0, 1 << 15], np.uint16),
+        np.array([3, 1 << 15 | 1, 0], np.uint16),
     ),
     'inter_robot': InterRobotObservation(
         2.5, 'robot2', np.array([1.0, 0.5]), np.diag([0.25, 0.5])
@@ -88,7 +95,7 @@ def test_frames_and_landmarks_are_expected_where_vision_runs():
         for vision in ('agent', 'vehicle', 'none')
     }
     assert expected['agent'] - expected['vehicle'] == {'frame'}
-    assert expected['vehicle'] - expected['agent'] == {'landmarks'}
+    assert expected['vehicle'] - expected['agent'] == {'landmarks', 'obstacles'}
     assert expected['none'] == expected['agent'] & expected['vehicle']
 
 

@@ -17,7 +17,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from ros_domain import own_domain
 
 from explore_slam import messages
-from explore_slam.data import LaserScan, OdometryReading
+from explore_slam.data import LaserScan, ObstacleView, OdometryReading
 from explore_slam.geometry import Pose2
 from explore_slam.messages.follower_status import follower_report
 from explore_slam.nodes.ros_types import MESSAGES, message_class
@@ -44,6 +44,7 @@ class Harness:
             'pose': 'geometry_msgs/PoseWithCovarianceStamped',
             'odom': 'nav_msgs/Odometry',
             'scan': 'sensor_msgs/LaserScan',
+            'obstacles': 'sensor_msgs/PointCloud2',
         }
         self.out = {
             name: self.node.create_publisher(message_class(kind), name, 10)
@@ -188,6 +189,20 @@ def test_drives_a_plan_stops_before_a_wall_for_teleoperation_and_at_sigterm(harn
     ok = harness.spin(5, lambda: follower.poll() is not None and harness.velocity == (0.0, 0.0))
     assert ok, (follower.poll(), harness.velocity, harness.commands[-3:], time.monotonic())
     assert follower.returncode == 0
+
+
+@pytest.mark.usefixtures('follower')
+def test_stops_before_a_table_top_that_only_a_camera_sees(harness):
+    harness.send_plan([[0, 0], [6.0, 0]])
+    assert harness.spin(30, lambda: harness.pose.x > 0.5)
+    edge = harness.pose.x + 1.5
+    cells = np.array([(x, y) for x in range(30, 38) for y in range(-8, 8)], np.int16)
+    top, none = np.full(len(cells), 1 << 6, np.uint16), np.zeros(len(cells), np.uint16)
+    view = ObstacleView(harness.now(), cells, top, none)
+    harness.out['obstacles'].publish(messages.obstacles_message(MESSAGES, view, 'base_link'))
+    stopped = (0.0, 0.0)
+    assert harness.spin(20, lambda: 'obstacle' in harness.state() and harness.velocity == stopped)
+    assert harness.pose.x < edge - 0.25
 
 
 @pytest.mark.usefixtures('follower')

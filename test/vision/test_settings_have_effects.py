@@ -3,6 +3,8 @@
 import cv2
 import numpy as np
 import pytest
+from vision.depth_scenes import TABLE, cast
+from vision.depth_scenes import frame as depth_frame
 
 from explore_slam.data import Intrinsics, RgbdFrame
 from explore_slam.errors import ConfigError
@@ -12,6 +14,7 @@ from explore_slam.vision import (
     DETECTORS,
     FeatureExtractor,
     KeyframeSelector,
+    ObstacleDetector,
     VisionConfig,
     tags_available,
 )
@@ -59,6 +62,16 @@ def tags(config):
     return found and (found.poses.tobytes(), found.covariances.tobytes())
 
 
+def obstacles(config):
+    """Return what is seen of a table, of a thing on the floor and of a step; and the scan."""
+    things = [TABLE, (1.3, 1.5, -0.2, 0.2, 0.08), (1.3, 1.5, 0.3, 0.4, 0.8)]
+    depth = cast(tables=things, pit=(2.2, 0.1), noise=0.003, limit=3.5)
+    detector, scene = ObstacleDetector(config), depth_frame(depth)
+    view = detector.detect(scene)
+    scan = detector.scan(scene)
+    return view.cells.tobytes(), view.occupied.tobytes(), scan.ranges.tobytes()
+
+
 class Blind(Sift):
     """A detector that finds nothing."""
 
@@ -87,6 +100,12 @@ EFFECTS = {
     'tags_file': ('', tags),
     'tag_corner_noise': (1.0, tags),
     'tag_scale_error': (0.05, tags),
+    'obstacle_lowest': (0.15, obstacles),
+    'obstacle_highest': (0.7, obstacles),
+    'step_depth': (0.3, obstacles),
+    'obstacle_range': (2.0, obstacles),
+    'camera_scan_lowest': (0.04, obstacles),
+    'camera_scan_highest': (0.9, obstacles),
     'camera_x': (0.3, observations),
     'camera_y': (0.1, observations),
     'camera_z': (0.8, observations),
@@ -136,8 +155,6 @@ def test_the_detector_is_the_one_of_the_setting(monkeypatch):
 
 
 def test_no_setting_is_left_out():
-    assert {info.name for info, _ in settings_of(VisionConfig())} == {
-        *EFFECTS,
-        *ELSEWHERE,
-        'feature_detector',
-    }
+    # depth_obstacles is the agent's: test/agent/measurements/test_obstacles.py
+    elsewhere = {*ELSEWHERE, 'feature_detector', 'depth_obstacles'}
+    assert {info.name for info, _ in settings_of(VisionConfig())} == {*EFFECTS, *elsewhere}

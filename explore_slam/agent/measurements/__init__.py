@@ -6,11 +6,14 @@ from explore_slam.agent.measurements.frames import FRAMES
 from explore_slam.agent.measurements.inter_robot import INTER_ROBOT
 from explore_slam.agent.measurements.kind import MeasurementHandler
 from explore_slam.agent.measurements.landmarks import LANDMARKS
+from explore_slam.agent.measurements.obstacles import OBSTACLES
 from explore_slam.agent.measurements.scans import SCANS
 from explore_slam.agent.measurements.tags import TAGS
 from explore_slam.errors import AgentError
 
-KINDS: tuple[MeasurementHandler[Any], ...] = (SCANS, FRAMES, LANDMARKS, TAGS, INTER_ROBOT)
+KINDS: tuple[MeasurementHandler[Any], ...] = (
+    SCANS, FRAMES, LANDMARKS, TAGS, OBSTACLES, INTER_ROBOT,
+)  # fmt: skip
 
 _BY_RECORD = {kind.record: kind for kind in KINDS}
 

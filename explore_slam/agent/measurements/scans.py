@@ -5,7 +5,6 @@ from explore_slam.agent.team import Team
 from explore_slam.agent.vehicle_track import VehicleTrack
 from explore_slam.data import LaserScan
 from explore_slam.geometry import Pose2, moved_enough
-from explore_slam.mapping import MAP_FRAME, VehicleDisc
 from explore_slam.registration import scan_cloud
 
 
@@ -14,7 +13,7 @@ def enqueue_scan(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
     sweeps = track.sweeps.of(scan.sensor)
     dropped = sweeps.takes(scan, team.config.inputs.measurement_queue_length)
     if dropped is None:
-        _enqueue_scan_of_one_moment(team, track, scan)
+        enqueue_scan_of_one_moment(team, track, scan)
     elif dropped:
         track.count('dropped_without_odometry')
 
@@ -25,10 +24,10 @@ def release_sweeps(team: Team, track: VehicleTrack) -> None:
     for sweeps in track.sweeps.all:
         while (scan := sweeps.pop(track.odometry, laser)) is not None:
             track.count('deskewed_scans', int(scan.bearings is not None))
-            _enqueue_scan_of_one_moment(team, track, scan)
+            enqueue_scan_of_one_moment(team, track, scan)
 
 
-def _enqueue_scan_of_one_moment(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
+def enqueue_scan_of_one_moment(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
     """Queue a scan for the map and, if scan matching is on, for matching."""
     if team.config.scan_matching.scan_matching:
         track.unmatched.push(scan, team.config.inputs.measurement_queue_length)
@@ -55,7 +54,7 @@ def process(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
         track.name,
         scan,
         moved.compose(scan.mount or team.config.laser_mount.pose),
-        _bodies(team, track, scan),
+        team.bodies(track, scan),
     )
     _close_loops(team, track, scan, moved)
 
@@ -106,23 +105,6 @@ def _add_keyframe_without_vision(team: Team, track: VehicleTrack, stamp: float) 
     ):
         team.predict(track, stamp)
         team.add_keyframe(track, stamp)
-
-
-def _bodies(team: Team, track: VehicleTrack, scan: LaserScan) -> list[VehicleDisc]:
-    """Return the positions of the other vehicles, so that they do not become walls."""
-    bodies = []
-    for other in team.tracks.values():
-        if other is track:
-            continue
-        radius = team.body_radius(other, scan)
-        if other.keyframe is None:
-            if other.start is None:
-                continue
-            bodies.append(VehicleDisc(MAP_FRAME, other.start, radius))
-        else:
-            moved = other.moved_since_keyframe(scan.stamp)
-            bodies.append(VehicleDisc(other.keyframe.number, moved, radius))
-    return bodies
 
 
 SCANS = MeasurementHandler(LaserScan, process, enqueue=enqueue_scan, draws_map=True)

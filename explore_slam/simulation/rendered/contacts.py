@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 from explore_slam.errors import SimulationError
 from explore_slam.geometry import Pose2
-from explore_slam.simulation.records import WALL
+from explore_slam.simulation.records import HAZARD, WALL
 from explore_slam.simulation.worlds.obstacles import Obstacles
 from explore_slam.simulation.worlds.world import World
 
@@ -14,11 +14,15 @@ Poses = Mapping[str, Pose2]
 
 
 class Contacts:
-    """Collision checks for vehicles that are discs with one radius (m)."""
+    """Collision checks for vehicles that are discs with one radius and height (m).
 
-    def __init__(self, world: World, radius: float) -> None:
+    Boards that hang lower than that touch a vehicle, and so do the edges of pits.
+    """
+
+    def __init__(self, world: World, radius: float, height: float) -> None:
         self._world = world
-        self._obstacles = Obstacles(world)
+        self._solids = Obstacles(world)
+        self._obstacles = Obstacles(world, height)
         self._radius = radius
 
     def check_poses(self, starts: Poses) -> None:
@@ -45,13 +49,14 @@ class Contacts:
                     )
 
     def obstacle_between(self, pose: Pose2, wanted: Pose2, others: Poses) -> str:
-        """Return the obstacle of a motion between two poses: WALL, a vehicle's name, or ''.
+        """Return the obstacle of a motion between two poses: WALL, HAZARD, a vehicle, or ''.
 
         A vehicle that already touches an obstacle is stopped by it only when it comes closer.
         """
         clearance = self._obstacles.clearance(wanted.x, wanted.y)
         if clearance < self._radius and clearance < self._obstacles.clearance(pose.x, pose.y):
-            return WALL
+            solid = self._solids.clearance(wanted.x, wanted.y) < self._radius
+            return WALL if solid else HAZARD
         for name, other in others.items():
             gap = _distance(wanted, other)
             if gap < 2.0 * self._radius and gap < _distance(pose, other):

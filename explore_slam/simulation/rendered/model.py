@@ -20,7 +20,7 @@ from explore_slam.simulation.rendered.mujoco_import import mujoco
 from explore_slam.simulation.worlds.atlas import PAGE_SIZE, Atlas, Patch, Surface, build_atlas
 from explore_slam.simulation.worlds.paint import paint_floor
 from explore_slam.simulation.worlds.posters import Image
-from explore_slam.simulation.worlds.world import Face, World
+from explore_slam.simulation.worlds.world import Board, Face, Pit, World, block_corners
 
 PAINTED, BODY, DECORATION, FLOOR, HIDDEN = 0, 1, 2, 3, 4  # groups of MuJoCo geoms
 TILE = 8.0  # m; as wide as the range of the laser
@@ -169,6 +169,8 @@ def _add_walls(spec: Any, world: World, painted: bool) -> dict[str, tuple[float,
             [(u0, v1), (u1, v1), (u1, v0), (u0, v0)],
         )
     _add_tops(meshes, world, atlas)
+    for board in world.boards:
+        _add_board(meshes, board, atlas)
     tiles = {}
     for (page, row, column), mesh in meshes.items():
         name = f'walls_{page}_{row}_{column}'
@@ -190,6 +192,20 @@ def _add_tops(meshes: dict[tuple[int, int, int], _Mesh], world: World, atlas: At
         uv = [(u0 + float(a) * (u1 - u0), v0 + float(b) * (v1 - v0)) for a, b in part]
         middle = 0.5 * (low + high)
         _mesh_at(meshes, patch.page, (float(middle[0]), float(middle[1]))).add(polygon, uv)
+
+
+def _add_board(meshes: dict[tuple[int, int, int], _Mesh], board: Board, atlas: Atlas) -> None:
+    """Add the six sides of a board, all of one texture."""
+    patch = atlas.patches[-1]
+    u0, v0, u1, v1 = _texture_box(patch, atlas.pages[patch.page])
+    uv = [(u0, v1), (u1, v1), (u1, v0), (u0, v0)]
+    mesh = _mesh_at(meshes, patch.page, (board.x, board.y))
+    corners = [(float(x), float(y)) for x, y in block_corners(board)]
+    low, high = board.bottom, board.top
+    mesh.add([(x, y, high) for x, y in corners], uv)
+    mesh.add([(x, y, low) for x, y in reversed(corners)], uv)
+    for (ax, ay), (bx, by) in zip(corners, [*corners[1:], corners[0]], strict=True):
+        mesh.add([(ax, ay, low), (bx, by, low), (bx, by, high), (ax, ay, high)], uv)
 
 
 def _mesh_at(
@@ -218,9 +234,47 @@ def _add_floor(spec: Any, world: World) -> None:
     rng = np.random.default_rng((world.texture_seed, 2**31))
     _material(spec, 'floor', paint_floor(shape, resolution, rng))
     mesh = _Mesh([], [], [])
-    corners = [(x0, y0, 0.0), (x1, y0, 0.0), (x1, y1, 0.0), (x0, y1, 0.0)]
-    mesh.add(corners, [(0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 0.0)])
+
+    def add(corners: list[tuple[float, float, float]]) -> None:
+        uv = [((x - x0) / (x1 - x0), (y1 - y) / (y1 - y0)) for x, y, _ in corners]
+        mesh.add(corners, uv)
+
+    for left, below, right, above in _around(world.bounds, world.pits):
+        add([(left, below, 0.0), (right, below, 0.0), (right, above, 0.0), (left, above, 0.0)])
+    for pit in world.pits:
+        left, right = pit.x - pit.half_x, pit.x + pit.half_x
+        below, above = pit.y - pit.half_y, pit.y + pit.half_y
+        ring = [(left, below), (right, below), (right, above), (left, above)]
+        add([(x, y, -pit.depth) for x, y in ring])
+        for (ax, ay), (bx, by) in zip(ring, [*ring[1:], ring[0]], strict=True):
+            # seen from within
+            add([(bx, by, -pit.depth), (ax, ay, -pit.depth), (ax, ay, 0.0), (bx, by, 0.0)])
     _add_mesh(spec, 'floor', mesh, 'floor', FLOOR)
+
+
+def _around(
+    bounds: tuple[float, float, float, float], pits: Sequence[Pit]
+) -> list[tuple[float, float, float, float]]:
+    """Divide a rectangle without the pits in it into rectangles: x and y of both corners (m)."""
+    pieces = [bounds]
+    for pit in pits:
+        left, right = pit.x - pit.half_x, pit.x + pit.half_x
+        below, above = pit.y - pit.half_y, pit.y + pit.half_y
+        cut = []
+        for x0, y0, x1, y1 in pieces:
+            low, high = max(y0, below), min(y1, above)
+            if left >= x1 or right <= x0 or low >= high:
+                cut.append((x0, y0, x1, y1))
+                continue
+            parts = [
+                (x0, y0, x1, low),
+                (x0, high, x1, y1),
+                (x0, low, left, high),
+                (right, low, x1, high),
+            ]
+            cut += [part for part in parts if part[0] < part[2] and part[1] < part[3]]
+        pieces = cut
+    return pieces
 
 
 def _add_vehicle(

@@ -95,7 +95,8 @@ class Simulator:
             raise SimulationError(
                 f'world {self.world.name!r} suggests no start poses and none were given'
             )
-        self._contacts = Contacts(self.world, self.config.base.simulated_radius)
+        base = self.config.base
+        self._contacts = Contacts(self.world, base.simulated_radius, base.simulated_height)
         self._contacts.check_poses(starts)
         self._rendered = build_model(self.world, list(starts), self.config)
         self._model = self._rendered.model

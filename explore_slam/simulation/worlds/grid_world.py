@@ -49,9 +49,14 @@ class GridWorld:
             raise SimulationError(f'grid world: origin is {self.origin}, expected finite metres')
 
     @classmethod
-    def from_world(cls, world: World, resolution: float = 0.05) -> 'GridWorld':
-        """Rasterize the solids of a world into cells with this side (m)."""
-        solid, origin = world.occupied(resolution)
+    def from_world(
+        cls, world: World, resolution: float = 0.05, height: float = 0.0
+    ) -> 'GridWorld':
+        """Rasterize the solids of a world into cells with this side (m).
+
+        height: of a vehicle (m), which does not fit below lower boards, nor into pits.
+        """
+        solid, origin = world.occupied(resolution, height)
         return cls(np.where(solid, SOLID, FREE).astype(np.int8), resolution, origin)
 
     @classmethod

@@ -40,11 +40,12 @@ def load_world(path: Path | str) -> World:
     return world_of_map(path) if is_map(path) else world_of_file(path, read_entries(path))
 
 
-def load_grid_world(path: Path, resolution: float = 0.05) -> GridWorld:
+def load_grid_world(path: Path, resolution: float = 0.05, height: float = 0.0) -> GridWorld:
     """Read a map_server map (YAML, or image alone) or a world file (YAML) as cells.
 
     resolution: side (m) of a cell for world files and for images without a YAML file.
+    height: of a vehicle (m): boards of a world file that hang lower, and pits, are solid too.
     """
     if is_map(path):
         return GridWorld.from_map(path, resolution)
-    return GridWorld.from_world(world_of_file(path, read_entries(path)), resolution)
+    return GridWorld.from_world(world_of_file(path, read_entries(path)), resolution, height)

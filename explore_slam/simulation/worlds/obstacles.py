@@ -7,10 +7,14 @@ from explore_slam.simulation.worlds.world import World
 
 
 class Obstacles:
-    """The footprints of all solids of a world as arrays."""
+    """The footprints of all solids of a world as arrays.
 
-    def __init__(self, world: World) -> None:
-        blocks = np.array([block[:5] for block in world.blocks], dtype=np.float64).reshape(-1, 5)
+    height: of a vehicle (m); what hangs lower, and pits, count as well. 0: solids alone.
+    """
+
+    def __init__(self, world: World, height: float = 0.0) -> None:
+        footprints = (*world.blocks, *(world.hazards(height) if height > 0.0 else ()))
+        blocks = np.array([block[:5] for block in footprints], dtype=np.float64).reshape(-1, 5)
         self._center, self._half = blocks[:, :2], blocks[:, 2:4]
         self._cos, self._sin = np.cos(blocks[:, 4]), np.sin(blocks[:, 4])
         pillars = np.array([p[:3] for p in world.pillars], dtype=np.float64).reshape(-1, 3)

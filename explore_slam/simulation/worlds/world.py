@@ -1,6 +1,7 @@
 """A world: solids for laser and collisions, painted faces for the camera, start poses.
 
-Everything stands upright on the floor z = 0; lengths are metres, angles radians.
+Solids stand upright on the floor z = 0. Boards (table tops, shelves) hang above it, and pits lie
+below it: a laser near the floor sees neither. Lengths are metres, angles radians.
 """
 
 import math
@@ -31,6 +32,28 @@ class Pillar(NamedTuple):
     y: float
     radius: float
     height: float
+
+
+class Board(NamedTuple):
+    """A box above the floor: centre, half sizes (m), heading (rad), lower and upper side (m)."""
+
+    x: float
+    y: float
+    half_x: float
+    half_y: float
+    yaw: float
+    bottom: float
+    top: float
+
+
+class Pit(NamedTuple):
+    """A rectangle along the axes in which the floor is lower: centre, half sizes, depth (m)."""
+
+    x: float
+    y: float
+    half_x: float
+    half_y: float
+    depth: float
 
 
 class Face(NamedTuple):
@@ -75,14 +98,30 @@ class World:
     pillars: tuple[Pillar, ...] = ()
     faces: tuple[Face, ...] = ()
     tops: tuple[Top, ...] = ()
+    boards: tuple[Board, ...] = ()
+    pits: tuple[Pit, ...] = ()
     starts: dict[str, Pose2] = field(default_factory=dict)
     texture_seed: int = 0
     texture_resolution: float = 0.006
 
-    def occupied(self, resolution: float) -> tuple[NDArray[np.bool_], tuple[float, float]]:
+    def hazards(self, height: float) -> tuple[Block, ...]:
+        """Return the footprints of what stops a vehicle of a height (m), but is no solid.
+
+        These are boards whose lower side is not above it, and pits.
+        """
+        low = [b for b in self.boards if b.bottom < height]
+        return tuple(
+            [Block(*board[:5], board.top) for board in low]
+            + [Block(pit.x, pit.y, pit.half_x, pit.half_y, 0.0, 0.0) for pit in self.pits]
+        )
+
+    def occupied(
+        self, resolution: float, height: float = 0.0
+    ) -> tuple[NDArray[np.bool_], tuple[float, float]]:
         """Rasterize the solids: return cells (rows along y, columns along x) and the origin (m).
 
         A cell is solid if its centre lies in a block or pillar. resolution: side of a cell (m).
+        height: of a vehicle (m), with which its hazards count as well; 0: what a laser sees.
         """
         x_min, y_min, x_max, y_max = self.bounds
         columns = math.ceil((x_max - x_min) / resolution - 1e-9)
@@ -90,7 +129,7 @@ class World:
         x = x_min + (np.arange(columns, dtype=np.float64) + 0.5) * resolution
         y = y_min + (np.arange(rows, dtype=np.float64) + 0.5) * resolution
         solid = np.zeros((rows, columns), np.bool_)
-        for block in self.blocks:
+        for block in (*self.blocks, *(self.hazards(height) if height > 0.0 else ())):
             reach = math.hypot(block.half_x, block.half_y)
             r, c = _window(y, block.y, reach), _window(x, block.x, reach)
             dx, dy = x[c][None, :] - block.x, y[r][:, None] - block.y
@@ -112,8 +151,8 @@ def _window(axis: Array, center: float, reach: float) -> slice:
     return slice(int(low), int(high))
 
 
-def block_corners(block: Block) -> Array:
-    """Return the counterclockwise corners (4, 2) m of a block."""
+def block_corners(block: Block | Board) -> Array:
+    """Return the counterclockwise corners (4, 2) m of a block or a board."""
     cos, sin = math.cos(block.yaw), math.sin(block.yaw)
     local = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (block.half_x, block.half_y)
     turned: Array = local @ np.array([[cos, sin], [-sin, cos]]) + (block.x, block.y)

@@ -17,8 +17,10 @@ from explore_slam.geometry import Pose2, wrap_angle
 from explore_slam.simulation.worlds.paint import STYLES
 from explore_slam.simulation.worlds.world import (
     Block,
+    Board,
     Face,
     Pillar,
+    Pit,
     Top,
     World,
     block_corners,
@@ -41,6 +43,15 @@ ROUND_KINDS: dict[str, tuple[tuple[float, float], str]] = {
     'bin': ((0.2, 0.6), 'crate'),
     'plant': ((0.3, 1.1), 'plant'),
 }
+# what a laser near the floor does not see: kind -> (size along x, along y, height of the upper
+# side) m; of a step, how much lower the floor is there
+HANGING_KINDS: dict[str, tuple[float, float, float]] = {
+    'table': (1.4, 0.7, 0.7),
+    'wall_shelf': (1.2, 0.3, 0.6),
+    'step': (1.2, 1.0, 0.18),
+}
+_BOARD = 0.03  # m, thickness of table tops and shelves
+_LEG, _LEG_INSET = 0.05, 0.05  # m, side of a table's leg and its distance from the edge of the top
 _NARROWEST_DOOR = 0.6  # m; a vehicle of radius 0.26 m passes with 0.04 m to spare on each side
 _SHORTEST_WALL = 0.05  # m
 
@@ -127,6 +138,8 @@ class _Parts:
     pillars: list[Pillar]
     faces: list[Face]
     tops: list[Top]
+    boards: list[Board]
+    pits: list[Pit]
 
     def add_block(self, block: Block, style: str) -> None:
         self.blocks.append(block)
@@ -152,7 +165,7 @@ def world_of_file(path: Path, content: dict[str, Any]) -> World:
     height = walls.child('height', 2.2).number(0.5, 10.0)
     thickness = walls.child('thickness', 0.1).number(0.02, 1.0)
     style = walls.child('style', 'plaster').choice(sorted(STYLES))
-    parts = _Parts([], [], [], [])
+    parts = _Parts([], [], [], [], [], [])
     _outer_walls(parts, width, depth, height, thickness, style)
     for entry in walls.child('inner').items():
         _inner_wall(parts, entry, (width, depth), (height, thickness, style))
@@ -166,6 +179,8 @@ def world_of_file(path: Path, content: dict[str, Any]) -> World:
         pillars=tuple(parts.pillars),
         faces=tuple(parts.faces),
         tops=tuple(parts.tops),
+        boards=tuple(parts.boards),
+        pits=tuple(parts.pits),
         starts=_starts(root.child('starts', {}), width, depth),
         texture_seed=_seed(textures.child('seed', 0)),
         texture_resolution=textures.child('resolution', 0.006).number(0.001, 0.1, 'm per pixel'),
@@ -244,8 +259,11 @@ def _wall_piece(
 
 def _furniture(parts: _Parts, entry: Entry, size: tuple[float, float]) -> None:
     entry.mapping({'kind', 'at'}, {'size', 'yaw', 'style'})
-    kind = entry.child('kind').choice(sorted([*BOX_KINDS, *ROUND_KINDS]))
+    kind = entry.child('kind').choice(sorted([*BOX_KINDS, *ROUND_KINDS, *HANGING_KINDS]))
     x, y = _point(entry.child('at'), size)
+    if kind in HANGING_KINDS:
+        _hanging(parts, entry, kind, (x, y))
+        return
     if kind in ROUND_KINDS:
         (radius, height), usual = ROUND_KINDS[kind]
         if 'size' in entry.value:
@@ -261,6 +279,33 @@ def _furniture(parts: _Parts, entry: Entry, size: tuple[float, float]) -> None:
     style = entry.child('style', usual).choice(sorted(STYLES))
     half_x, half_y = 0.5 * dimensions[0], 0.5 * dimensions[1]
     parts.add_block(Block(x, y, half_x, half_y, yaw, dimensions[2]), style)
+
+
+def _hanging(parts: _Parts, entry: Entry, kind: str, at: tuple[float, float]) -> None:
+    """Add a table, a shelf on a wall or a step down."""
+    a, b, c = HANGING_KINDS[kind]
+    if 'size' in entry.value:
+        name = 'depth' if kind == 'step' else 'height'
+        a, b, c = entry.child('size').numbers(f'length width {name}', 0.05, 100.0)
+    yaw = wrap_angle(entry.child('yaw', 0.0).number(unit='rad'))
+    if 'style' in entry.value:
+        raise entry.child('style').fail(f'no style: a {kind} has none')
+    if kind == 'step':
+        if yaw != 0.0:
+            raise entry.child('yaw').fail('0: a step lies along the axes')
+        parts.pits.append(Pit(*at, 0.5 * a, 0.5 * b, c))
+        return
+    parts.boards.append(Board(*at, 0.5 * a, 0.5 * b, yaw, c - _BOARD, c))
+    if kind == 'wall_shelf':
+        return
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    inset = _LEG_INSET + 0.5 * _LEG
+    for across in (-1.0, 1.0):
+        for along in (-1.0, 1.0):
+            u, v = along * (0.5 * a - inset), across * (0.5 * b - inset)
+            x, y = at[0] + cos * u - sin * v, at[1] + sin * u + cos * v
+            leg = Block(x, y, 0.5 * _LEG, 0.5 * _LEG, yaw, c - _BOARD)
+            parts.add_block(leg, 'wood')
 
 
 def _point(entry: Entry, size: tuple[float, float]) -> tuple[float, float]:

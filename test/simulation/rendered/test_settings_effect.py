@@ -11,6 +11,7 @@ from explore_slam.data import LaserScan, OdometryReading, RgbdFrame
 from explore_slam.geometry import Pose2
 from explore_slam.settings import values_of, with_values
 from explore_slam.simulation import SimulationConfig, Simulator, load_world, world_path
+from explore_slam.simulation.worlds.world import Board
 
 BASE = {
     'simulated_image_width': 64, 'simulated_image_height': 48, 'simulated_camera_rate': 2.0,
@@ -19,6 +20,7 @@ BASE = {
 OTHER = {
     'tick_rate': 40.0,
     'simulated_radius': 0.3,
+    'simulated_height': 1.0,
     'simulated_max_speed': 0.5,
     'simulated_max_turn_rate': 1.0,
     'simulated_acceleration': 0.4,
@@ -56,7 +58,9 @@ OTHER = {
 
 @pytest.fixture(scope='module')
 def world():
-    return dataclasses.replace(load_world(world_path('small')), texture_resolution=0.03)
+    shelf = Board(0.3, 1.4, 0.15, 0.3, 0.0, 0.9, 0.93)  # behind a vehicle
+    small = load_world(world_path('small'))
+    return dataclasses.replace(small, texture_resolution=0.03, boards=(shelf,))
 
 
 def digest(world, values):

@@ -18,6 +18,7 @@ from explore_slam.simulation import (
     world_path,
 )
 from explore_slam.simulation.config import SimulatedOdometryConfig
+from explore_slam.simulation.records import HAZARD
 from explore_slam.simulation.rendered.base import WheelOdometry
 from explore_slam.sweeps import Sweep, deskewed
 
@@ -365,3 +366,60 @@ def test_closing_twice_does_nothing(world):
         frames = run(simulator, 0.3, RgbdFrame)
     assert frames
     simulator.close()
+
+
+# -- what the laser does not see ------------------------------------------------------------------
+
+HAZARDS = """
+size: [8.0, 4.0]
+furniture:
+  - {kind: table, at: [2.5, 2.0], size: [1.0, 1.2, 0.7]}
+  - {kind: step, at: [6.0, 2.0], size: [1.0, 2.0, 0.2]}
+starts: {a: [1.0, 2.0, 0.0]}
+"""
+
+
+@pytest.fixture
+def hazards(tmp_path):
+    path = tmp_path / 'hazards.yaml'
+    path.write_text(HAZARDS, encoding='utf-8')
+    return load_world(path)
+
+
+@pytest.mark.parametrize(('start', 'edge'), [(1.0, 2.0), (4.0, 5.5)])
+def test_a_vehicle_stops_at_a_table_top_and_at_a_step_which_its_laser_does_not_see(
+    hazards, start, edge
+):
+    pose = Pose2(start, 2.0, 0.0)
+    with Simulator(hazards, {'a': pose}, config(**BLIND)) as simulator:
+        scan = run(simulator, 0.2, LaserScan)[0]
+        assert scan.ranges[180] > 3.0  # straight ahead: between the legs, and beyond the step
+        simulator.set_velocity('a', 0.5, 0.0)
+        run(simulator, 6.0)
+        assert simulator.true_pose('a').x == pytest.approx(edge - 0.26, abs=0.01)
+        (collision,) = simulator.collision_log
+        assert collision.obstacle == HAZARD
+    with Simulator(hazards, {'a': pose}, config(**BLIND, simulated_height=0.6)) as simulator:
+        simulator.set_velocity('a', 0.5, 0.0)
+        run(simulator, 3.0)
+        assert len(simulator.collision_log) == (edge == 5.5)  # a low vehicle fits below a table
+
+
+def test_the_camera_sees_the_lower_side_of_a_table_and_the_lower_floor(hazards):
+    exact = config(simulated_depth_noise=0.0)
+    with Simulator(hazards, {'a': Pose2(1.0, 2.0, 0.0)}, exact) as simulator:
+        frame = run(simulator, 0.3, RgbdFrame)[0]
+        camera, column = simulator.intrinsics, 320
+        depth = frame.depth[:, column] * 1e-3
+        heights = 0.4 + depth * (camera.cy - np.arange(480)) / camera.fy
+        below = (np.abs(heights - 0.67) < 0.003) & (depth > 0.0)
+        # from the edge at 0.9 m on, all along the top
+        assert depth[below].min() == pytest.approx(0.9, abs=0.01)
+        assert depth[below].max() == pytest.approx(1.9, abs=0.05)
+    with Simulator(hazards, {'a': Pose2(4.0, 2.0, 0.0)}, exact) as simulator:
+        frame = run(simulator, 0.3, RgbdFrame)[0]
+        depth = frame.depth[:, column] * 1e-3
+        heights = 0.4 + depth * (camera.cy - np.arange(480)) / camera.fy
+        floor = (np.abs(heights) < 0.003) & (depth > 0.0) & (depth < 2.0)
+        assert depth[floor].max() == pytest.approx(1.4, abs=0.01)  # up to the edge
+        assert heights[depth > 0.0].min() == pytest.approx(-0.2, abs=0.003)

@@ -51,6 +51,40 @@ def test_a_world_has_walls_doors_furniture_and_starts(load):
     assert room(-0.05, 2.0) < 0.0
 
 
+def test_tables_shelves_and_steps_are_no_solids_but_stop_vehicles_that_are_high_enough(load):
+    world = load("""
+size: [6.0, 4.0]
+furniture:
+  - {kind: table, at: [1.5, 2.0], size: [1.4, 0.8, 0.7]}
+  - {kind: wall_shelf, at: [5.0, 0.2], size: [1.0, 0.4, 0.6]}
+  - {kind: step, at: [4.5, 3.0], size: [1.0, 0.6, 0.2]}
+starts: {robot1: [3.0, 1.0, 0.0]}
+""")
+    solid, low, high = (Obstacles(world, height).clearance for height in (0.0, 0.5, 0.8))
+    assert solid(1.5, 2.0) == pytest.approx(math.hypot(0.6, 0.3))  # from the legs
+    assert low(1.5, 2.0) == solid(1.5, 2.0)  # fits below the top
+    assert high(1.5, 2.0) == pytest.approx(-0.4)
+    assert high(5.0, 0.5) == pytest.approx(0.1)  # from the shelf; the wall is 0.5 m away
+    assert solid(5.0, 0.5) == low(5.0, 0.5) == pytest.approx(0.5)
+    assert low(4.5, 3.0) == pytest.approx(-0.3)  # a pit stops every vehicle
+    cells, _ = world.occupied(0.05, 0.8)
+    laser, _ = world.occupied(0.05)
+    assert (cells & ~laser).sum() * 0.05**2 == pytest.approx(1.4 * 0.8 + 0.4 + 0.6, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ('entry', 'message'),
+    [
+        ('{kind: step, at: [1, 1], yaw: 0.3}', r'furniture\[0\].yaw is 0.3, expected 0'),
+        ('{kind: table, at: [1, 1], style: wood}', r'furniture\[0\].style is .*no style'),
+        ('{kind: table, at: [1, 1], size: [1, 1]}', r'expected \[length, width, height\]'),
+    ],
+)
+def test_what_such_furniture_cannot_have_is_named(load, entry, message):
+    with pytest.raises(SimulationError, match=message):
+        load(f'size: [6.0, 4.0]\nfurniture: [{entry}]\n')
+
+
 def test_occupied_cells_match_the_clearance(load):
     world = load(GOOD)
     solid, (x0, y0) = world.occupied(0.05)

@@ -1,0 +1,232 @@
+"""What is drawn along the most likely path, redrawn from where that path changed.
+
+Items (scans, views of depth cameras) are stored with the keyframe at which they were taken. A
+redraw compares the new path with the one drawn last: the drawing returns to the newest snapshot
+before the first item whose keyframe moved noticeably, and the items from there on are drawn again
+in their order. Cells are clamped, so that order matters; because it is preserved, the result
+equals a drawing from scratch along the path that `PathDrawing.path` returns, bit for bit.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from explore_slam.errors import MappingError
+from explore_slam.geometry import IDENTITY, Array, Pose2, wrap_angles
+from explore_slam.mapping.occupancy_grid import NO_BODIES
+
+SNAPSHOT_SPACING = 16  # items between the closest snapshots; powers of two of it further back
+# An item is drawn again when its keyframe has moved by more than this distance (m), its turn
+# counted by the effect on returns at a typical range (m): less than half a cell shows nothing.
+REDRAW_DISTANCE, REDRAW_RANGE = 0.02, 3.0
+MAP_FRAME = -1  # in place of a keyframe: the offset is a pose in the map frame
+
+
+class VehicleDisc(NamedTuple):
+    """Disc that covers another vehicle at the time of an item.
+
+    keyframe: its newest keyframe, or MAP_FRAME.
+    offset: its pose relative to the keyframe.
+    radius: of the disc (m).
+    """
+
+    keyframe: int
+    offset: Pose2
+    radius: float
+
+
+class RedrawSummary(NamedTuple):
+    """Numbers of items after a redraw.
+
+    kept: unchanged since the last redraw.
+    drawn: drawn by this one, those refused included.
+    waiting: for a keyframe that is not on the path yet.
+    refused: by the grid, because they lie too far out.
+    """
+
+    kept: int
+    drawn: int
+    waiting: int
+    refused: int
+
+
+class Anchored(Protocol):
+    """An item: taken at a keyframe, while other vehicles were within discs."""
+
+    @property
+    def keyframe(self) -> int:
+        """Number of the keyframe."""
+
+    @property
+    def bodies(self) -> tuple[VehicleDisc, ...]:
+        """The other vehicles."""
+
+
+class Canvas(Protocol):
+    """What items are drawn into."""
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that it takes."""
+
+    def copy(self) -> Self:
+        """Return an independent copy."""
+
+
+def snapshot_positions(count: int) -> set[int]:
+    """Return the numbers of items at which snapshots are kept: denser towards the present."""
+    kept: set[int] = set()
+    spacing = SNAPSHOT_SPACING
+    while spacing <= count:
+        last = count // spacing * spacing
+        kept.update({last, last - spacing})
+        spacing *= 2
+    return kept - {0}
+
+
+class PathDrawing[I: Anchored, C: Canvas](ABC):
+    """Items with their keyframes, and the drawing of them along the most likely path.
+
+    snapshot_memory: for snapshots (MB).
+    """
+
+    def __init__(self, snapshot_memory: float) -> None:
+        self._snapshot_memory = snapshot_memory
+        self._canvas = self._empty()
+        self._items: list[I] = []
+        self._drawn = 0
+        self._path: Array = np.empty((0, 3))
+        self._in_map: NDArray[np.bool_] = np.empty(0, np.bool_)  # which of these keyframes
+        self._snapshots: dict[int, C] = {}
+        self.revision = 0  # counts the redraws that have changed the drawing
+
+    @abstractmethod
+    def _empty(self) -> C:
+        """Return an empty drawing."""
+
+    @abstractmethod
+    def _draw_items(self, items: Sequence[I]) -> int:
+        """Draw items that are in the map along the path; return how many are refused."""
+
+    def _must_start_over(self) -> bool:
+        """Return whether what is drawn would be drawn differently now."""
+        return False
+
+    def _append(self, item: I) -> None:
+        """Store an item; it is drawn by the next redraw whose path holds its keyframes."""
+        if item.keyframe < 0:
+            raise MappingError(
+                f'keyframe is {item.keyframe}, expected the number of a keyframe, >= 0'
+            )
+        self._items.append(item)
+
+    def redraw(self, path: ArrayLike, in_map: NDArray[np.bool_] | None = None) -> RedrawSummary:
+        """Redraw along the path (K, 3) of all keyframes.
+
+        in_map (K,): keyframes whose poses are in the map; items and vehicles at others are not
+        drawn as long as that is so. Default: all. A path that is not finite is a MappingError and
+        changes nothing; an item that the grid refuses because it lies too far out is skipped,
+        logged and counted.
+        """
+        poses = np.array(path, np.float64)
+        if poses.ndim != 2 or poses.shape[1] != 3 or not np.isfinite(poses).all():
+            raise MappingError(
+                f'path has shape {poses.shape} or values that are not finite, expected (K, 3)'
+            )
+        placed = np.ones(len(poses), np.bool_) if in_map is None else np.array(in_map, np.bool_)
+        if placed.shape != (len(poses),):
+            raise MappingError(f'in_map has shape {placed.shape}, expected ({len(poses)},)')
+        moved = self._moved(poses)
+        common = len(moved)
+        moved |= placed[:common] != self._in_map[:common]
+        kept = self._count_unchanged(moved)
+        if self._must_start_over():
+            kept = 0
+        restored = kept < self._drawn
+        if restored:
+            self._restore_snapshot(kept)
+        start, refused = self._drawn, 0
+        poses[: len(moved)][~moved] = self._path[: len(moved)][~moved]
+        self._path, self._in_map = poses, placed
+        end = self._drawn
+        while end < len(self._items) and self._can_draw(self._items[end], poses):
+            end += 1
+        # only snapshots that remain at the end are worth a copy
+        for stop in [*sorted(n for n in snapshot_positions(end) if n > start), end]:
+            items = self._items[self._drawn : stop]
+            self._drawn = stop
+            refused += self._draw_items([i for i in items if self._in_map[i.keyframe]])
+            if stop % SNAPSHOT_SPACING == 0 and stop > start:
+                self._keep_snapshot()
+        self.revision += restored or self._drawn > start
+        return RedrawSummary(start, self._drawn - start, len(self._items) - self._drawn, refused)
+
+    @property
+    def path(self) -> Array:
+        """Poses (K, 3) of the keyframes that it is drawn along; a copy."""
+        return self._path.copy()
+
+    def _moved(self, poses: Array) -> NDArray[np.bool_]:
+        """Return which keyframes of both paths have moved noticeably since they were drawn."""
+        common = min(len(poses), len(self._path))
+        off = poses[:common] - self._path[:common]
+        distance = np.hypot(off[:, 0], off[:, 1])
+        turn = np.abs(wrap_angles(off[:, 2]))
+        moved: NDArray[np.bool_] = distance + REDRAW_RANGE * turn > REDRAW_DISTANCE
+        return moved
+
+    def _count_unchanged(self, moved: NDArray[np.bool_]) -> int:
+        """Return the number of drawn items before the first one whose keyframes have moved."""
+        changed = np.ones(len(self._path) + 1, np.bool_)
+        changed[: len(moved)] = moved
+        changed[MAP_FRAME] = False  # the last element, which belongs to no keyframe
+        if not changed.any():
+            return self._drawn
+        for number, item in enumerate(self._items[: self._drawn]):
+            if changed[item.keyframe] or any(changed[body.keyframe] for body in item.bodies):
+                return number
+        return self._drawn
+
+    def _restore_snapshot(self, kept: int) -> None:
+        """Return to the newest snapshot of at most this many items, or to an empty drawing."""
+        older = [count for count in self._snapshots if count <= kept]
+        self._drawn = max(older, default=0)
+        self._canvas = self._snapshots[self._drawn].copy() if older else self._empty()
+        self._snapshots = {count: self._snapshots[count] for count in older}
+
+    @staticmethod
+    def _can_draw(item: Anchored, poses: Array) -> bool:
+        """Return whether the path (K, 3) holds all keyframes of an item."""
+        newest = max([item.keyframe, *(body.keyframe for body in item.bodies)])
+        return newest < len(poses)
+
+    def _discs(self, item: Anchored) -> ArrayLike:
+        """Return x, y and radius (V, 3) m of the other vehicles of an item, in the map."""
+        poses = self._path
+        ignore: ArrayLike = NO_BODIES
+        if item.bodies:
+            rows = []
+            for body in item.bodies:
+                base = IDENTITY
+                if body.keyframe != MAP_FRAME:
+                    if not self._in_map[body.keyframe]:
+                        continue
+                    base = Pose2(*poses[body.keyframe].tolist())
+                pose = base.compose(body.offset)
+                rows.append((pose.x, pose.y, body.radius))
+            ignore = np.array(rows).reshape(-1, 3)
+        return ignore
+
+    def _keep_snapshot(self) -> None:
+        """Store the current drawing; drop old snapshots by position and by memory."""
+        positions = snapshot_positions(self._drawn)
+        self._snapshots = {n: one for n, one in self._snapshots.items() if n in positions}
+        size = self._canvas.nbytes / 1e6
+        capacity = int(self._snapshot_memory / size) if size > 0.0 else 0
+        if capacity > 0:
+            self._snapshots[self._drawn] = self._canvas.copy()
+        for oldest in sorted(self._snapshots)[: max(0, len(self._snapshots) - capacity)]:
+            del self._snapshots[oldest]

@@ -1,0 +1,66 @@
+"""What the cameras of a vehicle see around it: obstacles in their newest views, now.
+
+A camera sees nothing close by, and nothing of what it has passed. The view therefore remembers
+what the camera saw until it looks through there again.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from explore_slam.data import OBSTACLE_CELL, ObstacleView
+from explore_slam.geometry import Array, Pose2, to_world
+from explore_slam.vehicle.dead_reckoning import DeadReckoning
+
+# s for which an obstacle out of sight is remembered; plans keep clear of what is in the map
+_MEMORY = 10.0
+_NEAR = 2.0  # m from the vehicle; it stops within much less
+_SAME = 0.1  # m from a return of the laser: one and the same wall, which the laser measures better
+_SPAN = 65536  # more than the cells of a view across
+
+
+class CameraView:
+    """The obstacles that a vehicle has seen lately, in the vehicle frame at any time.
+
+    reckoning: odometry of the vehicle, which grows while views arrive.
+    """
+
+    def __init__(self, reckoning: DeadReckoning) -> None:
+        self._reckoning = reckoning
+        self._points: Array = np.empty((0, 2))  # in the odometry frame
+        self._stamps: Array = np.empty(0)
+        self._newest = -np.inf
+
+    def add(self, view: ObstacleView) -> None:
+        """Take a view; one that is not newer changes nothing, unless the clock has gone back."""
+        if self._newest - _MEMORY < view.stamp <= self._newest:
+            return
+        self._newest = view.stamp
+        pose = self._reckoning.odometry_at(view.stamp)
+        free = view.cells[(view.free != 0) & (view.occupied == 0)]
+        age = view.stamp - self._stamps
+        kept = (age >= 0.0) & (age < _MEMORY) & ~_in_cells(pose, self._points, free)
+        new = to_world(pose, view.points[view.occupied != 0])
+        self._points = np.concatenate([self._points[kept], new])
+        self._stamps = np.append(self._stamps[kept], np.full(len(new), view.stamp))
+
+    def points(self, now: float, returns: Array) -> Array:
+        """Return the obstacles nearby (N, 2) m, in the vehicle frame at a time (s).
+
+        returns (R, 2) m: of the laser; obstacles that it sees as well are left out.
+        """
+        points = to_world(self._reckoning.odometry_at(now).inverse(), self._points)
+        near: Array = points[np.hypot(points[:, 0], points[:, 1]) < _NEAR]
+        if not len(near) or not len(returns):
+            return near
+        near = np.unique(np.floor(near / OBSTACLE_CELL), axis=0) * OBSTACLE_CELL
+        near += 0.5 * OBSTACLE_CELL
+        close = returns[np.hypot(returns[:, 0], returns[:, 1]) < _NEAR + _SAME]
+        apart = ((near[:, None] - close[None]) ** 2).sum(axis=2).min(axis=1, initial=np.inf)
+        return near[apart > _SAME**2]
+
+
+def _in_cells(pose: Pose2, points: Array, cells: NDArray[np.int16]) -> NDArray[np.bool_]:
+    """Return which points (N, 2) lie in cells (M, 2) of the frame of a pose."""
+    own = np.floor(to_world(pose.inverse(), points) / OBSTACLE_CELL).astype(np.int64)
+    wide = cells.astype(np.int64)
+    return np.isin(own[:, 0] * _SPAN + own[:, 1], wide[:, 0] * _SPAN + wide[:, 1])
