@@ -177,7 +177,7 @@ def test_a_state_of_the_version_before_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(checkpoint, 'VERSION', 3)
     path = agent.save_state(tmp_path / 'state.npz')
     monkeypatch.undo()
-    with pytest.raises(AgentError, match='has agent state version 3, expected 4'):
+    with pytest.raises(AgentError, match='has agent state version 3, expected 5'):
         Agent(FEW, {'a': IDENTITY}).load_state(path)
 
 
