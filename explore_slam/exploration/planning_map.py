@@ -10,7 +10,7 @@ Everything equals what would be computed anew. Grids may grow to any side, shrin
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -289,14 +289,16 @@ class CostLayer:
     def _mark_overlay(self, overlay: Overlay) -> None:
         """Mark the tiles in which an overlay differs from the last one."""
         old = self._overlay
-        for now, before in ((overlay.before, old.before), (overlay.after, old.after)):
-            for row, col, radius in set(now) ^ set(before):
+        for discs, others in ((overlay.before, old.before), (overlay.after, old.after)):
+            for row, col, radius in set(discs) ^ set(others):
                 half = math.floor(radius)
                 mark_around(self.todo, np.array([[row, col]], np.int64), half)
         if not np.array_equal(overlay.trails, old.trails):
             span = 2**31
-            keys = [trails[:, 0] * span + trails[:, 1] for trails in (overlay.trails, old.trails)]
-            different = np.setxor1d(*keys)
+            now, before = overlay.trails, old.trails
+            different = np.setxor1d(
+                now[:, 0] * span + now[:, 1], before[:, 0] * span + before[:, 1]
+            )
             rows = np.floor_divide(different + span // 2, span)
             cells = np.stack([rows, different - rows * span], axis=1)
             mark_around(self.todo, cells, max(overlay.half, old.half))
@@ -360,29 +362,28 @@ class CostLayer:
                 self._frontier_cache.todo |= changed
         return self._used[root].mask
 
-    def _index_of(self, mask: Mask) -> int | None:
-        """Return which of the regions a mask is; None if it is none of them."""
-        for index, region in enumerate(self._regions):
-            if region.mask is mask:
-                return index
-        return None
+    def _indices_of(self, masks: list[Mask]) -> tuple[int, ...]:
+        """Return which of the regions of this layer are among some masks."""
+        every = enumerate(self._regions)
+        return tuple(k for k, region in every if any(region.mask is mask for mask in masks))
 
     def frontier_cache(self, viewpoints: Mask) -> FrontierCache | None:
         """Return what is known of the frontiers seen from a region of this layer, else None."""
-        index = self._index_of(viewpoints)
-        if index is None:
+        found = self._indices_of([viewpoints])
+        if not found:
             return None
+        index = found[0]
         cache = self._frontier_cache
         if cache is None or cache.region != index:
             cache = self._frontier_cache = FrontierCache(index, self._unseen.shape)
         return cache
 
-    def routes(self, masks: Iterable[Mask], reach: Mask, block: int, first: Cell) -> RouteGrid:
+    def routes(self, masks: list[Mask], reach: Mask, block: int, first: Cell) -> RouteGrid:
         """Return the coarse grid over the cells of some regions of this layer.
 
         reach (H, W): all of them together. block, first: see RouteGrid.
         """
-        key = (block, first, tuple(sorted({self._index_of(mask) for mask in masks})))
+        key = (block, first, self._indices_of(masks))
         if self._routes is None or self._route_key != key:
             cost = self.padded[1:-1, 1:-1]
             self._routes = RouteGrid(cost, reach, first, block, self._resolution)
