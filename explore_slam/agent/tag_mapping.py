@@ -81,7 +81,7 @@ class SeenTag:
     @property
     def position_deviation(self) -> float:
         """Standard deviation (m) of the position, in its worst direction."""
-        return float(np.linalg.eigvalsh(self.information[:2, :2])[0]) ** -0.5
+        return 1.0 / math.sqrt(float(np.linalg.eigvalsh(self.information[:2, :2])[0]))
 
     @classmethod
     def of(cls, keyframe: int, pose: Array, covariance: Array, driven: float) -> Self:

@@ -285,7 +285,7 @@ HEADER = (
 
 def markdown_table(runs: Sequence[TagRun]) -> str:
     """Return the table of a study, one row per world, and sums and largest errors."""
-    rows = [
+    rows: list[tuple[str, ...]] = [
         (
             str(run.world),
             f'{run.period_m:g}',

@@ -155,6 +155,20 @@ def test_surveyed_tags_fix_the_frame_of_the_map(tmp_path, numbers):
         assert math.dist(start[:2], vehicle.poses[0][:2]) < 2 * limit
 
 
+def test_a_vehicle_joins_by_surveyed_tags_that_no_other_has_seen(tmp_path):
+    tags = site()
+    seen = {'robot1': (0, 1, 2, 3), 'robot2': (4, 5, 6, 7)}
+    vehicles = {
+        name: Vehicle(ring(1.2, start), {n: tags[n] for n in seen[name]}, 10)
+        for name, start in (('robot1', 0.0), ('robot2', 16.0))
+    }
+    agent = make_agent(dict.fromkeys(vehicles), tmp_path, surveyed(tags, (1, 2, 5, 6)))
+    drive(agent, vehicles)
+    for name, vehicle in vehicles.items():
+        assert agent.is_in_map(name)
+        assert errors(agent, name, vehicle).max() < 0.3
+
+
 def test_a_start_that_contradicts_the_survey_yields(tmp_path):
     tags = site()
     vehicle = Vehicle(ring(2.0), tags, 5)

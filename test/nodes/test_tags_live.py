@@ -74,7 +74,7 @@ class Vehicle:
 
     def step(self, tick):
         """Publish what is measured at a tick; the image again until its tag comes back."""
-        odometry = Pose2(0.2 * tick, 0.0, 0.0)
+        odometry = Pose2(0.22 * tick, 0.0, 0.0)
         image, before = image_at(START.compose(odometry), self.random), len(self.tags)
         grey = np.dstack([image] * 3)
         for _ in range(20):
@@ -87,8 +87,8 @@ class Vehicle:
             depth = np.zeros(image.shape, np.uint16)
             info = messages.camera_info_message(MESSAGES, stamp, frame, CAMERA)
             self.publish('camera/rgb/camera_info', info)
-            self.publish(COLOR, messages.image_message(MESSAGES, stamp, frame, grey))
-            self.publish(DEPTH, messages.image_message(MESSAGES, stamp, frame, depth))
+            self.publish(COLOR, messages.image_message(MESSAGES, stamp, frame, 'rgb8', grey))
+            self.publish(DEPTH, messages.image_message(MESSAGES, stamp, frame, '16UC1', depth))
             if self.wait_for(lambda: len(self.tags) > before, 1.0):
                 return
 
@@ -133,7 +133,7 @@ def test_a_tag_found_on_the_vehicle_moves_the_map_of_the_agent(tmp_path):
         assert {tuple(item.ids.tolist()) for item in found} == {(TAG,)}
         told = 'the map is in the frame of the surveyed tags 3'
         assert vehicle.wait_for(lambda: told in log.read_text(), 30.0), log.read_text()
-        end = START.compose(Pose2(0.2 * (STEPS - 1), 0.0, 0.0))
+        end = START.compose(Pose2(0.22 * (STEPS - 1), 0.0, 0.0))
 
         def arrived():
             if not vehicle.poses:

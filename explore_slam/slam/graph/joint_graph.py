@@ -50,6 +50,9 @@ from explore_slam.slam.graph.storage import Calibration, Storage
 from explore_slam.slam.graph.ties import Component, components
 
 _EXACT = 0.5 * checks.EXACT_DEVIATION**-2.0  # information of what is known exactly, and no less
+# m, rad: of exact starts relative to each other, once they may move; smaller ones, over a lever of
+# metres, let Gauss-Newton creep. No vehicle is placed more exactly.
+_RELATIVE_START = 1e-3
 
 
 class JointGraph:
@@ -450,11 +453,12 @@ class JointGraph:
         """Let the starts of vehicles move together, because something else fixes the frame.
 
         Their priors become wide, with deviations (3,) m, m, rad. Starts that were known exactly
-        stay so relative to each other.
+        stay where they are relative to each other.
         """
         store, W = self._storage, np.diag(_positive('deviations', deviations) ** -2.0)
         keyframes, factors = store.keyframes, store.factors
         first: int | None = None
+        exact = _RELATIVE_START**-2.0 * np.eye(3)
         for vehicle in vehicles:
             start = int(np.flatnonzero(keyframes['vehicle'] == vehicle)[0])
             priors = np.flatnonzero((factors['kind'] == PRIOR) & (factors['b'] == start))
@@ -464,7 +468,7 @@ class JointGraph:
             factors['W'][priors] = W
             if first is not None:
                 z = between(keyframes['pose'][first], keyframes['pose'][start])
-                store.add_factor(RELATIVE_POSE, first, start, z, known[0].copy(), SQUARED, 1.0)
+                store.add_factor(RELATIVE_POSE, first, start, z, exact, SQUARED, 1.0)
             first = start if first is None else first
         store.touch()
 
