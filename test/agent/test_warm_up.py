@@ -22,12 +22,12 @@ def test_progress_is_told_only_while_kernels_are_compiled(monkeypatch):
     monkeypatch.setattr(package, '_NOTICEABLE', 0.0)
     package.warm_up(progress)
     assert told[0] == 'compiling kernels (once, about a minute) ...'
-    assert told[1] == 'kernels of registration are ready (1 of 5)'
-    assert told[-1] == 'kernels of exploration are ready (5 of 5)'
-    assert len(told) == 6
+    assert told[1] == 'kernels of registration are ready (1 of 6)'
+    assert told[-1] == 'kernels of exploration are ready (6 of 6)'
+    assert len(told) == 7
 
     told.clear()
     announced.clear()
     monkeypatch.setattr(package, '_NOTICEABLE', 1e3)  # as if no part took any time
     package.warm_up(progress)
-    assert told[1:] == ['kernels of exploration are ready (5 of 5)']
+    assert told[1:] == ['kernels of exploration are ready (6 of 6)']
