@@ -23,7 +23,7 @@ def obstacles_message(factory: MessageFactory, view: ObstacleView, frame: str) -
     obstacles alone; occupied and free, two bytes each, the lower one first.
     """
     points = view.points
-    columns = [
+    columns: list[tuple[str, NDArray[Any]]] = [
         ('x', points[:, 0]),
         ('y', points[:, 1]),
         ('z', _lowest(view.occupied)),
@@ -59,14 +59,15 @@ def obstacles_record(message: Any) -> ObstacleView:
             f'obstacles: x, y hold values that are not finite or farther than '
             f'{_FARTHEST * OBSTACLE_CELL:.0f} m'
         )
-    bits = []
+    bits: list[NDArray[np.uint16]] = []
     for name in ('occupied', 'free'):
         if columns[name].dtype != np.uint8:
             raise DataError(f'obstacles: field {name!r} is {columns[name].dtype}, expected uint8')
-        two = columns[name].astype(np.uint16)
-        bits.append(two[:, 0] | two[:, 1] << 8)
+        pairs = np.ascontiguousarray(columns[name])
+        bits.append(pairs.view('<u2')[:, 0].astype(np.uint16))
     stamp = seconds(message.header.stamp)
-    return ObstacleView(stamp, cells.astype(np.int16), bits[0], bits[1] & ~bits[0])
+    occupied, free = bits
+    return ObstacleView(stamp, cells.astype(np.int16), occupied, free & ~occupied)
 
 
 OBSTACLES = MeasurementKind(

@@ -97,7 +97,6 @@ class ObstacleConfig(Section):
     depth_obstacles: bool = setting(
         True,
         'Map what depth images show of table tops, shelves, things on the floor and steps down',
-        tier='basic',
     )
     obstacle_lowest: float = setting(
         0.06,
@@ -114,7 +113,6 @@ class ObstacleConfig(Section):
         unit='m',
         low=0.1,
         high=1.5,
-        tier='basic',
     )
     step_depth: float = setting(
         0.06,
