@@ -40,6 +40,10 @@ def test_out_of_bounds_is_occupied_and_known():
     areas.add_keep_out([[1, 1], [2, 1], [2, 2], [1, 2]])  # again, from a latched publisher
     assert len(areas.keep_out) == 1
     view = areas.view(grid)
+    cells, table = view.levels()
+    values = table[cells.view(np.uint16)]
+    np.testing.assert_array_equal(np.isnan(values), ~view.known())
+    np.testing.assert_array_equal(values[view.known()], view.probability()[view.known()])
     mask = areas.out_of_bounds(grid)
     assert np.count_nonzero(mask) == 400
     assert (view.probability()[mask] == 1.0).all()

@@ -187,3 +187,13 @@ def test_every_cell_that_a_beam_crosses_is_seen(x, y, theta, length):
     centers = grid.to_point(touched) - (x, y)
     across = np.abs(-centers[:, 0] * math.sin(theta) + centers[:, 1] * math.cos(theta))
     assert across.max() <= 0.1 / math.sqrt(2.0) + 1e-6
+
+
+def test_levels_mean_what_probability_and_known_say():
+    random = np.random.default_rng(0)
+    known = random.random((9, 12)) < 0.7
+    grid = OccupancyGrid.from_probability(random.uniform(0.02, 0.98, (9, 12)), known)
+    cells, table = grid.levels()
+    values = table[cells.view(np.uint16)]
+    np.testing.assert_array_equal(np.isnan(values), ~known)
+    np.testing.assert_array_equal(values[known], grid.probability()[known])
