@@ -74,7 +74,6 @@ class TagConfig(Section):
         '',
         'Path of tags.yaml: family, numbers, sizes and, where surveyed, poses of the tags of the '
         'site (AprilTag or ArUco); empty: no tags are looked for',
-        tier='basic',
     )
     tag_corner_noise: float = setting(
         0.3,
