@@ -26,6 +26,7 @@ from explore_slam.recording.events import Event, odometry_event, start_event, wr
 from explore_slam.settings import read_parameters, save_settings, values_of, with_values
 from explore_slam.simulation.grid.scenario import load_scenario
 from explore_slam.simulation.worlds.loading import load_grid_world
+from explore_slam.tags import read_tags
 from explore_slam.vehicle import PathFollowerConfig
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -176,12 +177,22 @@ def test_every_python_block_is_run_above():
 
 def test_every_scenario_is_one(tmp_path):
     found = [text for path in DOCUMENTS for text in blocks(path, 'yaml')]
-    texts = [text for text in found if 'ros__parameters' not in text]
+    texts = [text for text in found if 'events:' in text]
     assert len(texts) == 1
     (tmp_path / 'scenario.yaml').write_text(texts[0])
     world = load_grid_world(REPOSITORY / 'config' / 'worlds' / 'office.yaml')
     scenario = load_scenario(tmp_path / 'scenario.yaml', world, ('robot1', 'robot2'))
     assert len(scenario.events) > 3
+
+
+def test_every_list_of_tags_is_one(tmp_path):
+    found = [text for path in DOCUMENTS for text in blocks(path, 'yaml')]
+    texts = [text for text in found if 'family:' in text]
+    assert len(texts) == 1
+    (tmp_path / 'tags.yaml').write_text(texts[0])
+    table, problems = read_tags(tmp_path / 'tags.yaml')
+    assert not problems
+    assert set(table.poses) == {7, 8}
 
 
 def test_every_parameter_file_is_one(tmp_path):
@@ -249,6 +260,8 @@ def test_the_recordings_block_runs_when_pasted(workspace):
         'play',
         'record',
         'import',
+        'benchmark',
+        'benchmark',
         'benchmark',
         'benchmark',
         'benchmark',

@@ -4,7 +4,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from explore_slam import exploration, mapping, registration, slam, vision
+from explore_slam import exploration, mapping, registration, slam
 from explore_slam.agent.agent import Agent
 from explore_slam.agent.config import AgentConfig, explicit_mounts
 from explore_slam.agent.loop_closing import Join
@@ -12,6 +12,7 @@ from explore_slam.agent.operator_areas import OperatorAreas
 from explore_slam.agent.team import KeyframeEvent
 from explore_slam.agent.team_planner import TeamPlanner
 from explore_slam.slam import closures
+from explore_slam.vision import obstacles
 
 __all__ = [
     'Agent',
@@ -36,7 +37,7 @@ def warm_up(progress: Callable[[str], None] | None = None) -> None:
     that kernels are compiled, then which part of them is done. A part that shares its kernels with
     those before takes no time, and is not named.
     """
-    packages = (registration, slam, closures, mapping, vision, exploration)
+    packages = (registration, slam, closures, mapping, obstacles, exploration)
     compiling = threading.Event()
 
     def announce() -> None:

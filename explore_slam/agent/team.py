@@ -29,7 +29,8 @@ from explore_slam.mapping import MAP_FRAME, LaserMap, ObstacleMap, VehicleDisc
 from explore_slam.registration import ScanMatcher
 from explore_slam.slam import TeamBelief, UpdateSummary
 from explore_slam.tags import table_of
-from explore_slam.vision import FeatureExtractor, KeyframeSelector, ObstacleDetector
+from explore_slam.vision import FeatureExtractor, KeyframeSelector
+from explore_slam.vision.obstacles import ObstacleDetector
 
 # Steps that the motion since the newest keyframe is compounded of: joining those of long drives
 # without keyframes keeps the poses between them cheap.

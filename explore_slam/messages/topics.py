@@ -80,7 +80,7 @@ class TopicKind(Topic):
     )
     CAMERA_INFO = 'camera/rgb/camera_info', 'sensor_msgs/msg/CameraInfo'
     LANDMARKS = 'landmarks', 'sensor_msgs/msg/PointCloud2', RELIABLE, RELIABLE
-    TAGS = 'tags', 'sensor_msgs/msg/PointCloud2', RELIABLE, RELIABLE
+    TAGS = 'tags', 'sensor_msgs/msg/PointCloud2', RELIABLE, SENSOR_BURST
     # of depth cameras; by the agent where it has the images
     OBSTACLES = 'obstacles', 'sensor_msgs/msg/PointCloud2', SENSOR_DATA, SENSOR_DATA
     INTER_ROBOT = 'inter_robot_observations', _POSE, RELIABLE, RELIABLE

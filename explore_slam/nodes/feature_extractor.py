@@ -48,12 +48,8 @@ from explore_slam.nodes.ros_types import MESSAGES
 from explore_slam.nodes.transform_listener import own_mounts
 from explore_slam.settings import Section, section, setting, values_of
 from explore_slam.vehicle import PathFollowerConfig
-from explore_slam.vision import (
-    FeatureExtractor,
-    KeyframeSelector,
-    ObstacleDetector,
-    VisionConfig,
-)
+from explore_slam.vision import FeatureExtractor, KeyframeSelector, VisionConfig
+from explore_slam.vision.obstacles import ObstacleDetector
 
 _INPUTS = InputConfig()  # the defaults of the agent
 # settings of the vehicle, which the agent has too

@@ -32,7 +32,8 @@ from explore_slam.settings import Section, section, setting, with_values
 from explore_slam.simulation import SimulationConfig, Simulator, load_world
 from explore_slam.simulation.records import TruePose
 from explore_slam.vehicle import PathFollower, PathFollowerConfig
-from explore_slam.vision import FeatureExtractor, KeyframeSelector, ObstacleDetector
+from explore_slam.vision import FeatureExtractor, KeyframeSelector
+from explore_slam.vision.obstacles import ObstacleDetector
 
 _NO_WAYPOINTS = np.empty((0, 2))
 FIRST_PLANNING = 1.0  # s; by then every vehicle has delivered scans and frames

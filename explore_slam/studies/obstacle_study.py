@@ -29,7 +29,7 @@ from explore_slam.studies.closed_loop import ClosedLoop, ClosedLoopConfig
 from explore_slam.studies.consistency_study import seed_result
 from explore_slam.studies.figures import new_figure
 from explore_slam.studies.parallel import ALONE, Workers, make_runs
-from explore_slam.vision import ObstacleDetector
+from explore_slam.vision.obstacles import ObstacleDetector
 
 DEPTH = ('with', 'without')
 _FINE = 0.05  # m, cells by which areas are compared

@@ -6,7 +6,6 @@ from explore_slam.vision.config import VisionConfig
 from explore_slam.vision.detectors import DETECTORS, Features
 from explore_slam.vision.features import FeatureExtractor
 from explore_slam.vision.keyframes import KeyframeSelector
-from explore_slam.vision.obstacles import ObstacleDetector, warm_up
 from explore_slam.vision.tags import TagDetector, tags_available
 
 __all__ = [
@@ -15,10 +14,8 @@ __all__ = [
     'FeatureExtractor',
     'Features',
     'KeyframeSelector',
-    'ObstacleDetector',
     'TagDetector',
     'VisionConfig',
     'decode_compressed',
     'tags_available',
-    'warm_up',
 ]

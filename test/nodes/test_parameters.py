@@ -2,13 +2,16 @@ import difflib
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 import rclpy
 import yaml
 from rclpy.parameter import Parameter
 from ros_domain import own_domain
 
+from explore_slam.data import FollowerState, OdometryReading, Plan
 from explore_slam.errors import ConfigError
+from explore_slam.geometry import IDENTITY, Pose2
 from explore_slam.messages.vehicle_settings import VehicleConfig
 from explore_slam.nodes.agent_parameters import AgentNodeConfig
 from explore_slam.nodes.driver_parameters import DriverNodeConfig
@@ -158,7 +161,13 @@ def test_one_file_serves_the_agent_and_the_nodes_of_a_vehicle(tmp_path, capfd):
         follower.trigger_configure()
         follower.trigger_activate()
         # use_laser is false: one parameter is enough to do without scans
-        assert follower.active.follower.config.obstacle_stop is False
+        driving = follower.active.follower
+        assert driving.config.obstacle_stop
+        driving.set_odometry(OdometryReading(1.0, IDENTITY))
+        driving.set_pose(1.0, IDENTITY)
+        goal = Pose2(2.0, 0.0, 0.0)
+        driving.set_plan(Plan(1.0, 'robot1', goal, np.array([[0.0, 0.0], [2.0, 0.0]])))
+        assert driving.command(1.0).state is FollowerState.DRIVING
     finally:
         follower.stop()
         follower.destroy_node()

@@ -10,7 +10,8 @@ from vision.depth_scenes import MOUNT, TABLE, cast, frame
 from explore_slam.data import HOLE_BIT, OBSTACLE_CELL
 from explore_slam.geometry import rotation_matrix
 from explore_slam.settings import with_values
-from explore_slam.vision import CameraMount, ObstacleDetector, VisionConfig
+from explore_slam.vision import CameraMount, VisionConfig
+from explore_slam.vision.obstacles import ObstacleDetector
 
 
 def detector(**values):

@@ -14,11 +14,11 @@ from explore_slam.vision import (
     DETECTORS,
     FeatureExtractor,
     KeyframeSelector,
-    ObstacleDetector,
     VisionConfig,
     tags_available,
 )
 from explore_slam.vision.detectors.sift import Sift
+from explore_slam.vision.obstacles import ObstacleDetector
 from explore_slam.vision.tag_images import TagInView, draw_view
 
 CAMERA = Intrinsics(320, 240, 260.0, 262.0, 158.0, 121.0)

@@ -9,7 +9,7 @@ from explore_slam.data import LaserScan, OdometryReading
 from explore_slam.errors import AgentError
 from explore_slam.geometry import Pose2
 from explore_slam.settings import with_values
-from explore_slam.vision import ObstacleDetector
+from explore_slam.vision.obstacles import ObstacleDetector
 
 START = Pose2(1.0, 2.0, 0.5)
 USUAL = {'particles': 50, 'scan_matching': False}
