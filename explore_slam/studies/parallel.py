@@ -4,6 +4,7 @@ A run is a call of a function with arguments that determine its result, seed inc
 therefore do not depend on where, or how many times, a run is made.
 """
 
+import gc
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -100,13 +101,19 @@ def _cluster(address: str) -> Iterator[Any]:
             f'--cluster needs the packages dask and distributed ({error}): '
             'pip install dask distributed'
         ) from error
+    problem = ''
     try:
         client = Client(address, timeout=_CONNECTION_TIMEOUT, set_as_default=True)
     except (OSError, ValueError) as error:
+        problem = str(error) or type(error).__name__
+    if problem:
+        # The client that could not connect closes itself when it is collected as garbage. That
+        # must not happen while another one starts, since both take the same lock of Dask's.
+        gc.collect()
         raise EvaluationError(
-            f'no Dask scheduler at {address!r} ({error}); expected an address such as '
+            f'no Dask scheduler at {address!r} ({problem}); expected an address such as '
             'tcp://host:8786, as the command dask scheduler prints it'
-        ) from error
+        )
     try:
         yield joblib
     finally:
