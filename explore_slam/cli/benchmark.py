@@ -234,22 +234,22 @@ def _configure_twins(parser: argparse.ArgumentParser) -> None:
 
 def _run_twins(arguments: argparse.Namespace) -> int:
     """Make the runs, print their table, save it with --output."""
+    from explore_slam.cli.progress import report_runs
     from explore_slam.studies.twin_study import TwinStudy, markdown_table, run_study, save_study
 
     study = TwinStudy(
         arguments.worlds, arguments.vehicles, arguments.starts, named_settings(arguments, ())
     )
-    runs = []
-    for run in run_study(study, workers_of(arguments)):
-        runs.append(run)
-        print(
-            f'[{len(runs)}/{len(study.worlds)}] world {run.world}: {run.false_closures} of '
-            f'{run.closures} closures false, {run.false_joins} joins false, {run.seconds:.1f} s',
-            file=sys.stderr,
-            flush=True,
-        )
-        if arguments.output is not None:
-            save_study(study, runs, arguments.output)
+    output = arguments.output
+    runs = report_runs(
+        run_study(study, workers_of(arguments)),
+        len(study.worlds),
+        lambda one: (
+            f'world {one.world}: {one.false_closures} of {one.closures} closures false, '
+            f'{one.false_joins} joins false, {one.seconds:.1f} s'
+        ),
+        output and (lambda so_far: save_study(study, so_far, output)),
+    )
     print(markdown_table(runs), end='')
     if arguments.output is not None:
         print(f'written: {arguments.output / "twins.json"}', file=sys.stderr)

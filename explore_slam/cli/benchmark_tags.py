@@ -40,23 +40,23 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Make the runs, report each as it ends, print their table, save it with --output."""
+    from explore_slam.cli.progress import report_runs
     from explore_slam.studies.tag_study import TagStudy, markdown_table, run_study, save_study
 
     study = TagStudy(
         arguments.worlds, arguments.surveyed, arguments.misread, named_settings(arguments, ())
     )
-    runs = []
-    for done in run_study(study, workers_of(arguments)):
-        runs.append(done)
-        print(
-            f'[{len(runs)}/{len(study.worlds)}] world {done.world}: {done.false_closures} of '
-            f'{done.closures} closures false, joined after {done.joined_after_m:.1f} m, map '
-            f'{done.frame_m:.3f} m and {done.frame_deg:.3f} degrees off, {done.seconds:.1f} s',
-            file=sys.stderr,
-            flush=True,
-        )
-        if arguments.output is not None:
-            save_study(study, runs, arguments.output)
+    output = arguments.output
+    runs = report_runs(
+        run_study(study, workers_of(arguments)),
+        len(study.worlds),
+        lambda one: (
+            f'world {one.world}: {one.false_closures} of '
+            f'{one.closures} closures false, joined after {one.joined_after_m:.1f} m, map '
+            f'{one.frame_m:.3f} m and {one.frame_deg:.3f} degrees off, {one.seconds:.1f} s'
+        ),
+        output and (lambda so_far: save_study(study, so_far, output)),
+    )
     print(markdown_table(runs), end='')
     if arguments.output is not None:
         print(f'written: {arguments.output / "tags.json"}', file=sys.stderr)

@@ -1,6 +1,7 @@
-"""A progress bar on the terminal (tqdm)."""
+"""Progress on the terminal: a bar (tqdm), or a line for each run of a study."""
 
-from collections.abc import Callable, Iterator
+import sys
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 
 from tqdm import tqdm
@@ -20,3 +21,19 @@ def progress_bar(label: str, *, enabled: bool = True) -> Iterator[Callable[[floa
 
         yield show
         show(1.0)
+
+
+def report_runs[Run](
+    made: Iterable[Run],
+    total: int,
+    described: Callable[[Run], str],
+    save: Callable[[list[Run]], object] | None,
+) -> list[Run]:
+    """Return the runs of a study; print a line on stderr, and save those so far, as each ends."""
+    runs: list[Run] = []
+    for run in made:
+        runs.append(run)
+        print(f'[{len(runs)}/{total}] {described(run)}', file=sys.stderr, flush=True)
+        if save is not None:
+            save(runs)
+    return runs

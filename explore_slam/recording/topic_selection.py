@@ -19,12 +19,9 @@ from explore_slam.messages.topics import (
 )
 
 SINGLE_VEHICLE = 'robot1'  # name of the vehicle of a recording without namespaces
+# what is extracted from frames on the vehicle
+_EXTRACTED = (TopicKind.LANDMARKS, TopicKind.TAGS, TopicKind.OBSTACLES)
 # one of these makes a recording of a vehicle useful
-_EXTRACTED = (
-    TopicKind.LANDMARKS,
-    TopicKind.TAGS,
-    TopicKind.OBSTACLES,
-)  # from frames, on the vehicle
 _SENSORS = {TopicKind.ODOMETRY, TopicKind.SCAN, *COLOR_TOPICS, TopicKind.LANDMARKS}
 # words in the names of topics that are no odometry, no colour image, and a registered depth image
 _TRUTH = ('truth', 'groundtruth', '/gt')

@@ -1,10 +1,14 @@
 """Tables and figures of results as text: Markdown and JSON."""
 
+import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from explore_slam.files import write_text
 
 
 def markdown_table(
@@ -44,3 +48,8 @@ def json_value(value: Any) -> Any:
     if isinstance(value, bool | int | str) or value is None:
         return value
     return str(value)
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write figures as JSON; those that are not finite become null."""
+    write_text(path, json.dumps(json_value(content), indent=2, allow_nan=False) + '\n')

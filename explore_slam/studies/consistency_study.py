@@ -4,7 +4,6 @@ Every run is a closed loop without ROS. Runs of different seeds are made in para
 results are written as runs end.
 """
 
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -14,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from explore_slam.errors import EvaluationError
-from explore_slam.files import write_text
 from explore_slam.results import tables
 from explore_slam.results.consistency import EstimationErrors, estimation_errors
 from explore_slam.results.plots import color_of
@@ -153,7 +151,7 @@ def save_results(study: ConsistencyStudy, results: Sequence[SeedResult], output:
         'runs': runs,
     }
     path = output / 'consistency.json'
-    write_text(path, json.dumps(tables.json_value(content), indent=2, allow_nan=False) + '\n')
+    tables.write_json(path, content)
     plot_nees(results, output / 'nees.png')
     return path
 

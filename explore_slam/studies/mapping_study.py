@@ -1,6 +1,5 @@
 """Accuracy of maps from laser logs: replays with default settings, errors over relations."""
 
-import json
 import math
 import multiprocessing
 import resource
@@ -295,9 +294,7 @@ def save_study(task: MappingTask, runs: Sequence[Mapping[str, Any]], folder: Pat
     paths = [folder / 'mapping.json', folder / 'table.md']
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        write_text(
-            paths[0], json.dumps(tables.json_value(content), indent=2, allow_nan=False) + '\n'
-        )
+        tables.write_json(paths[0], content)
         write_text(paths[1], markdown_table(runs) + '\n')
     except OSError as error:
         raise EvaluationError(f'{folder} cannot be written: {error}') from error

@@ -5,7 +5,6 @@ hang lower than a vehicle is high, and steps, stop it. With depth, the layer of 
 depth images is in the map; without, everything else is the same.
 """
 
-import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -196,7 +195,7 @@ def save_results(study: ObstacleStudy, runs: Sequence[ObstacleRun], output: Path
         'runs': [asdict(run) for run in runs],
     }
     path = output / 'obstacles.json'
-    write_text(path, json.dumps(tables.json_value(content), indent=2, allow_nan=False) + '\n')
+    tables.write_json(path, content)
     write_text(output / 'table.md', markdown_table(runs))
     return path
 

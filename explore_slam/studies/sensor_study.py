@@ -5,7 +5,6 @@ A case is a row of the table. Further sensors are further cases.
 
 import heapq
 import itertools
-import json
 import math
 import tempfile
 import time
@@ -20,7 +19,6 @@ from explore_slam.agent import Agent, AgentConfig, warm_up
 from explore_slam.agent.odometry_sources import SOURCES as ODOMETRY
 from explore_slam.data import ImuReading, LaserScan, OdometryReading
 from explore_slam.errors import EvaluationError
-from explore_slam.files import write_text
 from explore_slam.geometry import Array, Pose2, quaternion_from_yaw, wrap_angle
 from explore_slam.mapping import OccupancyGrid
 from explore_slam.messages.base import transform_message
@@ -436,7 +434,7 @@ def save_runs(study: SensorStudy, runs: Sequence[CaseRun], folder: Path) -> Path
         'runs': [run._asdict() for run in runs],
     }
     path = folder / 'sensors.json'
-    write_text(path, json.dumps(tables.json_value(content), indent=2, allow_nan=False) + '\n')
+    tables.write_json(path, content)
     return path
 
 

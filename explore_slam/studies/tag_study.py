@@ -6,7 +6,6 @@ found in them by the detector that the agent has; some numbers are then replaced
 tags of the site, as if they had been misread.
 """
 
-import json
 import math
 import tempfile
 import time
@@ -329,5 +328,5 @@ def save_study(study: TagStudy, runs: Sequence[TagRun], folder: Path) -> Path:
     }
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / 'tags.json'
-    write_text(path, json.dumps(tables.json_value(content), indent=2, allow_nan=False) + '\n')
+    tables.write_json(path, content)
     return path

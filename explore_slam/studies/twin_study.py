@@ -5,7 +5,6 @@ as near as the right one. One vehicle laps the corridors; a second one starts in
 second corridor, where nothing but equal rooms is in sight.
 """
 
-import json
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,7 +17,6 @@ import numpy as np
 from explore_slam.agent import Agent, AgentConfig, warm_up
 from explore_slam.data import LaserScan, OdometryReading
 from explore_slam.errors import EvaluationError
-from explore_slam.files import write_text
 from explore_slam.geometry import IDENTITY, Pose2
 from explore_slam.results import tables
 from explore_slam.settings import with_values
@@ -298,5 +296,5 @@ def save_study(study: TwinStudy, runs: Sequence[TwinRun], folder: Path) -> Path:
     }
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / 'twins.json'
-    write_text(path, json.dumps(tables.json_value(content), indent=2, allow_nan=False) + '\n')
+    tables.write_json(path, content)
     return path
