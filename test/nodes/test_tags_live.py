@@ -30,7 +30,7 @@ MOUNT = CameraMount(0.1, 0.0, 0.4)
 START = Pose2(10.0, 5.0, 1.0)  # in the frame of the survey
 TAG, SIZE = 3, 0.3
 TAG_POSE = START.compose(Pose2(3.0, 0.4, math.pi + 0.6))
-STEPS = 11
+STEPS, STEP_TIME = 11, 0.4  # s; each is 0.22 m, which in a moment would be a jump of odometry
 COLOR, DEPTH = 'camera/rgb/image_raw', 'camera/depth_registered/image_raw'
 
 
@@ -74,9 +74,13 @@ class Vehicle:
             self.executor.spin_once(timeout_sec=0.02)
         return False
 
+    def spin(self, seconds):
+        self.wait_for(lambda: False, seconds)
+
     def step(self, tick):
         """Publish what is measured at a tick; the image again until its tag comes back."""
         odometry = Pose2(0.22 * tick, 0.0, 0.0)
+        self.spin(STEP_TIME)
         image, before = image_at(START.compose(odometry), self.random), len(self.tags)
         grey = np.dstack([image] * 3)
         for _ in range(20):

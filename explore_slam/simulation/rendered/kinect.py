@@ -2,11 +2,16 @@
 
 import math
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from explore_slam.data import Intrinsics, RgbdFrame
 from explore_slam.simulation.config import SimulatedKinectConfig
+
+# pixels; a Kinect v1 finds the disparity of a pixel by matching a window of 9 x 9 around it
+# (Konolige and Mihelich, Technical description of Kinect calibration, 2011)
+_MATCHING_WINDOW = 9
 
 
 def camera_intrinsics(config: SimulatedKinectConfig) -> Intrinsics:
@@ -20,7 +25,9 @@ class KinectSensor:
     """Noise of a Kinect v1: constant in colour, growing with the square of depth.
 
     Depth noise after Khoshelham and Elberink (Sensors 12, 2012): the deviation is proportional to
-    the squared depth. Depth is rounded to mm (uint16); 0 marks invalid depth.
+    the squared depth. Neighbouring pixels share most of it, since the windows that they were
+    matched by overlap: a median over them removes little. Depth is rounded to mm (uint16); 0 marks
+    invalid depth.
 
     Normal deviates are taken from a precomputed bank at a random offset per frame: a frame needs
     more than a million, and drawing them would take longer than rendering.
@@ -31,7 +38,9 @@ class KinectSensor:
         self._rng = rng
         self.intrinsics = camera_intrinsics(config)
         pixels = config.simulated_image_width * config.simulated_image_height
-        self._depth_bank = rng.standard_normal(2 * pixels, dtype=np.float32)
+        self._depth_bank = _correlated_normals(
+            rng, 2 * config.simulated_image_height, 2 * config.simulated_image_width
+        )
         normal = rng.standard_normal(6 * pixels, dtype=np.float32)
         grey_levels = np.rint(normal * np.float32(config.simulated_color_noise))
         self._color_bank = np.clip(grey_levels, -127, 127).astype(np.int16)
@@ -55,11 +64,22 @@ class KinectSensor:
 
     def _depths(self, distance: NDArray[np.float32]) -> NDArray[np.uint16]:
         config = self._config
-        start = int(self._rng.integers(0, self._depth_bank.size - distance.size))
-        noise = self._depth_bank[start : start + distance.size].reshape(distance.shape)
+        height, width = distance.shape
+        row, column = self._rng.integers(0, [height, width], endpoint=True)
+        noise = self._depth_bank[row : row + height, column : column + width]
         scale = np.float32(1000.0 * config.simulated_depth_noise)
         measured = distance * np.float32(1000.0) + scale * distance * distance * noise
         np.rint(measured, out=measured)
         near, far = 1000.0 * config.simulated_min_depth, 1000.0 * config.simulated_max_depth
         measured[(measured < near) | (measured > far)] = 0.0
         return measured.astype(np.uint16)
+
+
+def _correlated_normals(rng: np.random.Generator, rows: int, columns: int) -> NDArray[np.float32]:
+    """Return standard normal deviates (rows, columns), means over the matching window."""
+    margin = _MATCHING_WINDOW - 1
+    white = rng.standard_normal((rows + margin, columns + margin), dtype=np.float32)
+    half = margin // 2
+    means = cv2.blur(white, (_MATCHING_WINDOW, _MATCHING_WINDOW))[half:-half, half:-half]
+    # the mean of n² deviates has a deviation of 1/n
+    return np.ascontiguousarray(means, dtype=np.float32) * np.float32(_MATCHING_WINDOW)
