@@ -5,31 +5,43 @@
 Observations of one landmark from different frames are brought together by ground truth and
 descriptor; how they scatter shows three errors:
 - of each feature by itself: along the ray (`depth_noise`) and across it (`pixel_noise`), as
-  factors of what the settings claim: 1 if they are right,
+  factors of what the settings claim, by the turn rate of the camera: 1 in slow frames if they are
+  right; what grows with the rate is the rolling shutter's (`camera_readout_time`),
 - of a frame as a whole (`frame_position_deviation`, `frame_heading_deviation`): the planar motion
   that brings it closest to the landmarks, less what the errors of the features explain of it,
 - how the errors of one feature in two frames correlate, by the motion between them
   (`correlation_distance`, `correlation_turn`).
 
+Of depth images, it also prints the noise of 1 / depth on flat surfaces, and how much neighbouring
+pixels share of it, by their distance: a matching window of n pixels makes it fall to zero at n.
+
 --tum: a folder of the TUM RGB-D benchmark, with ground truth from motion capture. --office: a run
-of two vehicles in the simulated office, whose camera has the depth noise of a Kinect
-(Khoshelham and Elberink, 2012) and no error of frames.
+of two vehicles in the simulated office.
 """
 
 import argparse
+import itertools
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 
 from explore_slam.data import LandmarkObservations, LaserScan, OdometryReading, RgbdFrame
 from explore_slam.geometry import Array, Pose2, planar_rotation
+from explore_slam.recording.tum_sequence import TRUTH
 from explore_slam.settings import with_values
 from explore_slam.studies.closed_loop import ClosedLoop, ClosedLoopConfig
-from explore_slam.studies.experiments.tum_frames import read_tum
+from explore_slam.studies.experiments.tum_frames import (
+    DEFAULTS,
+    DEPTH_SCALE,
+    CameraTruth,
+    read_tum,
+)
 from explore_slam.vision import VisionConfig
 
 OFFICE = Path(__file__).parents[1] / 'config' / 'worlds' / 'office.yaml'
@@ -39,15 +51,23 @@ MINIMUM_FRAMES = 4  # in which a landmark is seen
 MINIMUM_FEATURES = 15  # of a frame, five times the unknowns of its error
 OUTLIER = 5.0  # robust deviations
 ROUNDS = 5
+RATE_TIME = 0.02  # s to either side of a stamp, in which the camera's turn is measured
+SQUARE = 48  # pixels, side of the parts of depth images that may be flat; five matching windows
+ROUGH = 0.01  # 1/m, noise of 1 / depth above which a part is not flat; that of a Kinect is 0.002
+PIXEL_LAGS = (1, 2, 4, 6, 8, 10, 12)
 TO_DEVIATION = 1.4826  # of the median absolute deviation of a normal distribution
 LAGS = ((0.0, 0.05), (0.05, 0.1), (0.1, 0.2), (0.2, 0.3), (0.3, 0.5), (0.5, 0.8), (0.8, 1.2))
 
 
 class Frame(NamedTuple):
-    """Observations of a frame, its true pose, and the way (m, rad) of the vehicle until then."""
+    """Observations of a frame and its true pose.
+
+    rate: of the camera's turn (rad/s); driven, turned: way (m, rad) of the vehicle until then.
+    """
 
     vehicle: int
     pose: Array
+    rate: float
     driven: float
     turned: float
     observations: LandmarkObservations
@@ -111,17 +131,24 @@ def frames_of(
             float(np.interp(seen.stamp, true[:, 0], column))
             for column in (*true[:, 1:].T, driven, turned)
         )
-        yield Frame(number, np.array([x, y, theta]), distance, angle, seen)
+        ends = np.interp([seen.stamp - RATE_TIME, seen.stamp + RATE_TIME], true[:, 0], true[:, 3])
+        rate = abs(float(np.diff(ends)[0])) / (2.0 * RATE_TIME)
+        yield Frame(number, np.array([x, y, theta]), rate, distance, angle, seen)
 
 
 def tum(folder: Path) -> list[Frame]:
     """Read a TUM RGB-D folder."""
     frames, driven, turned, last = list[Frame](), 0.0, 0.0, None
+    truth = CameraTruth(folder / TRUTH)
     for frame in read_tum(folder, VisionConfig()):
+        stamp = frame.stamp + DEFAULTS.truth_offset
+        before, after = (truth.at(stamp + s * RATE_TIME)[0] for s in (-1.0, 1.0))
+        rate = Rotation.from_matrix(before.T @ after).magnitude() / (2.0 * RATE_TIME)
         moved = Pose2(0.0, 0.0, 0.0) if last is None else last.between(frame.pose)
         driven += float(np.hypot(moved.x, moved.y))
         turned += abs(moved.theta)
-        frames.append(Frame(0, np.asarray(frame.pose), driven, turned, frame.observations))
+        pose = np.asarray(frame.pose)
+        frames.append(Frame(0, pose, float(rate), driven, turned, frame.observations))
         last = frame.pose
     return frames
 
@@ -247,10 +274,15 @@ def evaluate(frames: list[Frame]) -> None:
         f'{len(frames)} frames, {len(normal)} features of landmarks seen in '
         f'{MINIMUM_FRAMES} or more'
     )
-    print(
-        f'feature: along the ray {robust(normal[:, 0]):.2f}, across {robust(normal[:, 1]):.2f} '
-        'of the claimed deviations'
-    )
+    rates = np.array([frame.rate for frame in frames])[features.frame[found.inlier]]
+    bounds = np.quantile(rates, [0.0, 0.1, 0.25, 0.5, 0.75, 1.0])
+    print('feature: along the ray and across it, of the claimed deviations, by turn rate')
+    for low, high in itertools.pairwise(bounds):
+        some = normal[(rates >= low) & (rates <= high)]
+        print(
+            f'  {low:.2f} to {high:.2f} rad/s: {robust(some[:, 0]):.2f} {robust(some[:, 1]):.2f}'
+        )
+    print(f'  all: {robust(normal[:, 0]):.2f} {robust(normal[:, 1]):.2f}')
     fitted = ~np.isnan(found.explained[:, 0])
     own = np.array(
         [
@@ -295,6 +327,55 @@ def correlations(
             print(f'  {low:.2f} to {high:.2f}: {rho[0]:5.2f} {rho[1]:5.2f} ({some.sum()})')
 
 
+def pixels(images: Iterable[NDArray[np.uint16] | NDArray[np.float32]]) -> None:
+    """Print the noise of flat surfaces in depth images (H, W) in m, and what neighbours share.
+
+    In a plane, 1 / depth is linear in the pixels (Konolige and Mihelich, Technical description of
+    Kinect calibration, 2011): what a linear fit leaves of squares of the images is noise.
+    """
+    rows, columns = np.mgrid[:SQUARE, :SQUARE]
+    basis = np.column_stack([np.ones(SQUARE**2), rows.ravel(), columns.ravel()])
+    basis = np.linalg.qr(basis)[0]
+    deviations, shared = list[float](), list[list[float]]()
+    for depth in images:
+        for row in range(0, depth.shape[0] - SQUARE + 1, SQUARE):
+            for column in range(0, depth.shape[1] - SQUARE + 1, SQUARE):
+                square = depth[row : row + SQUARE, column : column + SQUARE].astype(np.float64)
+                if square.min() <= 0.0 or square.max() > VisionConfig().depth.max_depth:
+                    continue
+                inverse = 1.0 / square.ravel()
+                noise = inverse - basis @ (basis.T @ inverse)
+                deviation = float(noise.std())
+                if deviation > ROUGH or np.abs(noise).max() > OUTLIER * deviation:
+                    continue  # an edge
+                noise = noise.reshape(SQUARE, SQUARE)
+                deviations.append(deviation)
+                shared.append([_shared(noise, lag) for lag in PIXEL_LAGS])
+    if not shared:
+        print('no flat surfaces')
+        return
+    print(f'noise of 1 / depth: {np.median(deviations):.4f} 1/m, in {len(shared)} flat squares')
+    together = ' '.join(
+        f'{lag}: {part:.2f}'
+        for lag, part in zip(PIXEL_LAGS, np.median(shared, axis=0), strict=True)
+    )
+    print(f'shared by pixels that are apart by {together}')
+
+
+def _shared(noise: Array, lag: int) -> float:
+    """Return the autocorrelation of noise (n, n) at a lag along rows and columns."""
+    products = noise[lag:] * noise[:-lag], noise[:, lag:] * noise[:, :-lag]
+    return float(np.mean(products[0]) + np.mean(products[1])) / (2.0 * float(np.mean(noise**2)))
+
+
+def tum_depths(folder: Path) -> Iterator[NDArray[np.float32]]:
+    """Yield every tenth depth image (H, W) m of a TUM RGB-D folder."""
+    for path in sorted((folder / 'depth').glob('*.png'))[::10]:
+        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        if image is not None:
+            yield np.asarray(image, np.float32) * DEPTH_SCALE
+
+
 def main() -> None:
     """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -305,6 +386,7 @@ def main() -> None:
     if options.tum is not None:
         print(options.tum.name)
         evaluate(tum(options.tum))
+        pixels(tum_depths(options.tum))
     if options.office is not None:
         print(f'office, {options.office:.0f} s, seed {options.seed}')
         evaluate(office(options.office, options.seed))

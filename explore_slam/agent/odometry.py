@@ -41,6 +41,7 @@ _TURN_ACCELERATION = 10.0  # rad/s²
 _RECENT_READINGS = 10  # by which the usual interval is judged
 _SPEEDING_UP = 0.5  # s for which a base goes on accelerating beyond the speeds that it has shown
 _STAMP_JITTER = 0.03  # s
+_VELOCITY_REACH = 0.1  # s to either side: two readings of a Pioneer, which sends ten per second
 _TRIM_MINIMUM = 64  # readings; shorter histories are not worth trimming
 
 
@@ -234,6 +235,18 @@ class OdometryBuffer:
         before, after = self._stamps[index - 1], self._stamps[index]
         fraction = (stamp - before) / (after - before)
         return interpolate(self._poses[index - 1], self._poses[index], fraction)
+
+    def velocity(self, stamp: float) -> Array:
+        """Return the velocity (3,) in the vehicle frame at a stamp (s): m/s, m/s, rad/s.
+
+        It is the mean over the readings around it; zero where there are none.
+        """
+        start = max(stamp - _VELOCITY_REACH, self.first)
+        end = min(stamp + _VELOCITY_REACH, self.last)
+        if not end - start > 0.0:
+            return np.zeros(3)
+        moved = self.at(start).between(self.at(end))
+        return np.asarray(moved) / (end - start)
 
     def path(self, start: float, end: float) -> tuple[list[float], list[Pose2]]:
         """Return stamps (s) and poses of the readings from one stamp to a later one.

@@ -64,7 +64,7 @@ class DepthConfig(Section):
         3.5, 'Maximum valid depth', unit='m', low=0.0, high=100.0, tier='basic'
     )
     pixel_noise: float = setting(
-        0.8,
+        0.5,
         'Standard deviation of the position of a feature in the image',
         unit='pixels',
         low=0.01,
@@ -75,6 +75,15 @@ class DepthConfig(Section):
         'Standard deviation of depth at 1 m; grows with the square of depth',
         unit='1/m',
         low=1e-6,
+        high=1.0,
+    )
+    camera_readout_time: float = setting(
+        0.026,
+        'Time from the exposure of the first row of an image to that of the last, of a rolling '
+        'shutter (default: Kinect v1); by what the vehicle moves in it, features are uncertain. '
+        '0: all rows at once',
+        unit='s',
+        low=0.0,
         high=1.0,
     )
     depth_edge_ratio: float = setting(

@@ -26,6 +26,17 @@ def test_poses_are_interpolated_and_held_at_the_ends(buffer):
     assert buffer.at(99.0).x == pytest.approx(0.5)
 
 
+def test_velocity_is_that_around_a_stamp(buffer):
+    assert buffer.velocity(0.5) == pytest.approx([0.5, 0.0, 0.0])
+    assert buffer.velocity(1.0) == pytest.approx([0.5, 0.0, 0.0])  # of the last readings
+    assert buffer.velocity(9.0) == pytest.approx([0.0, 0.0, 0.0])  # nothing is known
+    made = OdometryBuffer('robot1', 10.0, 2.0, 1.0)
+    assert made.velocity(0.0) == pytest.approx([0.0, 0.0, 0.0])
+    for tick in range(4):
+        made.add(OdometryReading(0.1 * tick, Pose2(0.0, 0.0, 3.05 + 0.1 * tick)))
+    assert made.velocity(0.15) == pytest.approx([0.0, 0.0, 1.0])
+
+
 def test_headings_turn_the_short_way():
     made = OdometryBuffer('robot1', 10.0, 2.0, 1.0)
     made.add(OdometryReading(0.0, Pose2(0.0, 0.0, math.pi - 0.1)))

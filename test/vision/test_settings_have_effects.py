@@ -19,6 +19,7 @@ from explore_slam.vision import (
 )
 from explore_slam.vision.detectors.sift import Sift
 from explore_slam.vision.obstacles import ObstacleDetector
+from explore_slam.vision.rolling_shutter import with_readout_noise
 from explore_slam.vision.tag_images import TagInView, draw_view
 
 CAMERA = Intrinsics(320, 240, 260.0, 262.0, 158.0, 121.0)
@@ -40,6 +41,14 @@ def frame():
 def observations(config):
     found = FeatureExtractor(config).extract(frame())
     return tuple(x.tobytes() for x in (found.positions, found.covariances, found.descriptors))
+
+
+def in_motion(config):
+    """Return covariances of what a vehicle observes that turns."""
+    found = FeatureExtractor(config).extract(frame())
+    velocity = np.array([0.2, 0.0, 0.5])
+    readout = config.depth.camera_readout_time
+    return with_readout_noise(found, velocity, readout).covariances.tobytes()
 
 
 def keyframes(config):
@@ -92,6 +101,7 @@ EFFECTS = {
     'max_depth': (2.5, observations),
     'pixel_noise': (3.0, observations),
     'depth_noise': (0.1, observations),
+    'camera_readout_time': (0.05, in_motion),
     'depth_edge_ratio': (0.5, observations),
     'depth_edges': ('widen', observations),
     'minimum_travel_distance': (0.5, keyframes),

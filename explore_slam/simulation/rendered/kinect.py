@@ -12,6 +12,7 @@ from explore_slam.simulation.config import SimulatedKinectConfig
 # pixels; a Kinect v1 finds the disparity of a pixel by matching a window of 9 x 9 around it
 # (Konolige and Mihelich, Technical description of Kinect calibration, 2011)
 _MATCHING_WINDOW = 9
+_LEAST_SHIFT = 0.01  # pixels, of the last row against the first; features are found to 0.1
 
 
 def camera_intrinsics(config: SimulatedKinectConfig) -> Intrinsics:
@@ -46,12 +47,29 @@ class KinectSensor:
         self._color_bank = np.clip(grey_levels, -127, 127).astype(np.int16)
 
     def measure(
-        self, stamp: float, color: NDArray[np.uint8], distance: NDArray[np.float32]
+        self,
+        stamp: float,
+        color: NDArray[np.uint8],
+        distance: NDArray[np.float32],
+        turn_rate: float = 0.0,
     ) -> RgbdFrame:
-        """Return the frame for colour (H, W, 3) and depth (H, W) m, both bottom row first."""
-        return RgbdFrame(
-            stamp, self._colors(color[::-1]), self._depths(distance[::-1]), self.intrinsics
-        )
+        """Return the frame for colour (H, W, 3) and depth (H, W) m, both bottom row first.
+
+        turn_rate (rad/s): of the camera to the left. The rows are exposed one after another, the
+        middle one at the stamp: while the camera turns, they shift against each other.
+        """
+        shift = turn_rate * self._config.simulated_readout_time * self.intrinsics.fx
+        color, distance = color[::-1], distance[::-1]
+        if abs(shift) > _LEAST_SHIFT:
+            height, width = distance.shape
+            slope = shift / height
+            matrix = np.array([[1.0, slope, -slope * 0.5 * (height - 1)], [0.0, 1.0, 0.0]])
+            size, edge = (width, height), cv2.BORDER_REPLICATE
+            color = cv2.warpAffine(color, matrix, size, borderMode=edge)
+            distance = cv2.warpAffine(
+                distance, matrix, size, flags=cv2.INTER_NEAREST, borderMode=edge
+            )
+        return RgbdFrame(stamp, self._colors(color), self._depths(distance), self.intrinsics)
 
     def _colors(self, color: NDArray[np.uint8]) -> NDArray[np.uint8]:
         if self._config.simulated_color_noise == 0.0:

@@ -285,5 +285,6 @@ class Simulator:
             records.append(vehicle.laser.measure(now, vehicle.pose, self._rendered, self._data))
         if 'kinect' in due and self._renderer is not None and vehicle.kinect is not None:
             camera = list(self._vehicles).index(vehicle.name)
-            records.append(vehicle.kinect.measure(now, *self._renderer.render(self._data, camera)))
+            images = self._renderer.render(self._data, camera)
+            records.append(vehicle.kinect.measure(now, *images, vehicle.drive.angular))
         return records

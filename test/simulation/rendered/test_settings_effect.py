@@ -46,6 +46,7 @@ OTHER = {
     'simulated_min_depth': 1.2,
     'simulated_max_depth': 2.0,
     'simulated_depth_noise': 0.02,
+    'simulated_readout_time': 0.05,
     'simulated_color_noise': 9.0,
     'camera_x': 0.0,
     'camera_y': 0.2,
