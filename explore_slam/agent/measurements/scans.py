@@ -28,8 +28,8 @@ def release_sweeps(team: Team, track: VehicleTrack) -> None:
 
 
 def enqueue_scan_of_one_moment(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
-    """Queue a scan for the map and, if scan matching is on, for matching."""
-    if team.config.scan_matching.scan_matching:
+    """Queue a scan for the map and, if the vehicle's scans are matched, for matching."""
+    if team.matches_scans(track):
         track.unmatched.push(scan, team.config.inputs.measurement_queue_length)
     if track.unmapped:
         track.count('ignored_while_paused')
@@ -64,11 +64,11 @@ def _close_loops(team: Team, track: VehicleTrack, scan: LaserScan, moved: Pose2)
 
     moved: motion since the keyframe.
     """
-    matching = team.config.scan_matching
-    cloud = track.cloud_of(scan.stamp)
-    if not matching.scan_matching:
+    if team.matches_scans(track):
+        cloud = track.cloud_of(scan.stamp)
+    else:
         laser = scan.mount or team.config.laser_mount.pose
-        cloud = scan_cloud(scan, laser, matching.matching_range)
+        cloud = scan_cloud(scan, laser, team.config.scan_matching.matching_range)
         cloud = cloud.masked(team.discs(track, scan))
     if cloud is None or track.keyframe is None:
         return
