@@ -40,7 +40,7 @@ class SimulatedBaseConfig(Section):
 
 @dataclass(frozen=True)
 class SimulatedOdometryConfig(Section):
-    """Wheel odometry with the noise of the paper's table I (rendered/base.py)."""
+    """Wheel odometry with the noise of the paper's table I (wheel_odometry.py)."""
 
     simulated_odometry_rate: float = setting(
         20.0, 'Rate of odometry readings', unit='Hz', low=0.5, high=200.0
