@@ -25,7 +25,7 @@ class WheelOdometry:
         self.covariance: Array = np.zeros((3, 3))
 
     def move(self, increment: Pose2) -> None:
-        """Add the true increment of one time step, with noise."""
+        """Add the true increment of one time step, with its systematic errors and noise."""
         config = self._config
         distance = math.hypot(increment.x, increment.y)
         if distance == 0.0 and increment.theta == 0.0:
@@ -34,10 +34,13 @@ class WheelOdometry:
         heading_variance = config.simulated_drift_variance * distance
         heading_variance += config.simulated_turn_variance * abs(increment.theta)
         along, turned = self._rng.standard_normal(2)
+        scale = 1.0 + config.simulated_distance_scale
+        turn = increment.theta * (1.0 + config.simulated_turn_scale)
+        turn += config.simulated_heading_drift * increment.x
         measured = Pose2(
-            increment.x + float(along) * math.sqrt(distance_variance),
-            increment.y,
-            increment.theta + float(turned) * math.sqrt(heading_variance),
+            increment.x * scale + float(along) * math.sqrt(distance_variance),
+            increment.y * scale,
+            turn + float(turned) * math.sqrt(heading_variance),
         )
         cos, sin = math.cos(self.pose.theta), math.sin(self.pose.theta)
         moved = self.pose.compose(measured)

@@ -87,6 +87,12 @@ def test_vehicles_follow_their_plans_by_the_poses_they_know():
     assert simulator.known_pose('robot1') == pytest.approx(known)  # no noise: it does not fade
 
 
+def test_looking_for_loops_changes_nothing_where_localization_is_accurate():
+    plain, seeking = run(), run(agent={'loop_seeking': True})
+    assert plain.curve == seeking.curve
+    assert plain.paths == seeking.paths
+
+
 @pytest.fixture(scope='module')
 def study(tmp_path_factory):
     world = tmp_path_factory.mktemp('study') / 'room.yaml'
