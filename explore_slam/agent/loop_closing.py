@@ -174,7 +174,7 @@ class LoopClosing:
                 chosen.append(int(n))
         if not chosen:
             return []
-        P = belief.relative_covariance(last.keyframe.number, table.keyframes[chosen])
+        P = belief.relative_covariance(last.keyframe.number, table.keyframes[chosen], keep=False)
         largest = np.linalg.eigvalsh(P[:, :2, :2])[:, 1]
         deviations = np.sqrt(np.maximum(largest, 0.0))
         return list(zip(*places[chosen].T.tolist(), deviations.tolist(), strict=True))
