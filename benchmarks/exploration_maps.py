@@ -3,7 +3,8 @@
 python benchmarks/exploration_maps.py --output FOLDER [--seed 0]
 
 One map_server map (YAML and PGM) of each kind: offices along a corridor, a hall cluttered with
-furniture, a warehouse, a maze of narrow corridors, and a cave. Equal seeds draw equal maps.
+furniture, a warehouse, a maze of narrow corridors, a cave, and a large building whose corridors
+are loops. Equal seeds draw equal maps.
 """
 
 import argparse
@@ -119,8 +120,28 @@ def cave(random: np.random.Generator) -> Solid:
     return solid
 
 
+def loops(random: np.random.Generator) -> Solid:
+    """Return two loops of corridors, 70 m each, around blocks of rooms with a door each."""
+    block_width, block_height, corridor = 22.0, 13.0, 2.0
+    solid = _hall(2.0 * block_width + 3.0 * corridor + 0.4, block_height + 2.0 * corridor + 0.4)
+    low, depth = 0.2 + corridor, 0.5 * (block_height - 0.6)
+    for left in (0.2 + corridor, 0.2 + block_width + 2.0 * corridor):
+        _fill(solid, left, low, block_width, block_height, True)
+        for y, door_y in ((low + 0.2, low), (low + depth + 0.4, low + block_height - 0.2)):
+            x = left + 0.2
+            while x < left + block_width - 2.5:
+                room = min(float(random.uniform(4.0, 7.0)), left + block_width - 0.2 - x)
+                _fill(solid, x, y, room, depth, False)
+                _fill(solid, x + random.uniform(0.4, room - 1.5), door_y, 1.1, 0.2, False)
+                desk = float(random.uniform(0.5, room - 1.9))
+                _fill(solid, x + desk, y + 0.5 * depth, 1.4, 0.7, True)
+                x += room + 0.2
+    return solid
+
+
 KINDS: dict[str, Callable[[np.random.Generator], Solid]] = {
     'offices': offices, 'clutter': clutter, 'warehouse': warehouse, 'maze': maze, 'cave': cave,
+    'loops': loops,
 }  # fmt: skip
 
 

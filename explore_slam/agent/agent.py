@@ -44,6 +44,7 @@ from explore_slam.data import (
     VehicleStatus,
 )
 from explore_slam.errors import AgentError
+from explore_slam.exploration import KnownPlace
 from explore_slam.geometry import IDENTITY, Array, Pose2, rotated
 from explore_slam.mapping import LaserMap, ObstacleMap, OccupancyGrid, save_map, with_obstacles
 from explore_slam.slam import Landmarks, OdometryCalibration, TeamBelief, compound
@@ -326,6 +327,14 @@ class Agent:
         """Return the pose of a vehicle relative to the grid: the end of the most likely path."""
         track = self.track(vehicle)
         return self._team.pose_at(track, track.odometry.last)
+
+    def known_places(self, vehicle: str, reach: float) -> tuple[KnownPlace, ...]:
+        """Return the places within a reach (m) of a vehicle at which it may close a loop."""
+        track = self.track(vehicle)
+        if track.keyframe is None:
+            return ()
+        places = self.loops.known_places(self.belief, vehicle, reach)
+        return tuple(KnownPlace((x, y), deviation) for x, y, deviation in places)
 
     def trajectory(self, vehicle: str) -> tuple[Array, Array]:
         """Return stamps (T,) and poses (T, 3) of the keyframes on the most likely path."""

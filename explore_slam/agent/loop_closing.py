@@ -37,6 +37,9 @@ logger = logging.getLogger(__name__)
 # Keyframes of a vehicle that rests follow each other in time: they show the same.
 _ANCHOR_DISTANCE, _ANCHOR_HEADING = 0.1, 0.1  # m, rad
 _THINNING_SPACING = 10  # anchors between two searches for redundant ones
+# Places at which a loop may be closed on purpose: driven since then (m), as far as a laser sees
+# ahead and back; distance (m) between two of them.
+_LOOP_DISTANCE, _PLACE_SPACING = 25.0, 1.0
 # Global searches of a vehicle of unknown start: distance driven between two, and how many regions
 # are searched per scan of the team. On Intel, cut in two (`benchmark mapping --cut 1325 --starts
 # unknown`), such a slice of four took 0.08 s in the median and 0.3 s at most, on two busy cores.
@@ -144,6 +147,37 @@ class LoopClosing:
         if self.search.anchors.number_added(number) % _THINNING_SPACING == 0:
             self._thin(belief)
         return ClosureCounts(len(found), retracted)
+
+    def known_places(
+        self, belief: TeamBelief, vehicle: str, reach: float
+    ) -> list[tuple[float, float, float]]:
+        """Return places at which a vehicle may close a loop: x, y, deviation of the position (m).
+
+        They are anchors within a reach (m) of its newest one in the map, of other vehicles, or so
+        far back on its own way that the map between may have an error (Stachniss et al., 2004).
+        The deviation is the largest standard deviation relative to the vehicle.
+        """
+        number = belief.vehicles.index(vehicle)
+        last = self._last.get(number)
+        if last is None or not self.config.laser_closures or not belief.closes_loops:
+            return []
+        table, path = self.search.anchors.table(), belief.best_path()
+        tied = belief.in_one_map_with(vehicle)
+        own = table.vehicles == number
+        back = last.distance_driven - table.distances_driven
+        places = path[table.keyframes, :2]
+        distances = np.hypot(*(places - path[last.keyframe.number, :2]).T)
+        wanted = np.where(own, back >= _LOOP_DISTANCE, np.isin(table.vehicles, tied))
+        chosen: list[int] = []
+        for n in np.flatnonzero(wanted & (distances <= reach)):
+            if not chosen or np.hypot(*(places[chosen] - places[n]).T).min() >= _PLACE_SPACING:
+                chosen.append(int(n))
+        if not chosen:
+            return []
+        P = belief.relative_covariance(last.keyframe.number, table.keyframes[chosen], keep=False)
+        largest = np.linalg.eigvalsh(P[:, :2, :2])[:, 1]
+        deviations = np.sqrt(np.maximum(largest, 0.0))
+        return list(zip(*places[chosen].T.tolist(), deviations.tolist(), strict=True))
 
     def take_joins(self) -> list[Join]:
         """Return the joins since the last call."""

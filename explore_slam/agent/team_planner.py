@@ -21,6 +21,7 @@ from explore_slam.errors import AgentError
 from explore_slam.exploration import (
     ExplorationConfig,
     ExplorationStatus,
+    KnownPlace,
     Planner,
     PlanningMode,
     PlanningResult,
@@ -190,7 +191,15 @@ class TeamPlanner:
             self._agent.home(vehicle),
             self._agent.track(vehicle).body,
             battery=self.batteries[vehicle].level,
+            known_places=self._known_places(vehicle),
         )
+
+    def _known_places(self, vehicle: str) -> tuple[KnownPlace, ...]:
+        """Return where a vehicle may close a loop, if it is to look for that."""
+        loops = self._agent.config.exploration.loops
+        if not loops.loop_seeking:
+            return ()
+        return self._agent.known_places(vehicle, loops.loop_reach)
 
     def _state(self, vehicle: str, result: PlanningResult) -> VehicleState:
         track, battery = self._agent.track(vehicle), self.batteries[vehicle].level

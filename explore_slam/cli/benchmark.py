@@ -59,6 +59,13 @@ def _configure_exploration(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--scenario', type=Path, metavar='FILE', help='events of the runs: doors, people, failures'
     )
+    parser.add_argument(
+        '--slam',
+        action='store_true',
+        help='run the whole agent, with laser and wheel odometry (--set simulated_drift_variance, '
+        'range_noise, ...), instead of known poses; runs.csv then has map_rms (m), the position '
+        'error of the scans in the map',
+    )
     add_seeds_option(parser, range(10))
     add_workers_options(parser)
     parser.add_argument('--output', type=Path, help='folder for table, runs and plots')
@@ -77,6 +84,7 @@ def _run_exploration(arguments: argparse.Namespace) -> int:
         arguments.seeds,
         arguments.set,
         arguments.scenario,
+        arguments.slam,
     )
     total = sum(1 for _ in study.tasks())
     runs = []
@@ -86,7 +94,7 @@ def _run_exploration(arguments: argparse.Namespace) -> int:
             f'[{len(runs)}/{total}] {done.strategy}, {done.vehicles} vehicles, seed {done.seed}: '
             f'{done.status} after {done.duration:.0f} s, 99 % after '
             f'{done.curve.time_to(0.99):.0f} s, {done.real_time_factor:.0f} x real time'
-            f'{_unreached(done)}',
+            f'{_unreached(done)}{_map_error(done)}',
             file=sys.stderr,
             flush=True,
         )
@@ -104,6 +112,11 @@ def _unreached(run: 'ExplorationRun') -> str:
     if not run.unreached_frontiers:
         return ''
     return f', {unreached_text(run.unreached_frontiers, run.unreached_m2)} out of reach'
+
+
+def _map_error(run: 'ExplorationRun') -> str:
+    """Return the position error of the map of a run with SLAM, '' if poses were known."""
+    return '' if run.map_rms is None else f', map_rms {run.map_rms:.3f} m'
 
 
 def _add_world(parser: argparse.ArgumentParser, duration: float) -> None:

@@ -6,6 +6,7 @@ from explore_slam.exploration.sections import (
     AssignmentConfig,
     BlacklistConfig,
     FrontierConfig,
+    LoopConfig,
     PathConfig,
     TrafficConfig,
 )
@@ -26,6 +27,7 @@ class ExplorationConfig(Section):
     paths: PathConfig = section(PathConfig)
     frontiers: FrontierConfig = section(FrontierConfig)
     assignment: AssignmentConfig = section(AssignmentConfig)
+    loops: LoopConfig = section(LoopConfig)
     blacklist: BlacklistConfig = section(BlacklistConfig)
     traffic: TrafficConfig = section(TrafficConfig)
     empty_searches: int = setting(

@@ -4,7 +4,8 @@ One cycle of exploration, as `Planner.plan` runs it:
 
 1. Record where the vehicles are, and which keep-out zones and blacklisted targets still apply.
 2. Find the frontiers that some vehicle can reach (Scene, find_frontiers).
-3. Compute the travel costs, and assign frontiers to vehicles by the strategy that is set.
+3. Compute the travel costs, and assign frontiers to vehicles by the strategy that is set. A
+   vehicle whose map is in doubt may go back to a known place first (LoopSeeking).
 4. Continue the present path of each vehicle if it still leads there, or plan a new one.
 5. Grant rights of way, and turn paths into plans (Traffic, plan_for).
 
@@ -30,6 +31,7 @@ from explore_slam.exploration.config import ExplorationConfig
 from explore_slam.exploration.frontiers import find_frontiers
 from explore_slam.exploration.keep_out import TRAFFIC_DISTANCE, KeepOutZones
 from explore_slam.exploration.known_ways import KnownWays
+from explore_slam.exploration.loop_seeking import LoopSeeking
 from explore_slam.exploration.paths import SearchMemory
 from explore_slam.exploration.planning_map import PlanningMap
 from explore_slam.exploration.progress import BlockageCounter, Progress
@@ -88,6 +90,7 @@ class Planner:
         probable = STRATEGIES[self.config.strategy].probability_costs
         self._map = PlanningMap(self.config.paths, probability_costs=probable)
         self._second_look = SecondLook(self.config.obstruction_patience)
+        self._loop_seeking = LoopSeeking(self.config.loops)
         self._standstill = Standstill(self.config.blacklist.progress_timeout)
         self._squeezing: str | None = None  # the vehicle that passes through a tight place
         self._looked_at: list[Point] = []  # targets (m) reached that show nothing more
@@ -513,6 +516,8 @@ class Planner:
     def _assign(self, scene: Scene, frontiers: list[Frontier], guided: Orders) -> PlanningResult:
         """Assign frontiers to vehicles by the strategy, and plan the paths."""
         names = tuple(name for name in scene.explorers if scene.vehicles[name].goal is None)
+        if self.config.loops.loop_seeking:
+            names = self._seek_loops(scene, names, frontiers, guided)
         if not names:
             reason = f'{len(frontiers)} frontiers; all vehicles are on their way to goals'
             status = ExplorationStatus.IN_PROGRESS
@@ -556,6 +561,22 @@ class Planner:
         )
         reason = f'{len(frontiers)} frontiers'
         return self._conclude(scene, status, reason, tuple(frontiers), guided, names, costs)
+
+    def _seek_loops(
+        self, scene: Scene, names: tuple[str, ...], frontiers: list[Frontier], orders: Orders
+    ) -> tuple[str, ...]:
+        """Send vehicles back to known places where that is worth it; return the other ones."""
+        current = self._current_frontiers(names, frontiers)
+        others = []
+        for name, index in zip(names, current, strict=True):
+            ahead = frontiers[index] if index >= 0 else None
+            found = self._loop_seeking.target(scene, name, ahead, frontiers)
+            task = None if found is None else self._task_for(scene, name, *found, None, [])
+            if task is None:
+                others.append(name)
+            else:
+                orders.tasks[name] = task
+        return tuple(others)
 
     def _current_frontiers(self, names: tuple[str, ...], frontiers: list[Frontier]) -> list[int]:
         """Return for each vehicle the frontier that continues its present target, or -1."""

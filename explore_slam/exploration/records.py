@@ -79,6 +79,16 @@ class PlanningMode(Enum):
     PAUSED = 'paused'
 
 
+class KnownPlace(NamedTuple):
+    """A place (m) on the way of the team that is near a vehicle, but far along the way driven.
+
+    deviation: largest standard deviation (m) of its position relative to the vehicle.
+    """
+
+    place: Point
+    deviation: float
+
+
 class VehicleSnapshot(NamedTuple):
     """One vehicle at planning time.
 
@@ -86,6 +96,7 @@ class VehicleSnapshot(NamedTuple):
     goal: where it is sent before it explores, with right of way over those that explore.
     battery: a vehicle whose battery is low drives home and explores no more; one whose battery is
     critical stays where it is.
+    known_places: where it may close a loop.
     """
 
     pose: Pose2
@@ -94,6 +105,7 @@ class VehicleSnapshot(NamedTuple):
     body: VehicleBody = VehicleBody()
     goal: Pose2 | None = None
     battery: BatteryLevel = BatteryLevel.OK
+    known_places: tuple[KnownPlace, ...] = ()
 
 
 @dataclass(frozen=True)

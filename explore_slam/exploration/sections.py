@@ -195,6 +195,34 @@ class AssignmentConfig(Section):
 
 
 @dataclass(frozen=True)
+class LoopConfig(Section):
+    """When a vehicle whose map is in doubt goes back to a known place before it explores on."""
+
+    loop_seeking: bool = setting(
+        False, 'Go back to known places to close loops, where that saves more than it costs'
+    )
+    loop_deviation: float = setting(
+        0.2,
+        'Known places are left alone while the standard deviation of their position relative to '
+        'the vehicle is less: laser closures then need no agreement, and come by themselves',
+        unit='m',
+        low=0.0,
+        high=100.0,
+    )
+    map_tolerance: float = setting(
+        0.2,
+        'Error of the map that makes it useless: doors of 1 m are closed to a planning radius of '
+        '0.3 m',
+        unit='m',
+        low=0.01,
+        high=100.0,
+    )
+    loop_reach: float = setting(
+        15.0, 'Longest way back to a known place', unit='m', low=0.0, high=1000.0
+    )
+
+
+@dataclass(frozen=True)
 class BlacklistConfig(Section):
     """When a target has failed, and how long it is left alone."""
 

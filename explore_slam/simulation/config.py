@@ -40,7 +40,10 @@ class SimulatedBaseConfig(Section):
 
 @dataclass(frozen=True)
 class SimulatedOdometryConfig(Section):
-    """Wheel odometry with the noise of the paper's table I (rendered/base.py)."""
+    """Wheel odometry with the noise of the paper's table I (wheel_odometry.py).
+
+    `benchmarks/noise_carmen.py` measures the same values in logs of real robots.
+    """
 
     simulated_odometry_rate: float = setting(
         20.0, 'Rate of odometry readings', unit='Hz', low=0.5, high=200.0
@@ -55,6 +58,16 @@ class SimulatedOdometryConfig(Section):
     simulated_turn_variance: float = setting(
         4.363e-4, 'Variance of the heading per rotation', unit='rad² per rad', low=0.0, high=1.0
     )
+    simulated_distance_scale: float = setting(
+        0.0, 'Systematic error of the driven distance', unit='m per m', low=-0.5, high=0.5
+    )
+    simulated_turn_scale: float = setting(
+        0.0, 'Systematic error of rotations', unit='rad per rad', low=-0.5, high=0.5
+    )
+    simulated_heading_drift: float = setting(
+        0.0, 'Systematic error of the heading: wheels of unequal diameter', unit='rad per m',
+        low=-0.5, high=0.5,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

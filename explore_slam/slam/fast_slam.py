@@ -458,12 +458,15 @@ class FastSlam(Checkpointed):
         """Return the squared Mahalanobis distance of every closure from the path, by number."""
         return self._constraints.distances()
 
-    def relative_covariance(self, reference: int, keyframes: Places) -> Array:
+    def relative_covariance(
+        self, reference: int, keyframes: Places, *, keep: bool = True
+    ) -> Array:
         """Return covariances (n, 3, 3) of keyframes' poses in the frame of a reference.
 
         They are those of the components of the relative poses, in the axes of the reference.
+        keep: see RelativeCovariances.
         """
-        return self._constraints.relative_covariance(reference, keyframes)
+        return self._constraints.relative_covariance(reference, keyframes, keep=keep)
 
     @property
     def redraws(self) -> int:

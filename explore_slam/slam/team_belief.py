@@ -267,11 +267,13 @@ class TeamBelief(Checkpointed):
             for factor, distance in item.closure_distances().items()
         }
 
-    def relative_covariance(self, reference: int, keyframes: Places) -> Array:
+    def relative_covariance(
+        self, reference: int, keyframes: Places, *, keep: bool = True
+    ) -> Array:
         """See FastSlam.relative_covariance; all keyframes must be of one map."""
         number, own = self._own(reference)
         others = np.array([self._own(keyframe)[1] for keyframe in keyframes.tolist()], np.int64)
-        return self.filters[number].relative_covariance(own, others)
+        return self.filters[number].relative_covariance(own, others, keep=keep)
 
     @property
     def redraws(self) -> int:

@@ -1,38 +1,34 @@
 """One run of an exploration study: the planner explores a grid world with a team.
 
-Grid map and planner are those of the agent. Instead of SLAM, poses are known up to a correlated
-error, so that the study measures planning alone. Every run terminates: complete, stuck, or at the
-time limit.
+Grid map and planner are those of the agent. Poses are known up to a correlated error, so that the
+study measures planning alone, or the whole agent estimates them (SlamSettings). Every run
+terminates: complete, stuck, or at the time limit.
 """
 
 import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from explore_slam.agent import AgentConfig
 from explore_slam.data import Plan, VehicleBody
-from explore_slam.exploration import (
-    ExplorationConfig,
-    ExplorationStatus,
-    Planner,
-    PlanningMode,
-    PlanningResult,
-    VehicleSnapshot,
-)
+from explore_slam.exploration import ExplorationConfig, ExplorationStatus, PlanningResult
 from explore_slam.geometry import Pose2
-from explore_slam.mapping import GridConfig, OccupancyGrid
+from explore_slam.mapping import GridConfig
 from explore_slam.results.coverage import CoverageCurve, GoalCounter
 from explore_slam.settings import Section, setting, with_values
+from explore_slam.simulation.config import SimulatedOdometryConfig
 from explore_slam.simulation.grid.grid_simulator import GridSimulator, GridSimulatorConfig
 from explore_slam.simulation.grid.scenario import Scenario
 from explore_slam.simulation.records import WALL
 from explore_slam.simulation.worlds.grid_world import GridWorld
+from explore_slam.studies.team_mapping import KnownPoses, TeamMapping, TeamSlam
 
 TIME_LIMIT = 'time_limit'
-SILENT = 3.0  # s without anything from a vehicle, after which it gets no target; as silent_timeout
 
 
 @dataclass(frozen=True)
@@ -65,10 +61,14 @@ class StudyConfig(Section):
         tier='basic',
     )
     position_error: float = setting(
-        0.02, 'standard deviation of the known position', unit='m', low=0.0, high=1.0
+        0.02, 'standard deviation of the known position, without SLAM', unit='m', low=0.0, high=1.0
     )
     heading_error: float = setting(
-        0.003, 'standard deviation of the known heading', unit='rad', low=0.0, high=0.5
+        0.003,
+        'standard deviation of the known heading, without SLAM',
+        unit='rad',
+        low=0.0,
+        high=0.5,
     )
     vehicles_known: bool = setting(
         True,
@@ -76,6 +76,13 @@ class StudyConfig(Section):
         'what that is worth',
     )
     home_at_end: bool = setting(False, 'drive home when exploration is complete', tier='basic')
+
+
+class SlamSettings(NamedTuple):
+    """Settings of runs with the whole agent: of the agent, by name, and of the wheel odometry."""
+
+    agent: Mapping[str, Any] = MappingProxyType({})
+    odometry: SimulatedOdometryConfig = SimulatedOdometryConfig()
 
 
 class Vehicles(NamedTuple):
@@ -105,7 +112,10 @@ class Vehicles(NamedTuple):
 
 @dataclass(frozen=True)
 class ExplorationRun:
-    """Result of one run; lengths in metres, times in simulated seconds unless named wall."""
+    """Result of one run; lengths in metres, times in simulated seconds unless named wall.
+
+    map_rms: position error of the scans in the map; None if the poses were known.
+    """
 
     strategy: str
     vehicles: int
@@ -126,6 +136,7 @@ class ExplorationRun:
     wall_seconds: float
     unreached_frontiers: int = 0
     unreached_m2: float = 0.0
+    map_rms: float | None = None
 
     @property
     def longest_path(self) -> float:
@@ -149,18 +160,13 @@ class _Team:
     """State of one run."""
 
     simulator: GridSimulator
-    planner: Planner
-    grid: OccupancyGrid
-    homes: Mapping[str, Pose2]
+    mapping: TeamMapping
     goals: dict[str, GoalCounter]
     plans: dict[str, Plan | None] = field(default_factory=dict)
     stalls: int = 0
     plannings: int = 0
     planning_seconds: float = 0.0
     result: PlanningResult | None = None  # of the last cycle
-    poses: dict[str, Pose2] = field(default_factory=dict)  # last ones that arrived
-    heard: dict[str, float] = field(default_factory=dict)  # times (s) of them
-    bodies: dict[str, VehicleBody] = field(default_factory=dict)  # as the planner knows them
 
 
 def explore(
@@ -173,16 +179,18 @@ def explore(
     vehicle_config: GridSimulatorConfig | None = None,
     scenario: Scenario | None = None,
     own_configs: Mapping[str, GridSimulatorConfig] | None = None,
+    slam: SlamSettings | None = None,
 ) -> ExplorationRun:
     """Explore a world with one team from its start poses until it is complete, stuck or late.
 
     planner_settings: further settings of ExplorationConfig by name.
     vehicle_config: of all vehicles but those that have their own (own_configs).
+    slam: let the whole agent run, with these settings; None: poses are known.
     """
     config = config or StudyConfig()
     vehicles = Vehicles(vehicle_config or GridSimulatorConfig(), own_configs or {})
     team = _make_team(
-        world, starts, strategy, seed, config, planner_settings or {}, vehicles, scenario
+        world, starts, strategy, seed, config, planner_settings or {}, vehicles, scenario, slam
     )
     simulator, curve = team.simulator, CoverageCurve()
     begun = time.perf_counter()
@@ -192,7 +200,7 @@ def explore(
         now = simulator.time
         if now >= next_scan - 1e-9:
             next_scan = now + config.scan_period
-            _scan(team)
+            team.mapping.scan()
         any_idle = any(map(simulator.is_idle, simulator.vehicles))
         if now >= next_plan - 1e-9 or (
             any_idle and now >= last_plan + 0.5 * config.planning_period
@@ -209,6 +217,7 @@ def explore(
                 status, reason = result.status.value, result.reason
                 break
         simulator.step()
+        team.mapping.move()
     return _summarize(team, strategy, seed, status, reason, curve, time.perf_counter() - begun)
 
 
@@ -225,76 +234,61 @@ def _make_team(
     planner_settings: Mapping[str, Any],
     vehicles: Vehicles,
     scenario: Scenario | None,
+    slam: SlamSettings | None,
 ) -> _Team:
     noise = {'position_noise': config.position_error, 'heading_noise': config.heading_error}
+    if slam is not None:
+        noise = dict.fromkeys(noise, 0.0)
     simulator_config = with_values(vehicles.config, noise)
     own = {name: with_values(one, noise) for name, one in vehicles.own.items()}
     simulator = GridSimulator(world, starts, simulator_config, seed, scenario, own)
-    settings = {
+    exploration = {
         'strategy': strategy,
         'exploration_seed': seed,
         'return_to_init': config.home_at_end,
         **planner_settings,
     }
     longest = max(simulator.config_of(vehicle).beam_range for vehicle in simulator.vehicles)
-    grid = OccupancyGrid(
-        GridConfig(
-            resolution=config.cell_size,
-            max_laser_range=longest,
-            no_return_range=longest,
+    grid = {
+        'resolution': config.cell_size,
+        'max_laser_range': longest,
+        'no_return_range': longest,
+    }
+    bodies = {
+        vehicle: vehicles.body(vehicle) if config.vehicles_known else VehicleBody()
+        for vehicle in simulator.vehicles
+    }
+    mapping: TeamMapping
+    if slam is None:
+        mapping = KnownPoses(
+            simulator,
+            with_values(GridConfig(), grid),
+            with_values(ExplorationConfig(), exploration),
+            bodies,
         )
-    )
-    return _Team(
-        simulator,
-        Planner(with_values(ExplorationConfig(), settings)),
-        grid,
-        {vehicle: simulator.known_pose(vehicle) for vehicle in simulator.vehicles},
-        {vehicle: GoalCounter() for vehicle in simulator.vehicles},
-        bodies={
-            vehicle: vehicles.body(vehicle) if config.vehicles_known else VehicleBody()
-            for vehicle in simulator.vehicles
-        },
-    )
-
-
-def _scan(team: _Team) -> None:
-    """Insert a scan of every vehicle into the map, at the known pose."""
-    simulator = team.simulator
-    poses = {vehicle: simulator.known_pose(vehicle) for vehicle in simulator.vehicles}
-    for vehicle, pose in poses.items():
-        if simulator.is_silent(vehicle):
-            continue
-        bodies = [
-            (p.x, p.y, simulator.config_of(other).disc_radius)
-            for other, p in poses.items()
-            if other != vehicle
-        ]
-        team.grid.insert_scan(pose, simulator.scan(vehicle), np.reshape(bodies, (-1, 3)))
+    else:
+        agent = with_values(AgentConfig(), grid | dict(slam.agent) | exploration)
+        mapping = TeamSlam(simulator, agent, slam.odometry, bodies, seed)
+    return _Team(simulator, mapping, {name: GoalCounter() for name in simulator.vehicles})
 
 
 def _plan(team: _Team, config: StudyConfig) -> PlanningResult:
     """Report blocked goals, plan, and pass new plans to the vehicles."""
-    simulator, now = team.simulator, team.simulator.time
+    simulator = team.simulator
     for vehicle in simulator.vehicles:
         plan = team.plans.get(vehicle)
-        if not simulator.is_silent(vehicle):
-            team.poses[vehicle], team.heard[vehicle] = simulator.known_pose(vehicle), now
-        elif plan is not None:  # nothing arrives there either, so that its follower stops
+        if (
+            simulator.is_silent(vehicle) and plan is not None
+        ):  # nothing arrives there either, so that its follower stops
             simulator.set_plan(vehicle, None)
             team.plans[vehicle] = plan = None
         if plan is not None and simulator.stalled_for(vehicle) >= config.stall_time:
-            team.planner.report_blocked(vehicle, plan.goal, now)
+            team.mapping.report_blocked(vehicle, plan)
             simulator.set_plan(vehicle, None)
             team.plans[vehicle] = None
             team.stalls += 1
-    snapshots = {
-        vehicle: VehicleSnapshot(
-            pose, now - team.heard[vehicle] <= SILENT, team.homes[vehicle], team.bodies[vehicle]
-        )
-        for vehicle, pose in team.poses.items()
-    }
     begun = time.perf_counter()
-    result = team.planner.plan(team.grid, now, snapshots, PlanningMode.EXPLORE)
+    result = team.mapping.plan()
     team.planning_seconds += time.perf_counter() - begun
     team.plannings += 1
     team.result = result
@@ -315,7 +309,7 @@ def _plan(team: _Team, config: StudyConfig) -> PlanningResult:
 
 def _mapped_fraction(team: _Team) -> float:
     """Return the fraction of the reachable cells that are free in the map."""
-    simulator, grid = team.simulator, team.grid
+    simulator, grid = team.simulator, team.mapping.grid
     cells = grid.to_cell(simulator.world.to_point(np.argwhere(simulator.reachable)))
     inside = grid.contains(cells)
     rows, cols = cells[inside].T
@@ -354,4 +348,5 @@ def _summarize(
         wall_seconds=wall_seconds,
         unreached_frontiers=result.unreachable if result is not None else 0,
         unreached_m2=result.unreached_m2 if result is not None else 0.0,
+        map_rms=team.mapping.map_rms(),
     )

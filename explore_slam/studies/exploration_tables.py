@@ -110,6 +110,7 @@ def run_values(run: ExplorationRun) -> dict[str, Any]:
         't99': run.curve.time_to(0.99),
         'end': run.duration,
         'mapped': run.mapped,
+        'map_rms': run.map_rms,
         'overlap': run.curve.overlap(),
         'path_mean': float(np.mean(run.paths)),
         'path_longest': run.longest_path,

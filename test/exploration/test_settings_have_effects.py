@@ -10,6 +10,7 @@ from explore_slam.exploration import (
     STRATEGIES,
     ExplorationConfig,
     Frontier,
+    KnownPlace,
     Planner,
     PlanningMode,
     VehicleSnapshot,
@@ -260,6 +261,20 @@ def cycles_until_the_end_of_waiting(config):
     return 120
 
 
+def target_beside_a_doubtful_place(config):
+    """A vehicle that looks for loops, unless the settings say otherwise, goes there or on."""
+    seeking = with_values(config, {'loop_seeking': True})
+    known = (KnownPlace(place(4, 18), 0.3),)
+    team = {'a': vehicle(4, 10)._replace(known_places=known)}
+    return tuple(Planner(seeking).plan(hall(), 0.0, team).plans['a'].goal)
+
+
+def target_unless_loops_are_sought(config):
+    known = (KnownPlace(place(4, 18), 0.3),)
+    team = {'a': vehicle(4, 10)._replace(known_places=known)}
+    return tuple(Planner(config).plan(hall(), 0.0, team).plans['a'].goal)
+
+
 def straight(name, y, x0, x1):
     path = np.array([[x0, y], [x1, y]])
     return Traveler(name, path[0], path)
@@ -316,6 +331,10 @@ EFFECTS = {
     'merge_distance': (0.5, clusters),
     'overlap_weight': (0.0, idle_choice),
     'exploration_seed': (1, random_targets),
+    'loop_seeking': (True, target_unless_loops_are_sought),
+    'loop_deviation': (0.5, target_beside_a_doubtful_place),
+    'map_tolerance': (2.0, target_beside_a_doubtful_place),
+    'loop_reach': (1.0, target_beside_a_doubtful_place),
     'blacklist_radius': (1.0, blacklisted),
     'blacklist_expiry': (300.0, blacklisted),
     'maximum_attempts': (1, blacklisted),

@@ -223,6 +223,17 @@ class GridSimulator:
         index = self._index[vehicle]
         return Pose2.from_array(self._poses[index] + self._drives[index].error)
 
+    def set_known_pose(self, vehicle: str, pose: Pose2) -> None:
+        """Let a vehicle know a pose, such as an estimate, and follow its plan by it.
+
+        The difference to the true pose remains until the next call; with position_noise or
+        heading_noise it fades.
+        """
+        index = self._index[vehicle]
+        error = np.array(pose) - self._poses[index]
+        error[2] = wrap_angle(float(error[2]))
+        self._drives[index].error = error
+
     def travelled(self, vehicle: str) -> float:
         """Return the length (m) of the path driven."""
         return self._drives[self._index[vehicle]].travelled

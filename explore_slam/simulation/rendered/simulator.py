@@ -12,13 +12,14 @@ from explore_slam.errors import SimulationError
 from explore_slam.geometry import Pose2
 from explore_slam.simulation.config import SimulationConfig
 from explore_slam.simulation.records import Collision, Record, SimEvent, TruePose
-from explore_slam.simulation.rendered.base import DifferentialDrive, WheelOdometry
+from explore_slam.simulation.rendered.base import DifferentialDrive
 from explore_slam.simulation.rendered.contacts import Contacts
 from explore_slam.simulation.rendered.kinect import KinectSensor, camera_intrinsics
 from explore_slam.simulation.rendered.laser import LaserScanner, TimedPose
 from explore_slam.simulation.rendered.model import build_model
 from explore_slam.simulation.rendered.mujoco_import import mujoco
 from explore_slam.simulation.rendered.renderer import Renderer
+from explore_slam.simulation.wheel_odometry import WheelOdometry
 from explore_slam.simulation.worlds.loading import load_world
 from explore_slam.simulation.worlds.world import World
 

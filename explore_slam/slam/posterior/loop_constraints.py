@@ -88,8 +88,10 @@ class LoopConstraints:
         """Return the squared Mahalanobis distance of every closure from the path, by number."""
         return self._team.required_joint().closure_distances()
 
-    def relative_covariance(self, reference: int, keyframes: Places) -> Array:
+    def relative_covariance(
+        self, reference: int, keyframes: Places, *, keep: bool = True
+    ) -> Array:
         """Return covariances (n, 3, 3) of keyframes' poses in the frame of a reference."""
         nodes = np.array(self._team.path.nodes, np.int64)
         joint = self._team.required_joint()
-        return joint.relative_covariance(self.node_of(reference), nodes[keyframes])
+        return joint.relative_covariance(self.node_of(reference), nodes[keyframes], keep=keep)

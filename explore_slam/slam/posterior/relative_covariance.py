@@ -36,25 +36,29 @@ class RelativeCovariances:
 
     def renew(self, vehicle: int) -> None:
         """Compute the posterior of a vehicle and those tied to it at the present estimate."""
+        known = self._computed(vehicle)
+        self._known |= dict.fromkeys(known.solution.problem.vehicles, known)
+
+    def _computed(self, vehicle: int) -> _Posterior:
         solution = self._graph.posterior(vehicle)
-        known = _Posterior(solution, self._graph.vehicles_of(solution.problem.keyframes))
-        self._known |= dict.fromkeys(solution.problem.vehicles, known)
+        return _Posterior(solution, self._graph.vehicles_of(solution.problem.keyframes))
 
     def invalidate(self) -> None:
         """Discard all posteriors; each is computed anew when it is next needed."""
         self._known = {}
 
-    def __call__(self, reference: int, others: Places) -> Array:
+    def __call__(self, reference: int, others: Places, *, keep: bool = True) -> Array:
         """Return covariances (n, 3, 3) of keyframes' poses in the frame of a reference.
 
         They are those of the components of the relative poses, in the axes of the reference.
         Vehicles that no measurement ties together are independent, each with its covariance in the
-        map.
+        map. keep: use a posterior that must be computed for later calls too; without it, a call
+        leaves no trace.
         """
         path = self._graph.path()
         owners = self._graph.vehicles_of(np.append(others, reference))
         owner = int(owners[-1])
-        known = self._posterior(owner)
+        known = self._posterior(owner, keep)
         near = _newest(known, owner, reference)
         drift = self._graph.motion_covariance(near, reference)
         out = np.empty((len(others), 3, 3))
@@ -72,16 +76,18 @@ class RelativeCovariances:
         own = known.solution.covariance(near) + rotated(drift, -path[near, 2])
         for row in np.flatnonzero(~tied).tolist():
             vehicle, keyframe = int(owners[row]), int(others[row])
-            theirs = self._posterior(vehicle)
+            theirs = self._posterior(vehicle, keep)
             P = theirs.solution.covariance(_newest(theirs, vehicle, keyframe))
             out[row] = _in_frame_of(path[reference], own, path[keyframe][None], P[None])[0]
         return out
 
-    def _posterior(self, vehicle: int) -> _Posterior:
+    def _posterior(self, vehicle: int, keep: bool) -> _Posterior:
         """Return a posterior of a vehicle that lacks at most _MAXIMUM_MISSING keyframes."""
         known = self._known.get(vehicle)
         newest = self._graph.newest_keyframe(vehicle)
         if known is None or newest - known.solution.problem.keyframes[-1] > _MAXIMUM_MISSING:
+            if not keep:
+                return self._computed(vehicle)
             self.renew(vehicle)
             known = self._known[vehicle]
         return known

@@ -19,7 +19,7 @@ from explore_slam.simulation import (
 )
 from explore_slam.simulation.config import SimulatedOdometryConfig
 from explore_slam.simulation.records import HAZARD
-from explore_slam.simulation.rendered.base import WheelOdometry
+from explore_slam.simulation.wheel_odometry import WheelOdometry
 from explore_slam.sweeps import Sweep, deskewed
 
 BLIND = {'simulated_camera_rate': 0.0}
