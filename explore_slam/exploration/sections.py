@@ -196,13 +196,17 @@ class AssignmentConfig(Section):
 
 @dataclass(frozen=True)
 class LoopConfig(Section):
-    """When a vehicle whose map is in doubt goes back to a known place before it explores on."""
+    """When a vehicle whose map is in doubt goes back to a known place before it explores on.
+
+    Reach and deviation were chosen with `explore_slam benchmark exploration --slam` on the looped
+    building of benchmarks/exploration_maps.py, see doc/scenarios.md.
+    """
 
     loop_seeking: bool = setting(
         False, 'Go back to known places to close loops, where that saves more than it costs'
     )
     loop_deviation: float = setting(
-        0.2,
+        0.3,
         'Known places are left alone while the standard deviation of their position relative to '
         'the vehicle is less: laser closures then need no agreement, and come by themselves',
         unit='m',
@@ -218,7 +222,7 @@ class LoopConfig(Section):
         high=100.0,
     )
     loop_reach: float = setting(
-        15.0, 'Longest way back to a known place', unit='m', low=0.0, high=1000.0
+        10.0, 'Longest way back to a known place', unit='m', low=0.0, high=1000.0
     )
 
 
