@@ -147,7 +147,7 @@ class SimulatedKinectConfig(Section):
         0.003, 'Standard deviation of depth at 1 m; grows with the square of depth', unit='1/m',
         low=0.0, high=1.0,
     )  # fmt: skip
-    simulated_readout_time: float = setting(
+    simulated_readout_time: float = setting(  # as camera_readout_time of the agent
         0.026, 'Time from the exposure of the first row of an image to that of the last (rolling '
         'shutter)', unit='s', low=0.0, high=0.1,
     )  # fmt: skip

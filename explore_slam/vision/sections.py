@@ -64,7 +64,7 @@ class DepthConfig(Section):
         3.5, 'Maximum valid depth', unit='m', low=0.0, high=100.0, tier='basic'
     )
     pixel_noise: float = setting(
-        0.5,
+        0.5,  # of a Kinect that hardly turns, by benchmarks/noise_camera.py on fr1_rpy
         'Standard deviation of the position of a feature in the image',
         unit='pixels',
         low=0.01,
@@ -78,7 +78,7 @@ class DepthConfig(Section):
         high=1.0,
     )
     camera_readout_time: float = setting(
-        0.026,
+        0.026,  # Ringaby and Forssén, ICCV 2011: the colour camera of a Kinect v1
         'Time from the exposure of the first row of an image to that of the last, of a rolling '
         'shutter (default: Kinect v1); by what the vehicle moves in it, features are uncertain. '
         '0: all rows at once',
