@@ -277,9 +277,8 @@ def _plan(team: _Team, config: StudyConfig) -> PlanningResult:
     simulator = team.simulator
     for vehicle in simulator.vehicles:
         plan = team.plans.get(vehicle)
-        if (
-            simulator.is_silent(vehicle) and plan is not None
-        ):  # nothing arrives there either, so that its follower stops
+        if simulator.is_silent(vehicle) and plan is not None:
+            # nothing arrives there either, so that its follower stops
             simulator.set_plan(vehicle, None)
             team.plans[vehicle] = plan = None
         if plan is not None and simulator.stalled_for(vehicle) >= config.stall_time:
