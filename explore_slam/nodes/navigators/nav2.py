@@ -34,6 +34,7 @@ from explore_slam.polyline import sample
 PERIOD = 0.1  # s between looks at the newest plan and at silence
 SILENCE = 10.0  # s of wall time without answer or feedback after which a goal is given up
 ABSENCE = 1.0  # s of wall time without server, answer and feedback after which the server has left
+OVERTAKING = 0.2  # s by which a cancel may overtake its goal; on loopback 0.01
 SAME_GOAL = 0.1  # m and rad; nav2's default goal tolerance is 0.25
 PATH_SPACING = 0.05  # m between the poses of a path: nav2's planners make one per cell
 
@@ -96,10 +97,20 @@ class Nav2Navigator:
         self._wanted = (stamp, plan) if plan is not None and has_goal else None
 
     def stop(self, stamp: float) -> None:
-        """Cancel the goal in force at once."""
+        """Cancel the goal in force at once.
+
+        A goal whose acceptance was not heard is canceled twice: nobody may be left to hear it, and
+        the first request may have overtaken the goal, or the server may not be discovered yet.
+        """
         self.follow(stamp, None)
-        if self._sent is not None:
-            self._give_up(FollowerState.WAITING, 'no plan')
+        if self._sent is None:
+            return
+        goal, unheard = self._goal_id, self._busy and not self._accepted
+        self._give_up(FollowerState.WAITING, 'no plan')
+        if unheard:
+            time.sleep(OVERTAKING)
+            self._canceling.wait_for_service(ABSENCE)
+            self._cancel(goal)
 
     # -- in the executor of the node -----------------------------------------------------------
 
@@ -186,12 +197,17 @@ class Nav2Navigator:
     def _give_up(self, state: FollowerState, reason: str) -> None:
         """Cancel the goal in force; its later feedback and result are ignored."""
         self._number += 1
-        if self._busy and self._canceling.service_is_ready():
-            request = CancelGoal.Request()
-            request.goal_info.goal_id = self._goal_id
-            self._canceling.call_async(request)
+        if self._busy:
+            self._cancel(self._goal_id)
         self._sent, self._busy = None, False
         self._report(state, reason)
+
+    def _cancel(self, goal: Any) -> None:
+        """Ask the server to cancel a goal (unique_identifier_msgs/UUID), if there is a server."""
+        if self._canceling.service_is_ready():
+            request = CancelGoal.Request()
+            request.goal_info.goal_id = goal
+            self._canceling.call_async(request)
 
     def _report(self, state: FollowerState, reason: str) -> None:
         if (state, reason) != (self._state.state, self._state.reason):
