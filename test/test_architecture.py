@@ -23,7 +23,7 @@ ROS = {
 # third-party packages and the members of layers that may import them
 HOMES = {
     **{name: {'nodes', 'live'} for name in ROS},
-    'cv2': {'vision', 'mapping', 'simulation'},  # images of cameras and of map files
+    'cv2': {'vision', 'mapping'},  # images of cameras and of map files
     'mujoco': {'simulation'},
     'serial': {'vehicle'},
     'freenect': {'vehicle'},

@@ -2,9 +2,9 @@
 
 import math
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
 
 from explore_slam.data import Intrinsics, RgbdFrame
 from explore_slam.simulation.config import SimulatedKinectConfig
@@ -61,14 +61,7 @@ class KinectSensor:
         shift = turn_rate * self._config.simulated_readout_time * self.intrinsics.fx
         color, distance = color[::-1], distance[::-1]
         if abs(shift) > _LEAST_SHIFT:
-            height, width = distance.shape
-            slope = shift / height
-            matrix = np.array([[1.0, slope, -slope * 0.5 * (height - 1)], [0.0, 1.0, 0.0]])
-            size, edge = (width, height), cv2.BORDER_REPLICATE
-            color = cv2.warpAffine(color, matrix, size, borderMode=edge)
-            distance = cv2.warpAffine(
-                distance, matrix, size, flags=cv2.INTER_NEAREST, borderMode=edge
-            )
+            color, distance = _sheared(color, distance, shift)
         return RgbdFrame(stamp, self._colors(color), self._depths(distance), self.intrinsics)
 
     def _colors(self, color: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -93,11 +86,34 @@ class KinectSensor:
         return measured.astype(np.uint16)
 
 
+def _sheared(
+    color: NDArray[np.uint8], distance: NDArray[np.float32], shift: float
+) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    """Return images whose rows are moved to the right, the last by a shift (px) against the first.
+
+    The middle row stays. Colour is interpolated; depth is not, since there is none between a thing
+    and what is behind it. Beyond the sides, the outermost column is repeated.
+    """
+    height, width = distance.shape
+    margin = math.ceil(0.5 * abs(shift)) + 1
+    pixels = np.pad(color, ((0, 0), (margin, margin), (0, 0)), mode='edge').astype(np.float32)
+    depths = np.pad(distance, ((0, 0), (margin, margin)), mode='edge')
+    sheared, moved = np.empty(color.shape, np.uint8), np.empty(distance.shape, np.float32)
+    for row in range(height):
+        own = shift * ((row + 0.5) / height - 0.5)
+        left = margin - math.ceil(
+            own
+        )  # of the two pixels that the first one of the row is between
+        part = np.float32(math.ceil(own) - own)  # of the right one
+        before, after = (slice(left + k, left + k + width) for k in (0, 1))
+        sheared[row] = np.rint((1.0 - part) * pixels[row, before] + part * pixels[row, after])
+        moved[row] = depths[row, after if part > 0.5 else before]
+    return sheared, moved
+
+
 def _correlated_normals(rng: np.random.Generator, rows: int, columns: int) -> NDArray[np.float32]:
     """Return standard normal deviates (rows, columns), means over the matching window."""
-    margin = _MATCHING_WINDOW - 1
-    white = rng.standard_normal((rows + margin, columns + margin), dtype=np.float32)
-    half = margin // 2
-    means = cv2.blur(white, (_MATCHING_WINDOW, _MATCHING_WINDOW))[half:-half, half:-half]
-    # the mean of n² deviates has a deviation of 1/n
-    return np.ascontiguousarray(means, dtype=np.float32) * np.float32(_MATCHING_WINDOW)
+    white = rng.standard_normal((rows, columns), dtype=np.float32)
+    # of n² deviates, the mean has a deviation of 1/n
+    means = uniform_filter(white, _MATCHING_WINDOW, mode='wrap')
+    return np.asarray(means * np.float32(_MATCHING_WINDOW), dtype=np.float32)

@@ -369,11 +369,11 @@ def test_settings_of_the_recordings_belong_to_the_sensors(module):
     sensor = {
         *values_of(config.laser_mount),
         *values_of(config.vision.mount),
-        *values_of(config.vision.depth),
         *values_of(config.slam.odometry_noise),
         *values_of(config.slam.correlation),
         'max_laser_range',
         'no_return_range',
+        'camera_readout_time',
     }
     assert set(module.SETTINGS) <= sensor
     tree = with_values(AgentConfig(), module.SETTINGS)
