@@ -101,10 +101,9 @@ def _sheared(
     sheared, moved = np.empty(color.shape, np.uint8), np.empty(distance.shape, np.float32)
     for row in range(height):
         own = shift * ((row + 0.5) / height - 0.5)
-        left = margin - math.ceil(
-            own
-        )  # of the two pixels that the first one of the row is between
-        part = np.float32(math.ceil(own) - own)  # of the right one
+        # each pixel comes from between two pixels, the first one from `left` and the next
+        left = margin - math.ceil(own)
+        part = np.float32(math.ceil(own) - own)  # of the right one of the two
         before, after = (slice(left + k, left + k + width) for k in (0, 1))
         sheared[row] = np.rint((1.0 - part) * pixels[row, before] + part * pixels[row, after])
         moved[row] = depths[row, after if part > 0.5 else before]
