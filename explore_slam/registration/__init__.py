@@ -10,7 +10,6 @@ from explore_slam.registration.config import ScanMatchingConfig
 from explore_slam.registration.correlation import Peak, SearchWindow
 from explore_slam.registration.local_map import LocalMap
 from explore_slam.registration.scan_matcher import (
-    WINDOW_DRIFT,
     Refusal,
     RefusedScan,
     ScanMatch,
@@ -18,7 +17,6 @@ from explore_slam.registration.scan_matcher import (
 )
 
 __all__ = [
-    'WINDOW_DRIFT',
     'Alignment',
     'LocalMap',
     'Peak',

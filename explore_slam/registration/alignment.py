@@ -50,7 +50,7 @@ class Alignment:
 
     information (3, 3): of the geometry alone (no prior), in the vehicle frame at the pose;
     overlap: fraction of the returns that have a surface within reach; rms (m): of their distances;
-    matched: their number.
+    matched: their number; independent: fraction of their errors that is independent.
     """
 
     pose: Pose2
@@ -58,6 +58,7 @@ class Alignment:
     overlap: float
     rms: float
     matched: int
+    independent: float
 
     def weakest_direction(self) -> tuple[Array, float]:
         """Return the least certain direction (2,) in the vehicle frame and its deviation (m).
@@ -132,7 +133,7 @@ def align(
         information = prior.information
         if information.shape != (3, 3) or not np.isfinite(information).all():
             raise RegistrationError('prior information is not a finite matrix of shape (3, 3)')
-    pose, hessian, matched, rms = _iterate(
+    pose, hessian, matched, rms, independent = _iterate(
         surface,
         points,
         normals,
@@ -144,7 +145,8 @@ def align(
     )
     if matched < _MINIMUM_RETURNS:
         return None
-    return Alignment(Pose2.from_array(pose), hessian, matched / len(points), rms, int(matched))
+    share = matched / len(points)
+    return Alignment(Pose2.from_array(pose), hessian, share, rms, int(matched), independent)
 
 
 @kernel
@@ -157,10 +159,10 @@ def _iterate(
     reach: float,
     prior: tuple[float, float, float],
     prior_information: Array,
-) -> tuple[Array, Array, int, float]:
+) -> tuple[Array, Array, int, float, float]:
     """Gauss-Newton over the pose error in the vehicle frame, with matches anew in every step."""
     pose = np.array(start)
-    information, matched, rms = np.zeros((3, 3)), 0, 0.0
+    information, matched, rms, independent = np.zeros((3, 3)), 0, 0.0, 1.0
     for _ in range(_ITERATIONS):
         A, b, rms, residuals = _normal_equations(surface, points, normals, weights, pose, reach)
         matched = len(residuals)
@@ -186,7 +188,7 @@ def _iterate(
         reach = max(reach * _REACH_SHRINKS, _MINIMUM_REACH)
         if settled and np.abs(step).sum() < _CONVERGED_STEP:
             break
-    return pose, information, matched, rms
+    return pose, information, matched, rms, independent
 
 
 @kernel

@@ -32,12 +32,14 @@ from explore_slam.registration.local_map import LocalMap
 _MINIMUM_DEVIATIONS = np.array([1e-4, 1e-4, 1e-4])  # m, m, rad, of any motion
 _MINIMUM_POINTS = 15  # returns; five times the unknowns
 # Variance of the step of the window's frame when a scan is kept, as a fraction of that of the
-# scan's own error. Were all kept scans equal, it would be (2 / (n + 1))², 0.004; but the last few
-# share most surfaces with the next one. `benchmarks/scan_matching_noise.py --window-drift` chose
-# it: on Intel, against the final path of a replay, the squared Mahalanobis distances over 100
-# scans are 6.5 with 0.2, 4.0 with 0.35 and 2.9 with 0.5; in the simulated office they are half as
-# large.
-WINDOW_DRIFT = 0.35
+# scan's own error, if all of that error were common to the scans kept last. Of a match in which
+# the fraction f of the errors is independent, (1 - f)² of it counts: along even walls (f near 1)
+# the errors of one scan are not those of the next, and the scans kept average them; uneven walls
+# mislead several scans alike. `benchmarks/scan_matching_noise.py --window-drift` chose it: over
+# 100 scans the squared Mahalanobis distances are 4.4 with 0.35, 2.4 with 0.7 and 1.3 with 1.4 on
+# Intel (f 0.3 in the mean; against the final path of a replay); 2.7, 2.5 and 2.1 in the simulated
+# office (f 0.8; mean of ten runs). One fraction, 0.35, for both gave 3.1 and 1.2.
+WINDOW_DRIFT = 0.7
 # rad; half a step moves a return at 6 m by 0.08 m, which the alignment corrects.
 _ANGLE_STEP = math.radians(1.5)
 _SIGMAS = 3.0  # the window covers the odometry's error
@@ -67,19 +69,19 @@ class ScanMatch:
     The error of the pose has two parts, covariances (3, 3) in the vehicle frame at the pose.
     white: of this match alone, not shared with the matches before and after. drift: growth of
     the error since the last match, a random walk: what the scan left open of the odometry's
-    error, and the slow drift of the window of scans.
+    error, and window. window: the part of drift that is the motion of the window's frame; zero
+    if no scan was kept since the last match.
     information (3, 3): of the scan's geometry alone; overlap: fraction of the returns on known
-    surfaces; rms (m) of their distances. window_moved: the window's frame has moved since the
-    last match, which is part of the drift.
+    surfaces; rms (m) of their distances.
     """
 
     pose: Pose2
     white: Array
     drift: Array
+    window: Array
     information: Array
     overlap: float
     rms: float
-    window_moved: bool = False
 
     @property
     def covariance(self) -> Array:
@@ -352,9 +354,11 @@ def _scan_match(found: Alignment, covariance: Array, window_moved: bool) -> Scan
     left = np.linalg.inv(information + certainty)
     white = _transformed(left, information)
     drift = _transformed(left, certainty)
-    if window_moved:
-        drift = drift + WINDOW_DRIFT * white
-    return ScanMatch(found.pose, white, drift, information, found.overlap, found.rms, window_moved)
+    share = WINDOW_DRIFT * (1.0 - found.independent) ** 2 if window_moved else 0.0
+    window = share * white
+    return ScanMatch(
+        found.pose, white, drift + window, window, information, found.overlap, found.rms
+    )
 
 
 def _transformed(transform: Array, information: Array) -> Array:

@@ -56,6 +56,28 @@ def test_returns_count_by_their_weights():
     assert errors[1] < 0.003
 
 
+def test_an_alignment_says_how_much_of_the_errors_beams_share():
+    """Walls as even as the map's, and walls of panels 0.4 m wide, 0.03 m out of line."""
+    corners = box(-3.0, -2.0, 3.0, 2.0)
+    local_map = map_of(corners, IDENTITY, Pose2(0.3, 0.1, 0.3), Pose2(-0.2, 0.2, -0.4))
+    random = np.random.default_rng(3)
+    x, y = np.linspace(-3.0, 3.0, 121), np.linspace(-2.0, 2.0, 81)
+    off = [0.03 * np.repeat(random.normal(size=16), 8) for _ in range(4)]
+    walls = [
+        (x, -2.0 + off[0][:121]), (x, 2.0 + off[1][:121]),
+        (-3.0 + off[2][:81], y), (3.0 + off[3][:81], y),
+    ]  # fmt: skip
+    uneven = np.vstack([polyline(*np.column_stack(wall)) for wall in walls])
+    shares = []
+    for world in (corners, uneven):
+        random = np.random.default_rng(4)
+        clouds = [scan_cloud(scan_of(world, IDENTITY, 0.01, random)) for _ in range(20)]
+        found = [local_map.align(cloud, IDENTITY, 0.4) for cloud in clouds]
+        shares.append(np.median([alignment.independent for alignment in found]))
+    assert shares[0] > 0.6
+    assert shares[1] < 0.3
+
+
 def test_errors_are_about_as_large_as_the_information_says():
     """The information allows for errors that beams share, so independent noise is below it."""
     local_map = map_of(ROOM, *[Pose2(0.1 * k, 0.0, 0.1 * k) for k in range(-3, 4)])

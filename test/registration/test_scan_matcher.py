@@ -187,13 +187,25 @@ def test_errors_of_a_match_are_covariances_whatever_the_rounding():
         turn = planar_rotation(random.uniform(0.0, math.tau))
         information = turn @ jacobian.T @ jacobian @ turn.T
         odometry = np.diag(10.0 ** random.uniform(-7.0, -2.0, 3))
-        match = _scan_match(Alignment(IDENTITY, information, 1.0, 0.0, 360), odometry, False)
+        match = _scan_match(Alignment(IDENTITY, information, 1.0, 0.0, 360, 1.0), odometry, False)
         for covariance in (match.white, match.drift):
             check_motion_covariance('error', covariance)
         total = np.linalg.inv(information + np.linalg.inv(odometry))
         np.testing.assert_allclose(
             match.covariance, total, rtol=0.0, atol=1e-3 * np.abs(total).max()
         )
+
+
+@pytest.mark.parametrize('independent', [1.0, 0.6, 0.05])
+def test_the_window_drifts_by_errors_that_scans_share(independent):
+    information = np.diag([4e5, 1e5, 1e6])
+    found = Alignment(IDENTITY, information, 1.0, 0.0, 360, independent)
+    odometry = np.diag([0.02, 0.02, 0.02]) ** 2
+    still, moved = (_scan_match(found, odometry, window_moved) for window_moved in (False, True))
+    assert not still.window.any()
+    np.testing.assert_allclose(moved.window, 0.7 * (1.0 - independent) ** 2 * moved.white)
+    np.testing.assert_allclose(moved.drift - moved.window, still.drift, atol=1e-12)
+    np.testing.assert_allclose(moved.white, still.white)
 
 
 def test_the_window_covers_three_deviations_of_the_odometry_within_limits():

@@ -23,7 +23,7 @@ from explore_slam.agent.odometry_sources.twists import exponential
 from explore_slam.agent.odometry_sources.velocity_filter import VelocityFilter, positive
 from explore_slam.data import OdometryReading
 from explore_slam.geometry import IDENTITY, Array, Pose2
-from explore_slam.registration import WINDOW_DRIFT, ScanMatch, ScanMatcher, scan_cloud
+from explore_slam.registration import ScanMatch, ScanMatcher, scan_cloud
 from explore_slam.slam import FastSlamConfig
 from explore_slam.sweeps import LONGEST_SWEEP, deskewed
 
@@ -182,7 +182,7 @@ class ScanSource(OdometrySource):
         if restarted:
             return grown
         drift: Array = left @ grown @ left.T
-        return drift + WINDOW_DRIFT * match.white if match.window_moved else drift
+        return drift + match.window
 
     def restart_clock(self) -> None:
         """Continue at rest at the new time."""
