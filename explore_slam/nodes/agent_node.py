@@ -1,7 +1,6 @@
 """Node `agent`: the life cycle and the parameters of the central agent on topics."""
 
 import logging
-import sys
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
@@ -116,7 +115,3 @@ class AgentNode(ManagedNode):
 def main(arguments: list[str] | None = None) -> int:
     """Run the node; the entry point of the executable."""
     return run_node(AgentNode, arguments)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -5,7 +5,6 @@ The agent then runs with `vision: vehicle`. Keyframes are selected by odometry, 
 """
 
 import logging
-import sys
 import threading
 import time
 from collections import Counter
@@ -193,7 +192,3 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the node; the entry point of the executable."""
     logging.getLogger('explore_slam').setLevel(logging.INFO)
     return run_node(FeatureExtractorNode, arguments)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -8,7 +8,6 @@ it has stopped the vehicle, which others may command.
 """
 
 import math
-import sys
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -366,7 +365,3 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the node; the entry point of the executable."""
     ask_for_priority()
     return run_node(PathFollowerNode, arguments)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

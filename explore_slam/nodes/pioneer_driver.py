@@ -10,7 +10,6 @@ A managed node: configured, its devices are open; it publishes and drives while 
 
 import logging
 import math
-import sys
 import threading
 import time
 from dataclasses import replace
@@ -589,7 +588,3 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the node; the entry point of the executable."""
     ask_for_priority()
     return run_node(PioneerDriverNode, arguments)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -1,7 +1,6 @@
 """Node `player`: publishes the recorded CDR of a bag in the order of stamps, and /clock."""
 
 import argparse
-import sys
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
@@ -261,7 +260,3 @@ def main(arguments: list[str] | None = None) -> int:
     parsed = parser.parse_args(arguments)
     play(parsed.bag, rate=parsed.rate)
     return 0
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -265,7 +265,3 @@ def record(parsed: argparse.Namespace, ros_arguments: list[str] | None = None) -
             )
             code = code or 1
     return code
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -6,7 +6,6 @@ It publishes simulated time on /clock and true poses on `<vehicle>/ground_truth`
 
 import logging
 import math
-import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -317,7 +316,3 @@ class SimulatorNode(Node):
 def main(arguments: list[str] | None = None) -> int:
     """Run the node; the entry point of the executable."""
     return run_node(SimulatorNode, arguments)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -488,7 +488,7 @@ def test_silence_is_explained(tmp_path):
 
 def test_a_word_that_yaml_reads_as_a_boolean_is_answered_with_the_right_one(tmp_path):
     environment = {**one_machine_environment(), 'ROS_DOMAIN_ID': str(DOMAIN)}
-    command = [sys.executable, '-m', 'explore_slam.nodes.agent_node', '--ros-args']
+    command = [sys.executable, '-m', 'explore_slam.nodes.executables', 'agent_node', '--ros-args']
     for name in ('vision', 'robot2.vision'):
         done = subprocess.run(
             [*command, '-p', f'{name}:=off'],

@@ -119,7 +119,7 @@ def test_a_signal_in_a_callback_from_c_ends_the_process_at_once():
 
 def test_ctrl_c_ends_the_first_start_while_kernels_are_compiled(tmp_path):
     process = subprocess.Popen(
-        [sys.executable, '-m', 'explore_slam.nodes.agent_node'],
+        [sys.executable, '-m', 'explore_slam.nodes.executables', 'agent_node'],
         env={**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path)},
         stderr=subprocess.PIPE,
         text=True,
@@ -163,7 +163,7 @@ def test_a_parameter_that_cannot_be_is_one_clear_message(module, setting, text):
     ],
 )
 def test_arguments_of_ros_that_cannot_be_read_are_one_message(arguments, text):
-    result = run('-m', 'explore_slam.nodes.path_follower', '--ros-args', *arguments)
+    result = run('-m', 'explore_slam.nodes.executables', 'path_follower', '--ros-args', *arguments)
     assert result.returncode == 1
     (line,) = [line for line in result.stderr.splitlines() if 'ROS cannot start' in line]
     assert text in line

@@ -127,7 +127,7 @@ def follower_process(domain, *arguments):
     environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain), 'ROS_PYTHON_CHECK_FIELDS': '1'}
     return subprocess.Popen(
         [
-            sys.executable, '-m', 'explore_slam.nodes.path_follower', '--ros-args',
+            sys.executable, '-m', 'explore_slam.nodes.executables', 'path_follower', '--ros-args',
             '-r', '__ns:=/robot7', '-p', 'follow_speed:=1', '-p', 'follow_acceleration:=1.0',
             '-p', 'teleop_timeout:=1.0',
             *arguments,

@@ -61,8 +61,9 @@ class Rig:
         for name, value in given.items():
             text = str(value).lower() if isinstance(value, bool) else str(value)
             arguments += ['-p', f'{name}:={text}']
+        node = [sys.executable, '-m', 'explore_slam.nodes.executables', 'pioneer_driver']
         self.driver = subprocess.Popen(
-            [sys.executable, '-m', 'explore_slam.nodes.pioneer_driver', '--ros-args', *arguments],
+            [*node, '--ros-args', *arguments],
             env={
                 **os.environ, 'ROS_DOMAIN_ID': str(self.domain), 'ROS_PYTHON_CHECK_FIELDS': '1',
                 'ROS_HOME': str(self.folder),

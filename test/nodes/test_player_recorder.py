@@ -221,7 +221,9 @@ def test_a_bag_that_cannot_be_written_is_reported(tmp_path):
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_a_recorder_asked_to_end_leaves_a_whole_bag(tmp_path, number):
     environment = dict(os.environ, ROS_DOMAIN_ID=str(DOMAIN))
-    command = [sys.executable, '-m', 'explore_slam.nodes.recorder', str(tmp_path / 'out')]
+    command = [
+        sys.executable, '-m', 'explore_slam.nodes.executables', 'recorder', str(tmp_path / 'out'),
+    ]  # fmt: skip
     with BagReader(make_bag(tmp_path / 'bag')) as bag:
         player = Player(bag, rate=4.0, vehicles=['robot1'])
         process = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)

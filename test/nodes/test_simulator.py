@@ -98,8 +98,9 @@ def launch(*parameters, world='small'):
         **os.environ, 'ROS_DOMAIN_ID': str(DOMAIN), 'ROS_PYTHON_CHECK_FIELDS': '1',
     }  # fmt: skip
     pairs = [part for value in (f'world:={world}', *parameters) for part in ('-p', value)]
+    node = [sys.executable, '-m', 'explore_slam.nodes.executables', 'simulator']
     return subprocess.Popen(
-        [sys.executable, '-m', 'explore_slam.nodes.simulator', '--ros-args', *pairs],
+        [*node, '--ros-args', *pairs],
         env=environment,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
@@ -289,7 +290,7 @@ def test_a_mistake_ends_the_node_with_one_message(start):
     }
     for words, process in processes.items():
         said, _ = process.communicate(timeout=90)
-        assert process.returncode == 1, words
+        assert process.returncode == 1, (words, said)
         assert words in said
 
 
