@@ -31,21 +31,32 @@ def refine_by_scan(
     A scan that is refused leaves the odometry unchanged. While the vehicle stands still nothing is
     corrected, so that the noise of matching does not move it.
     """
-    if scan.stamp <= max(track.matched_until, track.odometry.first):
+    if not _is_due(track, scan.stamp):
         return
     cloud = scan_cloud(scan, laser, track.matcher.config.matching_range).masked(bodies)
     for clouds in track.sets.add(scan.sensor, scan.stamp, cloud):
         _refine_by_clouds(track, clouds, slam)
 
 
+def _is_due(track: VehicleTrack, stamp: float) -> bool:
+    """Return whether a scan of a stamp (s) is later than the last match, or the first of all.
+
+    That one may have the stamp of the first odometry: the vehicle is then where it has started, and
+    the first scans that follow are not placed by wheels alone.
+    """
+    if stamp == track.odometry.first:
+        return not track.matcher.started
+    return stamp > max(track.matched_until, track.odometry.first)
+
+
 def _refine_by_clouds(
     track: VehicleTrack, clouds: Sequence[PlacedCloud], slam: FastSlamConfig
 ) -> None:
     """Match clouds of several lasers at once and correct the odometry since the last match."""
-    since = max(track.matched_until, track.odometry.first)
     stamp, cloud = clouds[-1]
-    if stamp <= since:
+    if not _is_due(track, stamp):
         return
+    since = max(track.matched_until, track.odometry.first)
     if len(clouds) > 1:
         now = track.odometry.at(stamp)
         cloud = merged([c.moved(now.between(track.odometry.at(s))) for s, c in clouds])

@@ -19,7 +19,9 @@ from numpy.typing import NDArray
 from explore_slam.data import LaserScan
 
 _OUTER = 2.0 / 3.0  # of the range: from there on beams count as long
-_LEAST_SHARE = 0.05  # of beams without return; fewer change little
+# Share of beams without return from which on it is judged what they mean, as fewer change little,
+# and below which they count as free again.
+_LEAST_SHARE, _FEW = 0.05, 0.03
 _LEAST_EXPECTED = 0.03  # share of long beams; with fewer expected, as in the open, none is no sign
 _LEAST_BEAMS = 500
 # Angle of a sector in which no beam returns, from which on it is open space. The lidar that loses
@@ -57,7 +59,8 @@ class NoReturnJudge:
         share = self._doubtful / self._judged
         expected = share**_OUTER - share
         ratio = self._long / self._judged / max(expected, _LEAST_EXPECTED)
-        if share < _LEAST_SHARE or expected < _LEAST_EXPECTED or ratio > _BELIEVED:
+        few = share < (_LEAST_SHARE if self._is_free else _FEW)
+        if few or expected < _LEAST_EXPECTED or ratio > _BELIEVED:
             self._is_free = True
         elif ratio < _DOUBTED:
             self._is_free = False

@@ -31,15 +31,15 @@ from explore_slam.registration.local_map import LocalMap
 # `benchmarks/laser_graph_slam.py` shows what a change does.
 _MINIMUM_DEVIATIONS = np.array([1e-4, 1e-4, 1e-4])  # m, m, rad, of any motion
 _MINIMUM_POINTS = 15  # returns; five times the unknowns
-# Variance of the step of the window's frame when a scan is kept, as a fraction of that of the
-# scan's own error, if all of that error were common to the scans kept last. Of a match in which
-# the fraction f of the errors is independent, (1 - f)² of it counts: along even walls (f near 1)
-# the errors of one scan are not those of the next, and the scans kept average them; uneven walls
-# mislead several scans alike. `benchmarks/scan_matching_noise.py --window-drift` chose it: over
-# 100 scans the squared Mahalanobis distances are 4.4 with 0.35, 2.4 with 0.7 and 1.3 with 1.4 on
-# Intel (f 0.3 in the mean; against the final path of a replay); 2.7, 2.5 and 2.1 in the simulated
-# office (f 0.8; mean of ten runs). One fraction, 0.35, for both gave 3.1 and 1.2.
-WINDOW_DRIFT = 0.7
+# Variance of the step of the window's frame when a scan is kept, as a fraction of what is common
+# to several scans in the variance of the scan's own error. Where a fraction f of the errors in a
+# match is independent, that is 1 - f: along even walls (f near 1) the errors of one scan are not
+# those of the next, and the scans kept average them; uneven walls mislead several scans alike.
+# `benchmarks/scan_matching_noise.py --window-drift` chose it: over 100 scans the squared
+# Mahalanobis distances are 4.3 with 0.3, 2.8 with 0.5 and 1.8 with 0.8 on Intel (f 0.3 in the mean;
+# against the final path of a replay), 1.6 with 0.5 on ACES (f 0.5), and 2.1 in the simulated office
+# (f 0.8; mean of ten runs). A fraction of 0.35 whatever f gave 3.1, 1.4 and 1.2.
+WINDOW_DRIFT = 0.5
 # rad; half a step moves a return at 6 m by 0.08 m, which the alignment corrects.
 _ANGLE_STEP = math.radians(1.5)
 _SIGMAS = 3.0  # the window covers the odometry's error
@@ -354,7 +354,7 @@ def _scan_match(found: Alignment, covariance: Array, window_moved: bool) -> Scan
     left = np.linalg.inv(information + certainty)
     white = _transformed(left, information)
     drift = _transformed(left, certainty)
-    share = WINDOW_DRIFT * (1.0 - found.independent) ** 2 if window_moved else 0.0
+    share = WINDOW_DRIFT * (1.0 - found.independent) if window_moved else 0.0
     window = share * white
     return ScanMatch(
         found.pose, white, drift + window, window, information, found.overlap, found.rms

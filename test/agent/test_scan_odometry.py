@@ -22,9 +22,12 @@ SLIP = 1.2  # wheel odometry reports this many times the true motion
 
 
 class Drive:
-    """A vehicle that drives straight through a square room, with slipping wheels."""
+    """A vehicle that drives straight through a square room, with slipping wheels.
 
-    def __init__(self):
+    readings: of the odometry before and with the first scan.
+    """
+
+    def __init__(self, readings=2):
         self.world = SyntheticWorld()
         self.track = VehicleTrack(
             'robot1',
@@ -37,7 +40,7 @@ class Drive:
         self.stamp = 0.0
         self.true = self.start = Pose2(-1.0, 0.3, 0.0)
         self.raw = IDENTITY
-        for _ in range(2):
+        for _ in range(readings):
             self.advance(0.0)
         self.refine()
         self.track.counts.clear()
@@ -68,6 +71,16 @@ def test_slipping_wheels_are_corrected():
     assert drive.error() < 0.03
     assert abs(drive.raw.x - 0.75) > 0.14
     assert drive.track.matched_until == drive.stamp
+
+
+def test_the_first_scan_counts_if_it_is_as_old_as_the_first_odometry():
+    """Wheels that slip from the first moment on: nothing before the first match is left to them."""
+    drive = Drive(readings=1)
+    for _ in range(6):
+        drive.advance(0.05)
+        drive.refine()
+    assert drive.track.counts == {'matched_scans': 6}
+    assert drive.error() < 0.005
 
 
 def test_a_keyframe_keeps_its_place_on_the_corrected_odometry():

@@ -88,6 +88,33 @@ def test_beams_that_are_lost_at_short_range_are_not_free(lost, range_max):
     assert judge.share == pytest.approx(lost, abs=0.03)
 
 
+def test_a_share_at_the_limit_is_judged_once():
+    """A twentieth is lost at random, as much as is judged: the decision is not taken back."""
+    rng = np.random.default_rng(11)
+    judge, decisions, shares = NoReturnJudge(), [], []
+    for _ in range(200):
+        ranges = to_walls(*rng.uniform(-1.0, 1.0, 2), box(-3.0, -2.0, 6.0, 4.0))
+        ranges[rng.random(BEAMS) < 0.05] = np.inf
+        judge.add(scan(ranges, 12.0))
+        decisions.append(judge.is_free)
+        shares.append(judge.share)
+    assert min(shares[5:]) < 0.05 < max(shares[5:])
+    assert np.count_nonzero(np.diff(np.int8(decisions))) <= 1
+    assert not decisions[-1]
+
+
+def test_few_beams_that_are_lost_later_count_as_free_again():
+    judge = NoReturnJudge()
+    rng = np.random.default_rng(2)
+    decisions = []
+    for lost in (0.1, *[0.0] * 4):
+        ranges = to_walls(0.0, 0.0, box(-3.0, -2.0, 6.0, 4.0))
+        ranges[rng.random(BEAMS) < lost] = np.inf
+        judge.add(scan(ranges, 12.0))
+        decisions.append(judge.is_free)
+    assert decisions == [False, False, False, True, True]  # from a share of 3 % on
+
+
 def test_without_no_returns_all_stays_as_it_is():
     judge = NoReturnJudge()
     for _ in range(5):
