@@ -41,8 +41,8 @@ def refine_by_scan(
 def _is_due(track: VehicleTrack, stamp: float) -> bool:
     """Return whether a scan of a stamp (s) is later than the last match, or the first of all.
 
-    That one may have the stamp of the first odometry: the vehicle is then where it has started, and
-    the first scans that follow are not placed by wheels alone.
+    That one may have the stamp of the first odometry: the vehicle is then where it has started,
+    and no motion after it is left to the wheels alone.
     """
     if stamp == track.odometry.first:
         return not track.matcher.started

@@ -74,7 +74,7 @@ def test_slipping_wheels_are_corrected():
 
 
 def test_the_first_scan_counts_if_it_is_as_old_as_the_first_odometry():
-    """Wheels that slip from the first moment on: nothing before the first match is left to them."""
+    """Wheels that slip from the start: no motion is left to them."""
     drive = Drive(readings=1)
     for _ in range(6):
         drive.advance(0.05)

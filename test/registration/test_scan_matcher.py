@@ -203,7 +203,7 @@ def test_the_window_drifts_by_errors_that_scans_share(independent):
     odometry = np.diag([0.02, 0.02, 0.02]) ** 2
     still, moved = (_scan_match(found, odometry, window_moved) for window_moved in (False, True))
     assert not still.window.any()
-    np.testing.assert_allclose(moved.window, 0.5 * (1.0 - independent) * moved.white)
+    np.testing.assert_allclose(moved.window, 0.7 * (1.0 - independent) * moved.white)
     np.testing.assert_allclose(moved.drift - moved.window, still.drift, atol=1e-12)
     np.testing.assert_allclose(moved.white, still.white)
 

@@ -15,7 +15,7 @@ class GraphConfig(Section):
     """
 
     graph_independent_observations: float = setting(
-        60.0,
+        30.0,
         'Landmark observations of one keyframe count as at most this many independent '
         'observations, because errors within a frame are correlated',
         low=1.0,
