@@ -18,9 +18,9 @@ from explore_slam.failures import run_guarded
 class _ProcessEnd:
     """Last step of the interpreter, after its threads and what libraries do at the exit.
 
-    It leaves the process with the node's exit code before the C++ libraries of DDS are unloaded:
-    beside threads that are still in them, this takes the process down once in some hundred times
-    (seen on Kilted, exit code -11).
+    It leaves the process with the node's exit code before the C++ libraries of DDS are unloaded,
+    which may take the process down beside threads that are still in them (seen once on Kilted,
+    exit code -11).
     """
 
     def __init__(self) -> None:
@@ -44,8 +44,18 @@ def start(module: str) -> int:
         prepare_ros(os.environ)
         return int(importlib.import_module(f'explore_slam.nodes.{module}').main())
 
-    end.code = run_guarded(module, run)
+    try:
+        end.code = run_guarded(module, run)
+    except SystemExit as leaving:  # of the options, as after --help
+        end.code = _exit_code(leaving)
+        raise
     return end.code
+
+
+def _exit_code(leaving: SystemExit) -> int:
+    """Return the exit code that the interpreter gives a SystemExit: 1 if it holds a message."""
+    code = leaving.code
+    return code if isinstance(code, int) else int(code is not None)
 
 
 def agent() -> int:

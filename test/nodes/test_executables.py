@@ -29,7 +29,14 @@ sys.exit(executables.start('agent_node'))
 
 @pytest.mark.parametrize(
     ('ending', 'code'),
-    [('return 0', 0), ('return 1', 1), ("raise ValueError('a bug')", 1)],
+    [
+        ('return 0', 0),
+        ('return 1', 1),
+        ("raise ValueError('a bug')", 1),
+        ('sys.exit()', 0),
+        ('sys.exit(2)', 2),
+        ("sys.exit('a bug')", 1),
+    ],  # fmt: skip
 )
 def test_the_exit_code_is_the_nodes_whatever_libraries_do_when_they_are_unloaded(ending, code):
     result = subprocess.run(
@@ -38,4 +45,4 @@ def test_the_exit_code_is_the_nodes_whatever_libraries_do_when_they_are_unloaded
     )  # fmt: skip
     assert result.returncode == code, result.stderr
     assert result.stdout.split('\n') == ['thread', 'exit function', '']
-    assert ('a bug' in result.stderr) is ('raise' in ending)
+    assert ('a bug' in result.stderr) is ('a bug' in ending)
