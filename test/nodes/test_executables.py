@@ -36,7 +36,7 @@ sys.exit(executables.start('agent_node'))
         ('sys.exit()', 0),
         ('sys.exit(2)', 2),
         ("sys.exit('a bug')", 1),
-    ],  # fmt: skip
+    ],
 )
 def test_the_exit_code_is_the_nodes_whatever_libraries_do_when_they_are_unloaded(ending, code):
     result = subprocess.run(
