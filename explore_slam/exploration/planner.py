@@ -69,7 +69,8 @@ _LONGEST_TRIP = 10.0  # m; a longer way to a frontier asks no more of it
 _TRAPPED_AREA = 5.0  # m², of passable cells; keep-out zones may not hold a vehicle in less
 _UNSEEN_ROOM = 2.0  # m²; what remains unknown beside a vehicle that is blocked, and is no speck
 _LITTLE = 0.5  # of the free area; a warning is given if less can be reached
-_NOTABLE_GAIN = 1.0  # m²; frontiers out of reach that would show less are not reported as left
+# m²; frontiers out of reach that are expected to show less are not reported as left
+_NOTABLE_GAIN = 1.0
 
 
 class Planner:
@@ -343,7 +344,7 @@ class Planner:
         """Return all frontiers, in reach or not, that would show an area worth reporting."""
         anywhere = np.isfinite(scene.costs.cost)
         every = self._search(scene, anywhere)
-        return [frontier for frontier in every if frontier.showing >= _NOTABLE_GAIN]
+        return [one for one in every if min(one.showing, one.gain) >= _NOTABLE_GAIN]
 
     def _left(self, scene: Scene) -> tuple[list[Frontier], list[Frontier]]:
         """Return the frontiers out of reach, and those that have failed and were not reached."""
