@@ -30,7 +30,8 @@ def processes(tmp_path):
     ports = tmp_path / 'ports'
 
     def start(module, *arguments):
-        command = [sys.executable, '-m', f'explore_slam.nodes.{module}', '--ros-args', *arguments]
+        node = [sys.executable, '-m', 'explore_slam.nodes.executables', module]
+        command = [*node, '--ros-args', *arguments]
         return subprocess.Popen(command, env=environment)
 
     simulator = start(

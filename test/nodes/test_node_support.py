@@ -148,7 +148,7 @@ def test_ctrl_c_ends_the_first_start_while_kernels_are_compiled(tmp_path):
     ],
 )
 def test_a_parameter_that_cannot_be_is_one_clear_message(module, setting, text):
-    result = run('-m', f'explore_slam.nodes.{module}', '--ros-args', '-p', setting)
+    result = run('-m', 'explore_slam.nodes.executables', module, '--ros-args', '-p', setting)
     assert result.returncode == 1
     assert text in result.stderr
     assert 'Traceback' not in result.stderr
