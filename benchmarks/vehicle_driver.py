@@ -113,8 +113,8 @@ def measure(
     }  # fmt: skip
     options = [word for name, value in arguments.items() for word in ('-p', f'{name}:={value}')]
     driver = subprocess.Popen(
-        [sys.executable, '-m', 'explore_slam.nodes.pioneer_driver', '--ros-args', *options,
-         '-r', '__ns:=/robot1', '--log-level', 'warn'],
+        [sys.executable, '-m', 'explore_slam.nodes.executables', 'pioneer_driver', '--ros-args',
+         *options, '-r', '__ns:=/robot1', '--log-level', 'warn'],
     )  # fmt: skip
     rclpy.init()
     node = rclpy.create_node('observer', namespace='/robot1')

@@ -76,7 +76,7 @@ class Scene:
     def _start(self, module: str, parameters: dict[str, str]) -> 'subprocess.Popen[bytes]':
         options = [w for name, value in parameters.items() for w in ('-p', f'{name}:={value}')]
         return subprocess.Popen(
-            [sys.executable, '-m', f'explore_slam.nodes.{module}', '--ros-args', '-r',
+            [sys.executable, '-m', 'explore_slam.nodes.executables', module, '--ros-args', '-r',
              '__ns:=/robot1', '--log-level', 'fatal', *options],
         )  # fmt: skip
 
