@@ -8,7 +8,7 @@ a replay that closes loops. For scans 1 to 200 matches apart: deviation of posit
 heading (mrad) from the truth, the deviations that the white errors of both scans and the drift
 between them add up to (without heading errors that become lateral ones), and the mean squared
 Mahalanobis distance of the motion between them, expected 3.
---window-drift: values to try of the share of the drift that a scan kept adds to the window.
+--window-drift: values to try of scan_matcher.WINDOW_DRIFT.
 """
 
 import argparse
