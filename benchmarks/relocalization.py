@@ -20,7 +20,7 @@ import numpy as np
 
 from explore_slam.data import LandmarkObservations
 from explore_slam.geometry import Array, Pose2, to_world, wrap_angle
-from explore_slam.recording.importers.mrclam import SETTINGS
+from explore_slam.recording.importers.mrclam import FILTER_SETTINGS
 from explore_slam.settings import with_values
 from explore_slam.slam import FastSlam, FastSlamConfig
 
@@ -201,7 +201,7 @@ def main() -> None:
         team = mrclam.corrected(mrclam.read(arguments.mrclam))
         moments = list(team_moments(team))
         first = next(n for n, m in enumerate(moments) if m.stamp > team.begin + WAITING)
-        config = with_values(FastSlamConfig(), {**SETTINGS, 'maximum_descriptor_distance': 0.0})
+        config = with_values(FastSlamConfig(), {**FILTER_SETTINGS, 'maximum_descriptor_distance': 0.0})
         slam = FastSlam(mrclam.start_poses(team), config, arguments.seed)
         study('MR.CLAM', slam, moments, first, arguments.restarts, arguments.seed)
 

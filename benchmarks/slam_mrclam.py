@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 
 from explore_slam.geometry import Array, Pose2
-from explore_slam.recording.importers.mrclam import SETTINGS, landmark_descriptor
+from explore_slam.recording.importers.mrclam import FILTER_SETTINGS, landmark_descriptor
 from explore_slam.settings import with_values
 from explore_slam.slam import FastSlamConfig, TeamBelief
 
@@ -67,7 +67,7 @@ def main() -> None:
     parser.add_argument('--set', nargs='*', default=[], metavar='NAME=VALUE')
     arguments = parser.parse_args()
     values = {
-        **SETTINGS,
+        **FILTER_SETTINGS,
         'particles': arguments.particles,
         'maps': arguments.maps,
         'maximum_descriptor_distance': 0.0,

@@ -78,7 +78,7 @@ def _refine_by_clouds(
             track.slip.add_match(since, stamp, *motions, slam.odometry_noise)
         # where the map began anew, only odometry connects it with the last match
         drift = track.source.take_match(track.odometry, since, stamp, prior, match, restarted)
-        wheels = prior.covariance
+        wheels = track.bridge.scaled(prior.pose.between(match.pose), prior.covariance)
         track.odometry.correct(since, stamp, match.pose, drift, match.white, wheels)
         if track.keyframe is not None:
             # the correction before the newest keyframe is already part of the filter's estimate

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from explore_slam.agent.bridge_noise import BridgeNoise
 from explore_slam.agent.measurement_queue import MeasurementQueue, Stamped
 from explore_slam.agent.odometry import OdometryBuffer, Step
 from explore_slam.agent.odometry_sources import OdometrySource, SlipMonitor, WheelSource
@@ -44,6 +45,7 @@ class VehicleTrack:
     placement: whether its pose can be relied on.
     source: what its odometry is measured by.
     slip: whether odometry agrees with the scans.
+    bridge: what it errs by between two of them.
     unmapped: its scans are matched, but do not enter the map.
     body: its size and speed.
     last_scans: stamp (s) and odometry pose of the newest scan of each laser in the map.
@@ -85,6 +87,7 @@ class VehicleTrack:
     unmatched: MeasurementQueue[LaserScan] = field(default_factory=MeasurementQueue)
     clouds: deque[tuple[float, PointCloud]] = field(default_factory=lambda: deque(maxlen=_CLOUDS))
     sets: ScanSets = field(default_factory=ScanSets)
+    bridge: BridgeNoise = field(default_factory=BridgeNoise)
     sweeps: SweepQueues = field(init=False)
     slip: SlipMonitor = field(init=False)
 

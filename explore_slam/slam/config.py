@@ -296,7 +296,7 @@ class FastSlamConfig(Section):
         'left (engine fastslam2)',
     )
     redraw_fraction: float = setting(
-        0.1,
+        0.3,
         'Redraw when the particles descend from less than this fraction of the latest samples',
         low=0.0,
         high=1.0,

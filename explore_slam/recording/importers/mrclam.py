@@ -51,7 +51,7 @@ DESCRIPTOR_SEED = 2011
 # in set 6 and 0.55 m, 0.66 rad, 4 s in set 9. Their mean (1 m) leaves the filter overconfident in
 # set 6 (0.78 of the positions inside the 95 % ellipse, 0.82 with these), the longest cost 25 % of
 # the accuracy in set 9.
-SETTINGS: dict[str, float | str] = {
+FILTER_SETTINGS: dict[str, float | str] = {
     'forward_variance_per_metre': 0.0025,
     'lateral_variance_per_metre': 0.0005,
     'position_variance_per_radian': 0.0002,
@@ -60,8 +60,9 @@ SETTINGS: dict[str, float | str] = {
     'correlation_distance': 1.5,
     'correlation_turn': 1.8,
     'correlation_time': 20.0,
-    'camera_readout_time': 0.0,  # the noise above holds for these robots in motion
 }
+# The noise above holds for these robots in motion.
+SETTINGS: dict[str, float | str] = FILTER_SETTINGS | {'camera_readout_time': 0.0}
 # Delays (s) that are compared, and the most time between two bearings of one landmark that are.
 DELAYS = np.arange(0.0, 0.501, 0.01)
 BEARING_GAP = 1.0

@@ -101,7 +101,10 @@ def _is_needed(storage: Storage, row: int, config: GraphConfig) -> bool:
     this_visit = np.bincount(landmarks[now], minlength=len(visit_of))
     earlier = np.unique(np.stack([landmarks, visits], axis=1)[~now], axis=0)
     earlier_visits = np.bincount(earlier[:, 0], minlength=len(visit_of))
-    known = earlier_visits >= config.graph_visits
+    # Keyframes of the present visit fill up missing ones only as long as it is not beyond the
+    # number of those kept: what is hardly ever seen would let the graph grow with every lap.
+    late = (visit_of > config.graph_visits) & (earlier_visits >= config.graph_visits - 1)
+    known = (earlier_visits >= config.graph_visits) | late
     if known[owners[own]].sum() >= config.graph_observations_per_keyframe:
         return False
     few = (this_visit < config.graph_visit_observations) & ~known

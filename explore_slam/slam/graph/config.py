@@ -83,7 +83,7 @@ class GraphConfig(Section):
         high=1000,
     )
     graph_visits: int = setting(
-        2, 'Visits of a landmark by each vehicle of which observations are kept', low=1, high=100
+        3, 'Visits of a landmark by each vehicle of which observations are kept', low=1, high=100
     )
     graph_visit_observations: int = setting(
         3, 'Observations of a landmark that are kept of each visit', low=1, high=100
