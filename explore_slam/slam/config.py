@@ -296,7 +296,7 @@ class FastSlamConfig(Section):
         'left (engine fastslam2)',
     )
     redraw_fraction: float = setting(
-        0.3,
+        0.2,
         'Redraw when the particles descend from less than this fraction of the latest samples',
         low=0.0,
         high=1.0,

@@ -3,7 +3,8 @@
 If drift may explain the new pose, the vehicle has closed a loop: the observations become part of
 the joint graph, which corrects the whole path. If another closure contradicts it that drift
 explains less well, as where two rooms look the same, that one is retracted. Otherwise the vehicle
-was moved or its wheels slipped: it is restarted at the new pose, unrelated to the path before.
+was moved, its wheels slipped, or it had been placed wrongly: it is restarted at the new pose,
+unrelated to the path before.
 """
 
 import math
@@ -47,6 +48,13 @@ _RIVALS = 2
 # Distance (m, rad) of the corrected pose from the relocalized one that is tolerated beside its
 # standard deviation: the joint graph weighs the pose against all other observations.
 _POSITION, _HEADING = 0.3, 0.1
+# Squared Mahalanobis distance beyond which a pose contradicts one that a vehicle was given and no
+# landmark has confirmed: 95 % of the chi-square distribution with 3 degrees of freedom. A loop
+# would make them a compromise, which is neither.
+_CONTRADICTED = 7.81
+# m: a vehicle is not restarted at a pose that is more uncertain, but searched for further; chosen by
+# hand, below the distance between two rooms.
+_RESTART_DEVIATION = 0.5
 _GATE = 3.0  # sigma, within which an observation is associated with a landmark
 # m: errors that the covariances of observation and landmark do not model
 _MINIMUM_DEVIATION = 0.05
@@ -135,10 +143,11 @@ class Relocalization:
         pose = relocalizer.search(positions, team.best_pose(number), team.random)
         if pose is None:
             return RelocalizationResult(True, False, False)
-        outcome = self._close_loop(number, pose, positions, found, recorded)
+        outcome = None
+        if not self._contradicts_placement(number, pose):
+            outcome = self._close_loop(number, pose, positions, found, recorded)
         if outcome is None:
-            self._restart(number, pose)
-            return RelocalizationResult(True, True, False)
+            return RelocalizationResult(True, self._restart(number, pose), False)
         return outcome._replace(lost=True)
 
     def _note_closure(self, number: int, recorded: Places) -> None:
@@ -175,7 +184,19 @@ class Relocalization:
         pose = loops.search(positions, estimate, team.random)
         if pose is None:
             return None
+        if self._contradicts_placement(number, pose):
+            return RelocalizationResult(False, self._restart(number, pose), False)
         return self._close_loop(number, pose, positions, found, recorded)
+
+    def _contradicts_placement(self, number: int, pose: RelocalizedPose) -> bool:
+        """Return whether a vehicle was given another pose, which no landmark has confirmed."""
+        team, joint = self._team, self._team.joint
+        if joint is None or self._relocalizers[number].is_trusted:
+            return False
+        if not joint.graph.was_restarted(number):
+            return False
+        keyframe = joint.keyframe(number, team.estimate(number)[0])
+        return self._squared_distance(keyframe, pose) > _CONTRADICTED
 
     def _close_loop(
         self,
@@ -295,12 +316,15 @@ class Relocalization:
         off = _pose_difference(graph.estimate(keyframe), pose.pose)
         return float(off @ np.linalg.solve(P, off))
 
-    def _restart(self, number: int, found: RelocalizedPose) -> None:
+    def _restart(self, number: int, found: RelocalizedPose) -> bool:
         """Place a vehicle at the relocalized pose, in each particle relative to its own map.
 
         The particles differ in the positions of the landmarks. The pose is relative to these, so
-        that it inherits their uncertainty.
+        that it inherits their uncertainty. Returns False, and changes nothing, if the pose is too
+        uncertain.
         """
+        if found.position_deviation > _RESTART_DEVIATION:
+            return False
         team = self._team
         P = np.diag(found.deviations() ** 2)
         moves = self._moves_of(team.map.entries_with(found.ids), found.pose)
@@ -311,6 +335,7 @@ class Relocalization:
             mean, spread = mean_and_covariance(poses, team.groups.of(number).weights())
             team.joint.restart(number, mean, spread + rotated(P, -mean.theta))
         team.has_motion[number] = True
+        return True
 
     def _moves_of(self, entries: Places, pose: Pose2) -> Array:
         """Return the motion (M, 3) of the landmarks of each particle relative to their mean.
