@@ -201,7 +201,9 @@ def main() -> None:
         team = mrclam.corrected(mrclam.read(arguments.mrclam))
         moments = list(team_moments(team))
         first = next(n for n, m in enumerate(moments) if m.stamp > team.begin + WAITING)
-        config = with_values(FastSlamConfig(), {**FILTER_SETTINGS, 'maximum_descriptor_distance': 0.0})
+        config = with_values(
+            FastSlamConfig(), {**FILTER_SETTINGS, 'maximum_descriptor_distance': 0.0}
+        )
         slam = FastSlam(mrclam.start_poses(team), config, arguments.seed)
         study('MR.CLAM', slam, moments, first, arguments.restarts, arguments.seed)
 

@@ -52,8 +52,8 @@ _POSITION, _HEADING = 0.3, 0.1
 # landmark has confirmed: 95 % of the chi-square distribution with 3 degrees of freedom. A loop
 # would make them a compromise, which is neither.
 _CONTRADICTED = 7.81
-# m: a vehicle is not restarted at a pose that is more uncertain, but searched for further; chosen by
-# hand, below the distance between two rooms.
+# m: a vehicle is not restarted at a pose that is more uncertain, but searched for further; chosen
+# by hand, below the distance between two rooms.
 _RESTART_DEVIATION = 0.5
 _GATE = 3.0  # sigma, within which an observation is associated with a landmark
 # m: errors that the covariances of observation and landmark do not model

@@ -14,6 +14,7 @@ from explore_slam.recording import BagReader, Replay, TopicKind
 from explore_slam.recording.importers import intel, mrclam, tum
 from explore_slam.recording.tum_sequence import ASSOCIATIONS, TRUTH
 from explore_slam.settings import values_of, with_values
+from explore_slam.slam import FastSlamConfig
 
 
 def events(path: Path) -> list:
@@ -379,6 +380,11 @@ def test_settings_of_the_recordings_belong_to_the_sensors(module):
     tree = with_values(AgentConfig(), module.SETTINGS)
     values = values_of(tree)
     assert all(values[name] == value for name, value in module.SETTINGS.items())
+
+
+def test_benchmarks_without_camera_take_the_noise_of_the_robots():
+    tree = with_values(FastSlamConfig(), mrclam.FILTER_SETTINGS)
+    assert set(mrclam.SETTINGS) - set(values_of(tree)) == {'camera_readout_time'}
 
 
 @pytest.mark.parametrize('importer', [mrclam.import_mrclam, intel.import_intel, tum.import_tum])

@@ -166,6 +166,43 @@ def test_a_vehicle_that_was_carried_away_is_restarted_and_its_path_left_alone():
     np.testing.assert_allclose(path_errors(slam, 'a', path)[: len(out)], before, atol=0.1)
 
 
+class Beacons(Camera):
+    """Shows one landmark at a time, up to 3 m ahead, with noise of 5 cm."""
+
+    def see(self, pose, stamp):
+        local = to_world(pose.inverse(), self.points)
+        seen = (np.hypot(local[:, 0], local[:, 1]) < 3.0) & (local[:, 0] > 0.2)
+        seen = np.flatnonzero(seen & (np.abs(local[:, 1]) < 1.2 * local[:, 0]))[:1]
+        z = local[seen] + 0.05 * self.random.standard_normal((len(seen), 3))
+        R = np.tile(25e-4 * np.eye(3), (len(seen), 1, 1))
+        return LandmarkObservations(stamp, z, R, self.descriptors[seen])
+
+
+@pytest.mark.parametrize('seed', [0, 2])
+def test_a_vehicle_placed_wrongly_is_moved_and_closes_no_loop(seed):
+    """Nothing has confirmed where it was placed, so that landmarks overrule that.
+
+    Drift is no explanation: its path would be a compromise between the two places.
+    """
+    random = np.random.default_rng(seed)
+    points = np.c_[random.uniform(-1.0, 6.0, (2, 15)).T, random.uniform(0.0, 1.0, 15)]
+    camera = Beacons(points, unit_rows(random, 15), random)
+    slam = FastSlam({'a': IDENTITY}, with_values(FastSlamConfig(), FEATURES), seed)
+    square = [(0.0, 0.0), (5.0, 0.0), (5.0, 5.0), (0.0, 5.0), (0.0, 0.0)]
+    out = along([*square, *square], 0.2, 0.15)
+    drive(slam, 'a', out, camera)
+    wrong = out[-1].compose(Pose2(2.0, -1.0, 0.2))
+    slam.set_pose('a', wrong, np.diag([0.1, 0.1, 0.1]) ** 2)
+    path = out + along(square, 0.2, 0.15)[1:]
+    summaries = drive(slam, 'a', path, camera, first=len(out))
+    moved = happened(summaries, 'relocated')
+    assert moved
+    assert not happened(summaries, 'closed')
+    errors = path_errors(slam, 'a', path)
+    assert errors[len(out)] > 1.9  # where it was placed, its path stays
+    assert errors[len(out) + moved[0] :].max() < 1.5 * errors[: len(out)].max()
+
+
 APART = 5.0  # m, between a wall of posters and its copy
 OUT = [(0.0, 0.0), (14.0, 0.0), (14.0, 12.0), (-8.0, 12.0)]  # past the posters, along own walls
 PAST_POSTERS = [(-8.0, 0.0), (7.0, 0.0), (-8.0, 0.0)]
