@@ -85,7 +85,7 @@ def _is_needed(storage: Storage, row: int, config: GraphConfig) -> bool:
 
     Too little of a landmark is kept if few observations of the present visit are, and few visits
     before it have any that are. Only the landmarks count that this keyframe makes variables. It is
-    not needed either if it observes as many that are known from earlier visits: these fix its
+    not needed either if it observes as many of which at most one visit is missing: these fix its
     pose, and what a rich texture shows anew at every visit would let the graph grow without bound.
     """
     table, vehicle = storage.observations, storage.keyframes['vehicle']
@@ -103,10 +103,10 @@ def _is_needed(storage: Storage, row: int, config: GraphConfig) -> bool:
     earlier_visits = np.bincount(earlier[:, 0], minlength=len(visit_of))
     # Keyframes of the present visit fill up missing ones only as long as it is not beyond the
     # number of those kept: what is hardly ever seen would let the graph grow with every lap.
-    late = (visit_of > config.graph_visits) & (earlier_visits >= config.graph_visits - 1)
-    known = (earlier_visits >= config.graph_visits) | late
-    if known[owners[own]].sum() >= config.graph_observations_per_keyframe:
+    mostly = earlier_visits >= max(config.graph_visits - 1, 1)
+    if mostly[owners[own]].sum() >= config.graph_observations_per_keyframe:
         return False
+    known = (earlier_visits >= config.graph_visits) | (mostly & (visit_of > config.graph_visits))
     few = (this_visit < config.graph_visit_observations) & ~known
     most = own[np.argsort(-counts[owners[own]], kind='stable')]
     most = most[: config.graph_observations_per_keyframe]
