@@ -15,6 +15,9 @@ from explore_slam.geometry import Array, Pose2
 # as much as 2 to 4 s of driving, and the floor may change within half a minute.
 _PRIOR_MATCHES = 20.0  # that what is known beforehand counts as
 _MEMORY = 200.0  # matches
+# m, rad: odometry that is more uncertain knows next to nothing, as at the start of one by scans
+# alone; being right by chance then would count for more than all that follows.
+_VAGUE = np.array([0.1, 0.1])
 # Deviations from the odometry beyond which a single match, as after a slip, widens its own bridge.
 _SIGMAS = 3.0
 
@@ -28,7 +31,7 @@ class BridgeNoise:
 
     def __init__(self) -> None:
         self._squares, self._expected = np.zeros(2), np.zeros(2)  # sums, of position and heading
-        self._matches = 0.0
+        self._matches = np.zeros(2)
 
     @property
     def scale(self) -> Array:
@@ -45,10 +48,11 @@ class BridgeNoise:
         """
         squares = np.array([off.x**2 + off.y**2, off.theta**2])
         expected = np.array([covariance[0, 0] + covariance[1, 1], covariance[2, 2]])
-        kept = 1.0 - 1.0 / _MEMORY
-        self._squares = kept * self._squares + squares
-        self._expected = kept * self._expected + expected
-        self._matches = kept * self._matches + 1.0
+        counts = np.where(expected < _VAGUE**2, 1.0, 0.0)
+        kept = 1.0 - counts / _MEMORY
+        self._squares = kept * self._squares + counts * squares
+        self._expected = kept * self._expected + counts * expected
+        self._matches = kept * self._matches + counts
         outlying = squares / np.maximum(_SIGMAS**2 * expected, np.finfo(np.float64).tiny)
         position, heading = np.sqrt(np.maximum(self.scale, outlying))
         factors = np.array([position, position, heading])

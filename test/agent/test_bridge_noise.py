@@ -72,3 +72,11 @@ def test_odometry_that_claims_to_be_exact_is_left_so():
     exact = noise.scaled(Pose2(0.0, 0.0, 0.0), np.zeros((3, 3)))
     np.testing.assert_array_equal(exact, np.zeros((3, 3)))
     assert np.isfinite(noise.scaled(Pose2(1e-3, 0.0, 1e-3), P)).all()
+
+
+def test_odometry_that_knew_nothing_shows_nothing():
+    noise, other, random = BridgeNoise(), BridgeNoise(), np.random.default_rng(4)
+    for _ in range(10):
+        noise.scaled(Pose2(0.01, 0.0, 0.0), np.diag([1.0, 1.0, 1.0]))
+    for off in matches(random, 1.0, 50):
+        np.testing.assert_array_equal(noise.scaled(off, P), other.scaled(off, P))
