@@ -6,6 +6,7 @@ what the camera saw until it looks through there again.
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from explore_slam.data import OBSTACLE_CELL, ObstacleView
 from explore_slam.geometry import Array, Pose2, to_world
@@ -52,11 +53,15 @@ class CameraView:
         near: Array = points[np.hypot(points[:, 0], points[:, 1]) < _NEAR]
         if not len(near) or not len(returns):
             return near
-        near = np.unique(np.floor(near / OBSTACLE_CELL), axis=0) * OBSTACLE_CELL
-        near += 0.5 * OBSTACLE_CELL
+        cells = np.floor(near / OBSTACLE_CELL).astype(np.int64)
+        _, first = np.unique(cells[:, 0] * _SPAN + cells[:, 1], return_index=True)
+        distinct: Array = OBSTACLE_CELL * cells[first].astype(np.float64) + 0.5 * OBSTACLE_CELL
         close = returns[np.hypot(returns[:, 0], returns[:, 1]) < _NEAR + _SAME]
-        apart = ((near[:, None] - close[None]) ** 2).sum(axis=2).min(axis=1, initial=np.inf)
-        return near[apart > _SAME**2]
+        if not len(close):
+            return distinct
+        apart, _ = cKDTree(close).query(distinct, distance_upper_bound=2.0 * _SAME)
+        beyond: Array = distinct[apart > _SAME]
+        return beyond
 
 
 def _in_cells(pose: Pose2, points: Array, cells: NDArray[np.int16]) -> NDArray[np.bool_]:

@@ -229,6 +229,10 @@ class Solution:
         node = self.node_of(keyframe)
         return rotated(self.factorization.columns(node)[node], -self.nodes[node, 2])
 
+    def compute_marginals(self) -> None:
+        """Compute what `relative_covariance` would otherwise compute when it is first called."""
+        _ = self.factorization.marginals
+
     def relative_covariance(self, reference: int, others: Integers) -> Array:
         """Return covariances (n, 3, 3) of the poses of others in the frame of a reference.
 

@@ -414,11 +414,16 @@ class JointPosterior:
             )
         return Snapshot(list(vehicles), parts)
 
-    def draw(self, snapshot: Snapshot, random: np.random.Generator) -> list[PosteriorSamples]:
+    def draw(
+        self, snapshot: Snapshot, random: np.random.Generator, *, with_marginals: bool = False
+    ) -> list[PosteriorSamples]:
         """Sample the paths in a snapshot; what is recorded does not change.
 
         Only what the particles need is sampled: the poses at which landmarks were observed, and
         the newest ones. New closures get their robust kernel after a first optimization.
+
+        with_marginals: compute now what search windows ask for first, which takes about as long
+        as the samples.
 
         Raises SlamError if the graph has no definite optimum.
         """
@@ -428,6 +433,8 @@ class JointPosterior:
             draws = solution.draw(self.config.particles, random, tied.keyframes, tied.newest)
             if not (np.isfinite(draws.poses).all() and np.isfinite(draws.chains).all()):
                 raise SlamError(f'samples of vehicles {tied.problem.vehicles} are not finite')
+            if with_marginals:
+                solution.compute_marginals()
             drawn.append(PosteriorSamples(solution, draws))
         return drawn
 

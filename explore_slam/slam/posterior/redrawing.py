@@ -8,7 +8,7 @@ they would lack the updates made in between and be overconfident.
 import logging
 from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
-from functools import cache
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -98,9 +98,8 @@ class PathRedrawer:
         snapshot = joint.snapshot(self._tied(vehicles))
         if snapshot.factors > self._team.config.async_redraw_threshold:
             random = np.random.default_rng(self._team.random.integers(0, 2**63, 2))
-            self._pending = _PendingRedraw(
-                snapshot, _executor().submit(joint.draw, snapshot, random)
-            )
+            draw = partial(joint.draw, snapshot, random, with_marginals=True)
+            self._pending = _PendingRedraw(snapshot, _executor().submit(draw))
             return True
         new = self._sampled(snapshot)
         if new is None:
