@@ -342,12 +342,15 @@ class LandmarkObservations:
 
     positions (K, 3) m, covariances (K, 3, 3) m², descriptors (K, D): SIFT (K, 128) float32 of unit
     length; other kinds as in slam.descriptors.kinds.
+    delays (K,) s: from the stamp to when each was measured, as in the rows of a rolling shutter;
+    its position is then that in the vehicle frame at that time. None: not known.
     """
 
     stamp: float
     positions: Array
     covariances: Array
     descriptors: NDArray[Any]
+    delays: Array | None = None
 
     def __post_init__(self) -> None:
         _check_stamp(self, self.stamp)
@@ -361,6 +364,9 @@ class LandmarkObservations:
             )
         for name in ('positions', 'covariances', 'descriptors'):
             _check_finite(self, name, getattr(self, name))
+        if self.delays is not None:
+            _check_shape(self, 'delays', self.delays, (count,))
+            _check_finite(self, 'delays', self.delays)
 
     def __len__(self) -> int:
         return len(self.positions)

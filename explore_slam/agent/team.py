@@ -31,7 +31,7 @@ from explore_slam.slam import TeamBelief, UpdateSummary
 from explore_slam.tags import table_of
 from explore_slam.vision import FeatureExtractor, KeyframeSelector
 from explore_slam.vision.obstacles import ObstacleDetector
-from explore_slam.vision.rolling_shutter import with_readout_noise
+from explore_slam.vision.rolling_shutter import at_the_stamp
 
 # Steps that the motion since the newest keyframe is compounded of: joining those of long drives
 # without keyframes keeps the poses between them cheap.
@@ -226,7 +226,7 @@ class Team:
         if len(observations):
             velocity = track.odometry.velocity(observations.stamp)
             readout = self.config.vision.depth.camera_readout_time
-            observations = with_readout_noise(observations, velocity, readout)
+            observations = at_the_stamp(observations, velocity, readout)
             summary = self.belief.update(track.name, observations)
             if summary.joined:
                 logger.info('%s joined the map by the landmarks that it observes', track.name)

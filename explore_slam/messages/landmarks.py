@@ -15,6 +15,7 @@ from explore_slam.messages.topics import TopicKind
 # the factor by which OpenCV scales SIFT descriptors of unit length to bytes
 DESCRIPTOR_SCALE = 512.0
 FIELD, BINARY_FIELD = 'descriptor', 'binary_descriptor'
+DELAY_FIELD = 'delay'  # s, optional
 TRIANGLE = np.triu_indices(3)  # the six elements of a covariance that are sent
 
 
@@ -23,7 +24,7 @@ def landmarks_message(
 ) -> Any:
     """Return observations as a sensor_msgs/PointCloud2.
 
-    Descriptors of numbers (unit vectors) are the field `descriptor`, those of bits (uint8) the
+    Where delays are known, they are the field `delay`. Descriptors of numbers (unit vectors) are the field `descriptor`, those of bits (uint8) the
     field `binary_descriptor`.
 
     compact: store descriptors of numbers as bytes instead of float32 values.
@@ -37,15 +38,17 @@ def landmarks_message(
     axes = [(name, observations.positions[:, axis]) for axis, name in enumerate('xyz')]
     covariance = ('covariance', observations.covariances[:, rows, columns])
     described = (BINARY_FIELD if binary else FIELD, descriptors)
-    return cloud_message(factory, observations.stamp, frame, [*axes, covariance, described])
+    delays = [] if observations.delays is None else [(DELAY_FIELD, observations.delays)]
+    fields = [*axes, covariance, described, *delays]
+    return cloud_message(factory, observations.stamp, frame, fields)
 
 
 def landmarks_record(message: Any) -> LandmarkObservations:
     """Return the observations in a sensor_msgs/PointCloud2 with the fields of landmarks_message.
 
     Fields: x, y, z (m), covariance (6, upper triangle, m²), and descriptor or binary_descriptor
-    of any length; the filter checks that it fits its kind of descriptors. DataError where a field
-    is missing or has another length.
+    of any length; the filter checks that it fits its kind of descriptors. Optional: delay (s).
+    DataError where a field is missing or has another length.
     """
     columns = cloud_columns(message)
     for name, length in {'x': 1, 'y': 1, 'z': 1, 'covariance': 6}.items():
@@ -59,8 +62,23 @@ def landmarks_record(message: Any) -> LandmarkObservations:
     covariances[:, cols, rows] = columns['covariance']
     positions = np.concatenate([columns[axis] for axis in 'xyz'], axis=1).astype(np.float64)
     return LandmarkObservations(
-        seconds(message.header.stamp), positions, covariances, _descriptors(columns)
+        seconds(message.header.stamp),
+        positions,
+        covariances,
+        _descriptors(columns),
+        _delays(columns),
     )
+
+
+def _delays(columns: dict[str, NDArray[Any]]) -> NDArray[np.float64] | None:
+    if DELAY_FIELD not in columns:
+        return None
+    delays = columns[DELAY_FIELD]
+    if delays.shape[1] != 1:
+        raise DataError(
+            f'landmarks: field {DELAY_FIELD!r} has {delays.shape[1]} values, expected 1'
+        )
+    return delays[:, 0].astype(np.float64)
 
 
 def _descriptors(columns: dict[str, NDArray[Any]]) -> NDArray[Any]:

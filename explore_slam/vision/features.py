@@ -17,6 +17,7 @@ from explore_slam.vision.camera_mount import CameraMount
 from explore_slam.vision.config import VisionConfig
 from explore_slam.vision.depth import DepthLayers, analyse_depth, back_project, point_covariances
 from explore_slam.vision.detectors import DETECTORS, Features
+from explore_slam.vision.rolling_shutter import row_delays
 from explore_slam.vision.sections import FeatureConfig
 from explore_slam.vision.tags import TagDetector
 
@@ -80,8 +81,14 @@ class FeatureExtractor:
             mount.to_vehicle(points),
             mount.rotate_covariances(covariances),
             features.descriptors,
+            self._delays(features.pixels, len(depth.depth)),
         )
         return observations, features
+
+    def _delays(self, pixels: Array, height: int) -> Array | None:
+        """Return when pixels (K, 2) were exposed (s from the stamp); None: all at once."""
+        readout = self.config.depth.camera_readout_time
+        return None if readout == 0.0 else row_delays(pixels[:, 1], height, readout)
 
     def _detect_in_depth(self, grey: NDArray[np.uint8], depth: DepthLayers) -> Features:
         """Return the features of an image (H, W) with valid depth, within the budget."""
