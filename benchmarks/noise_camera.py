@@ -6,7 +6,8 @@ Observations of one landmark from different frames are brought together by groun
 descriptor; how they scatter shows three errors:
 - of each feature by itself: along the ray (`depth_noise`) and across it (`pixel_noise`), as
   factors of what the settings claim, by the turn rate of the camera: 1 in slow frames if they are
-  right; what grows with the rate is the rolling shutter's (`camera_readout_time`),
+  right; what grows with the rate is the rolling shutter's (`camera_readout_time`), which is undone
+  with the true motion; --as-exposed leaves it,
 - of a frame as a whole (`frame_position_deviation`, `frame_heading_deviation`): the planar motion
   that brings it closest to the landmarks, less what the errors of the features explain of it,
 - how the errors of one feature in two frames correlate, by the motion between them
@@ -22,6 +23,7 @@ of two vehicles in the simulated office.
 import argparse
 import itertools
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -102,7 +104,7 @@ class RecordedLoop(ClosedLoop):
         super()._add(name, record)
 
 
-def office(seconds: float, seed: int) -> list[Frame]:
+def office(seconds: float, seed: int, undo: bool) -> list[Frame]:
     """Drive in the simulated office; return the frames of all vehicles."""
     config = with_values(ClosedLoopConfig(), {'time_limit': seconds})
     loop = RecordedLoop(OFFICE, config, 2, seed, vision='vehicle')
@@ -114,12 +116,22 @@ def office(seconds: float, seed: int) -> list[Frame]:
     return [
         frame
         for number, (name, true) in enumerate(loop.true.items())
-        for frame in frames_of(number, np.array(true), [s for n, s in loop.seen if n == name])
+        for frame in frames_of(
+            number, np.array(true), [s for n, s in loop.seen if n == name], undo
+        )
     ]
 
 
+def undone(seen: LandmarkObservations, velocity: Array, turn: Array) -> LandmarkObservations:
+    """Return what was seen as if at the stamp; velocity (3,) m/s, turn (3,) rad/s: both true."""
+    if seen.delays is None:
+        return seen
+    motion = velocity + np.cross(turn, seen.positions)
+    return replace(seen, positions=seen.positions + seen.delays[:, None] * motion, delays=None)
+
+
 def frames_of(
-    number: int, true: Array, observations: Iterable[LandmarkObservations]
+    number: int, true: Array, observations: Iterable[LandmarkObservations], undo: bool
 ) -> Iterator[Frame]:
     """Yield the frames of a vehicle with its true poses (T, 4): stamp (s), x, y (m), θ (rad)."""
     true[:, 3] = np.unwrap(true[:, 3])
@@ -131,24 +143,33 @@ def frames_of(
             float(np.interp(seen.stamp, true[:, 0], column))
             for column in (*true[:, 1:].T, driven, turned)
         )
-        ends = np.interp([seen.stamp - RATE_TIME, seen.stamp + RATE_TIME], true[:, 0], true[:, 3])
-        rate = abs(float(np.diff(ends)[0])) / (2.0 * RATE_TIME)
-        yield Frame(number, np.array([x, y, theta]), rate, distance, angle, seen)
+        around = [seen.stamp - RATE_TIME, seen.stamp + RATE_TIME]
+        ends = [np.interp(around, true[:, 0], column) for column in true[:, 1:].T]
+        vx, vy, rate = (float(np.diff(end)[0]) / (2.0 * RATE_TIME) for end in ends)
+        velocity = planar_rotation(-theta) @ [vx, vy, 0.0]
+        still = undone(seen, velocity, np.array([0.0, 0.0, rate])) if undo else seen
+        yield Frame(number, np.array([x, y, theta]), abs(rate), distance, angle, still)
 
 
-def tum(folder: Path) -> list[Frame]:
+def tum(folder: Path, undo: bool) -> list[Frame]:
     """Read a TUM RGB-D folder."""
     frames, driven, turned, last = list[Frame](), 0.0, 0.0, None
     truth = CameraTruth(folder / TRUTH)
     for frame in read_tum(folder, VisionConfig()):
         stamp = frame.stamp + DEFAULTS.truth_offset
-        before, after = (truth.at(stamp + s * RATE_TIME)[0] for s in (-1.0, 1.0))
-        rate = Rotation.from_matrix(before.T @ after).magnitude() / (2.0 * RATE_TIME)
+        (before, start), (after, end) = (truth.at(stamp + s * RATE_TIME) for s in (-1.0, 1.0))
+        level = planar_rotation(-frame.pose.theta)
+        turn = Rotation.from_matrix(after @ before.T).as_rotvec() / (2.0 * RATE_TIME)
+        velocity = level @ (end - start) / (2.0 * RATE_TIME)
+        height = np.array([0.0, 0.0, truth.at(stamp)[1][2]])  # of the camera, about which it turns
+        velocity -= np.cross(level @ turn, height)
+        seen = undone(frame.observations, velocity, level @ turn) if undo else frame.observations
+        rate = np.linalg.norm(turn)
         moved = Pose2(0.0, 0.0, 0.0) if last is None else last.between(frame.pose)
         driven += float(np.hypot(moved.x, moved.y))
         turned += abs(moved.theta)
         pose = np.asarray(frame.pose)
-        frames.append(Frame(0, pose, float(rate), driven, turned, frame.observations))
+        frames.append(Frame(0, pose, float(rate), driven, turned, seen))
         last = frame.pose
     return frames
 
@@ -382,14 +403,18 @@ def main() -> None:
     parser.add_argument('--tum', type=Path, help='folder of the TUM RGB-D benchmark')
     parser.add_argument('--office', type=float, help='seconds in the simulated office')
     parser.add_argument('--seed', type=int, default=0, help='of the simulation (default 0)')
+    parser.add_argument(
+        '--as-exposed', action='store_true', help='leave rolling shutters as they are'
+    )
     options = parser.parse_args()
+    undo = not options.as_exposed
     if options.tum is not None:
         print(options.tum.name)
-        evaluate(tum(options.tum))
+        evaluate(tum(options.tum, undo))
         pixels(tum_depths(options.tum))
     if options.office is not None:
         print(f'office, {options.office:.0f} s, seed {options.seed}')
-        evaluate(office(options.office, options.seed))
+        evaluate(office(options.office, options.seed, undo))
 
 
 if __name__ == '__main__':

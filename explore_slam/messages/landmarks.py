@@ -24,8 +24,8 @@ def landmarks_message(
 ) -> Any:
     """Return observations as a sensor_msgs/PointCloud2.
 
-    Where delays are known, they are the field `delay`. Descriptors of numbers (unit vectors) are the field `descriptor`, those of bits (uint8) the
-    field `binary_descriptor`.
+    Where delays are known, they are the field `delay` (s). Descriptors of numbers (unit vectors)
+    are the field `descriptor`, those of bits (uint8) the field `binary_descriptor`.
 
     compact: store descriptors of numbers as bytes instead of float32 values.
     """

@@ -43,7 +43,7 @@ def at_the_stamp(
     """
     known = observations.delays is not None
     if not len(observations) or not (known or readout_time) or not np.any(velocity):
-        return replace(observations, delays=None)
+        return replace(observations, delays=None) if known else observations
     motion = np.zeros_like(observations.positions)
     motion[:, 0] = velocity[0] - velocity[2] * observations.positions[:, 1]
     motion[:, 1] = velocity[1] + velocity[2] * observations.positions[:, 0]

@@ -80,7 +80,7 @@ class DepthConfig(Section):
     camera_readout_time: float = setting(
         0.026,  # Ringaby and Forssén, ICCV 2011: the colour camera of a Kinect v1
         'Time from the exposure of the first row of an image to that of the last, of a rolling '
-        'shutter (default: Kinect v1); by what the vehicle moves in it, features are uncertain. '
+        'shutter (default: Kinect v1); features are moved to where they were at the stamp. '
         '0: all rows at once',
         unit='s',
         low=0.0,

@@ -1,6 +1,7 @@
 """Records to messages and back with the real rclpy classes, through real serialisation."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -118,6 +119,26 @@ def test_landmarks_survive_the_wire(compact):
     np.testing.assert_allclose(back.positions, observations.positions, rtol=1e-6)
     np.testing.assert_allclose(back.covariances, observations.covariances, rtol=1e-6)
     np.testing.assert_allclose(back.descriptors, descriptors, atol=2e-3 if compact else 1e-6)
+
+
+def test_when_landmarks_were_exposed_survives_the_wire():
+    delays = np.array([-0.013, 0.0, 0.0117])
+    observations = LandmarkObservations(
+        3.5,
+        np.ones((3, 3)),
+        np.repeat(np.eye(3)[None], 3, axis=0),
+        np.eye(3, 128, dtype=np.float32),
+        delays,
+    )
+    message = messages.landmarks_message(MESSAGES, observations, 'r/base_link', compact=True)
+    back = messages.landmarks_record(over_the_wire(message))
+    np.testing.assert_allclose(back.delays, delays, atol=1e-8)
+    without = messages.landmarks_message(MESSAGES, replace(observations, delays=None), 'r')
+    assert messages.landmarks_record(over_the_wire(without)).delays is None
+    broken = replace(observations, delays=np.zeros(3))
+    object.__setattr__(broken, 'delays', np.full(3, np.nan))
+    with pytest.raises(DataError, match='delays'):
+        messages.landmarks_record(messages.landmarks_message(MESSAGES, broken, 'r'))
 
 
 def test_no_landmarks_and_wrong_landmarks():

@@ -19,7 +19,7 @@ from explore_slam.vision import (
 )
 from explore_slam.vision.detectors.sift import Sift
 from explore_slam.vision.obstacles import ObstacleDetector
-from explore_slam.vision.rolling_shutter import with_readout_noise
+from explore_slam.vision.rolling_shutter import at_the_stamp
 from explore_slam.vision.tag_images import TagInView, draw_view
 
 CAMERA = Intrinsics(320, 240, 260.0, 262.0, 158.0, 121.0)
@@ -48,7 +48,7 @@ def in_motion(config):
     found = FeatureExtractor(config).extract(frame())
     velocity = np.array([0.2, 0.0, 0.5])
     readout = config.depth.camera_readout_time
-    return with_readout_noise(found, velocity, readout).covariances.tobytes()
+    return at_the_stamp(found, velocity, readout).covariances.tobytes()
 
 
 def keyframes(config):

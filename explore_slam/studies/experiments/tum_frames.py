@@ -121,6 +121,7 @@ def _frame(sequence: _Sequence, association: Association, extractor: FeatureExtr
         seen.positions @ level.T + np.array([0.0, 0.0, position[2]]),
         level @ seen.covariances @ level.T,
         seen.descriptors,
+        seen.delays,
     )
     pose = Pose2(float(position[0]), float(position[1]), heading)
     points = seen.positions @ rotation.T + position
