@@ -17,7 +17,7 @@ _PRIOR_MATCHES = 20.0  # that what is known beforehand counts as
 _MEMORY = 200.0  # matches
 # m, rad: odometry that is more uncertain knows next to nothing, as at the start of one by scans
 # alone; being right by chance then would count for more than all that follows.
-_VAGUE = np.array([0.1, 0.1])
+_VAGUE = 0.1
 # Deviations from the odometry beyond which a single match, as after a slip, widens its own bridge.
 _SIGMAS = 3.0
 

@@ -604,12 +604,6 @@ class JointGraph:
         factors = Factors.of_rows(table, closures)
         return table['number'][closures], squared_norms(factors, self._storage.keyframes['pose'])
 
-    def was_restarted(self, vehicle: int) -> bool:
-        """Return whether a vehicle's path has ever been continued at an unrelated pose."""
-        keyframes = self._storage.keyframes
-        begins = (keyframes['vehicle'] == vehicle) & (keyframes['previous'] < 0)
-        return int(begins.sum()) > 1
-
     def vehicles_of(self, keyframes: ArrayLike) -> Integers:
         """Return the vehicles (n,) of keyframes (n,)."""
         numbers = checks.integers('keyframes', keyframes)

@@ -107,9 +107,12 @@ class Relocalization:
         """Return how far (m) from its estimated pose a vehicle may be."""
         return self._relocalizers[number].reach
 
-    def reset(self, number: int) -> None:
-        """Discard the recent matches of a vehicle, because it was given another pose."""
-        self._relocalizers[number].reset()
+    def reset(self, number: int, *, placed: bool = True) -> None:
+        """Discard the recent matches of a vehicle, because it was given another pose.
+
+        placed: one that is unrelated to its path so far.
+        """
+        self._relocalizers[number].reset(placed=placed)
         self._loops[number].reset()
 
     def update(
@@ -191,9 +194,7 @@ class Relocalization:
     def _contradicts_placement(self, number: int, pose: RelocalizedPose) -> bool:
         """Return whether a vehicle was given another pose, which no landmark has confirmed."""
         team, joint = self._team, self._team.joint
-        if joint is None or self._relocalizers[number].is_trusted:
-            return False
-        if not joint.graph.was_restarted(number):
+        if joint is None or not self._relocalizers[number].is_placed:
             return False
         keyframe = joint.keyframe(number, team.estimate(number)[0])
         return self._squared_distance(keyframe, pose) > _CONTRADICTED
@@ -263,7 +264,7 @@ class Relocalization:
             LandmarkClosure(number, loop.keyframe, loops.first_recent, merged),
             loops.distance_driven,
         )
-        self.reset(number)
+        self.reset(number, placed=False)
         return True
 
     def _enter_instead(self, loop: _Loop) -> bool:

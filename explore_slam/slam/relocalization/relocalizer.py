@@ -207,6 +207,7 @@ class Relocalizer:
         self.turn = 0.0
         self.distance_since_confirmed = 0.0
         self.is_trusted = True
+        self.is_placed = False  # given a pose that no landmark has confirmed since
         self._disagreeing = 0
         self.updates: deque[Matches] = deque(maxlen=config.relocalization_window)
 
@@ -225,11 +226,15 @@ class Relocalizer:
             return math.inf
         return _BASE_REACH + _REACH_PER_METRE * self.distance_since_confirmed
 
-    def reset(self) -> None:
-        """Discard all matches: the vehicle was given a new pose, which is not confirmed yet."""
+    def reset(self, *, placed: bool = True) -> None:
+        """Discard all matches: the vehicle was given a new pose, which is not confirmed yet.
+
+        placed: the pose is unrelated to its path so far, unlike that of a closed loop.
+        """
         self.updates.clear()
         self.distance_since_confirmed = 0.0
         self.is_trusted = False
+        self.is_placed = placed
         self._disagreeing = 0
 
     def add(
@@ -260,6 +265,7 @@ class Relocalizer:
         elif self._is_confirmed():
             self.distance_since_confirmed = 0.0
             self.is_trusted = True
+            self.is_placed = False
 
     def _is_confirmed(self) -> bool:
         """Return whether the newest update and most of the window agree with the pose."""
@@ -389,6 +395,7 @@ class Relocalizer:
             'odometry': np.array(self.odometry),
             'driven': np.array([self.distance_since_confirmed, self.distance, self.turn]),
             'trust': np.array([self.is_trusted, self._disagreeing], np.int64),
+            'placed': np.array(self.is_placed),
             'updates': np.array(len(self.updates)),
         }
         for number, update in enumerate(self.updates):
@@ -401,6 +408,7 @@ class Relocalizer:
         self.distance_since_confirmed, self.distance, self.turn = state['driven'].tolist()
         trusted, self._disagreeing = state['trust'].tolist()
         self.is_trusted = bool(trusted)
+        self.is_placed = bool(state.get('placed', False))
         self.updates.clear()
         for number in range(int(state['updates'])):
             self.updates.append(Matches.from_state(part(str(number), state)))

@@ -179,3 +179,27 @@ def test_state_round_trip():
     found, expected = search(again, positions), search(relocalizer, positions)
     assert found.pose == expected.pose
     assert found.ids.tolist() == expected.ids.tolist()
+
+
+@pytest.mark.parametrize('restored', [False, True])
+def test_a_placement_counts_as_one_until_landmarks_confirm_it(restored):
+    """A vehicle that loses its way later has drifted: its pose is no placement any more."""
+    relocalizer = Relocalizer(RelocalizationConfig())
+    assert not relocalizer.is_placed
+    relocalizer.reset(placed=False)
+    assert not relocalizer.is_placed
+    relocalizer.reset()
+    see_alone(relocalizer, 7, agreed=False)
+    if restored:
+        state = relocalizer.state_dict()
+        relocalizer = Relocalizer(RelocalizationConfig())
+        relocalizer.restore(state)
+    assert relocalizer.is_placed
+    for number in (7, 7, 8):
+        assert relocalizer.is_placed
+        see_alone(relocalizer, number, agreed=True)
+    assert not relocalizer.is_placed
+    for number in range(12):
+        see_alone(relocalizer, number, agreed=False)
+    assert not relocalizer.is_trusted
+    assert not relocalizer.is_placed
