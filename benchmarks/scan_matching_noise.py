@@ -123,22 +123,25 @@ def mean_square(known: list[ScanMatch], true: Array, poses: Array, lag: int) -> 
 
 
 def scale_error(true: Array, poses: Array) -> tuple[float, float]:
-    """Return the relative error of the distances driven (1 = 100 %) and its standard deviation.
+    """Return by which fraction the distances driven are too long, and its standard deviation.
 
-    true, poses (T, 3): of the matches. Least squares over motions that do not overlap.
+    true, poses (T, 3): at the matches. Least squares over motions that do not overlap; not a
+    number for a vehicle at rest.
     """
     stops = np.arange(0, len(true), SCALE_LAG)
     way = between(true[stops[:-1]], true[stops[1:]])[:, :2]
     off = between(poses[stops[:-1]], poses[stops[1:]])[:, :2] - way
-    length = np.hypot(way[:, 0], way[:, 1])
-    along = (off * way).sum(axis=1) / np.maximum(length, 1e-9)
-    total = (length**2).sum()
-    scale = float((along * length).sum() / total)
-    return scale, math.sqrt(float(((along - scale * length) ** 2).mean()) / total)
+    total = float((way**2).sum())
+    if total == 0.0:
+        return math.nan, math.nan
+    scale = float((off * way).sum()) / total
+    rest = ((off - scale * way) * way).sum(axis=1)
+    # of motions of unlike length and noise (White, Econometrica 48, 1980)
+    return scale, math.sqrt(float((rest**2).sum())) / total
 
 
 def table(rows: list[tuple[float, ScanMatch]], truth: Trajectory) -> list[str]:
-    """Return a line for each lag."""
+    """Return a line for each lag, and one for the systematic error of the way."""
     true, valid = truth.at(np.array([stamp for stamp, _ in rows]))
     known = [match for (_, match), good in zip(rows, valid, strict=True) if good]
     true = true[valid]
@@ -161,7 +164,7 @@ def table(rows: list[tuple[float, ScanMatch]], truth: Trajectory) -> list[str]:
         )
     if len(known) > 2 * SCALE_LAG:
         scale, deviation = scale_error(true, poses)
-        lines.append(f'  too far by {1e3 * scale:.2f} ± {1e3 * deviation:.2f} per thousand')
+        lines.append(f'  driven too far: {1e3 * scale:.2f} ± {1e3 * deviation:.2f} per thousand')
     return lines
 
 
