@@ -11,7 +11,9 @@ descriptor; how they scatter shows three errors:
 - of a frame as a whole (`frame_position_deviation`, `frame_heading_deviation`): the planar motion
   that brings it closest to the landmarks, less what the errors of the features explain of it,
 - how the errors of one feature in two frames correlate, by the motion between them
-  (`correlation_distance`, `correlation_turn`).
+  (`correlation_distance`, `correlation_turn`),
+- how the errors of two features of one frame correlate, by the distance between them, and as many
+  independent errors as claimed their mean is worth (`graph_independent_observations`).
 
 Of depth images, it also prints the noise of 1 / depth on flat surfaces, and how much neighbouring
 pixels share of it, by their distance: a matching window of n pixels makes it fall to zero at n.
@@ -58,6 +60,7 @@ SQUARE = 48  # pixels, side of the parts of depth images that may be flat; five 
 ROUGH = 0.01  # 1/m, noise of 1 / depth above which a part is not flat; that of a Kinect is 0.002
 PIXEL_LAGS = (1, 2, 4, 6, 8, 10, 12)
 TO_DEVIATION = 1.4826  # of the median absolute deviation of a normal distribution
+DISTANCES = (0.0, 0.03, 0.1, 0.2, 0.4, 0.8, 1.6)  # m, between features of one frame
 LAGS = ((0.0, 0.05), (0.05, 0.1), (0.1, 0.2), (0.2, 0.3), (0.3, 0.5), (0.5, 0.8), (0.8, 1.2))
 
 
@@ -317,6 +320,57 @@ def evaluate(frames: list[Frame]) -> None:
         f'frame: forward {rest[0]:.1f} mm, sideways {rest[1]:.1f} mm, heading {rest[2]:.1f} mrad'
     )
     correlations(frames, features, found.normal, found.inlier)
+    neighbours(poses, features, found)
+
+
+def neighbours(poses: Array, features: Features, found: Scatter) -> None:
+    """Print how errors of features of one frame correlate, and how many independent ones count.
+
+    Errors are those from true poses (F, 3), in units of the claimed deviations. The variance of
+    the mean of n independent ones would be 1 / n.
+    """
+    world = place_all(poses, features)
+    direction = np.arctan2(features.points[:, 1], features.points[:, 0])
+    direction += poses[features.frame, 2]
+    off = np.full_like(world, np.nan)
+    for landmark in np.unique(features.landmark[found.inlier]):
+        rows = np.flatnonzero(found.inlier & (features.landmark == landmark))
+        if len(rows) >= MINIMUM_FRAMES:
+            # of n places, of which the mean is one: (n - 1)/n of the variance is in the errors
+            off[rows] = (world[rows] - world[rows].mean(axis=0)) * np.sqrt(
+                len(rows) / (len(rows) - 1.0)
+            )
+    c, s = np.cos(direction), np.sin(direction)
+    axes = np.stack([np.stack([c, s], axis=1), np.stack([-s, c], axis=1)], axis=1)
+    claimed = np.stack([features.along, features.across], axis=1)
+    z = np.einsum('nij,nj->ni', axes, off) / claimed
+    products, pairs = np.zeros((len(DISTANCES), 2)), np.zeros(len(DISTANCES))
+    counts, sums = list[int](), list[Array]()
+    for number in np.unique(features.frame):
+        rows = np.flatnonzero((features.frame == number) & np.isfinite(z[:, 0]))
+        if len(rows) < MINIMUM_FEATURES:
+            continue
+        counts.append(len(rows))
+        sums.append(z[rows].sum(axis=0))
+        a, b = np.triu_indices(len(rows), 1)
+        apart = np.hypot(*(world[rows[a]] - world[rows[b]]).T)
+        band = np.digitize(apart, DISTANCES) - 1
+        np.add.at(pairs, band, 1.0)
+        np.add.at(products, band, z[rows[a]] * z[rows[b]])
+    variance = np.nanmean(z**2, axis=0)
+    print('correlation by distance within a frame (m): along, across')
+    for low, high, n, total in zip(
+        DISTANCES, (*DISTANCES[1:], np.inf), pairs, products, strict=True
+    ):
+        if n >= MINIMUM_FEATURES:
+            print(f'  {low:.2f} to {high:.2f}: {total[0] / n / variance[0]:5.2f} '
+                  f'{total[1] / n / variance[1]:5.2f}')  # fmt: skip
+    size = np.array(counts, np.float64)
+    worth = (size**2).sum() / (np.array(sums) ** 2).sum(axis=0)
+    print(
+        f'mean of {size.mean():.0f} features of a frame: worth {worth[0]:.0f} along and '
+        f'{worth[1]:.0f} across'
+    )
 
 
 def correlations(

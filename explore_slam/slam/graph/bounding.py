@@ -22,6 +22,13 @@ _MINIMUM_LANDMARKS = 3
 # a vehicle sees nothing, the graph must not grow without bound. Chosen by hand, far above the
 # `graph_recent_observations` of any place with landmarks.
 _MAXIMUM_RECENT = 100
+# A keyframe this near (m, rad) has about the same view, if it shows so many of the same landmarks:
+# twice those that it makes variables. The view is known once so many visits of it are kept. Chosen
+# by hand on patrols of the simulated office (`explore_slam benchmark endurance`), where the graph
+# otherwise grows until three visits of every landmark by every vehicle are kept.
+_SAME_VIEW = (1.5, 0.8)
+_SHARED_BY_VIEWS = 2.0
+_VIEW_VISITS = 2
 
 
 def count_visits(storage: Storage, row: int, landmarks: Integers, gap: int) -> Integers:
@@ -95,7 +102,10 @@ def _is_needed(storage: Storage, row: int, config: GraphConfig) -> bool:
     own = own[counts[owners[own]] >= config.graph_minimum_observations]
     visit_of = np.full(len(storage.landmarks) + 1, -1)  # the last entry is that of row −1
     visit_of[owners[own]] = table['visit'][own]
-    kept = (visit_of[owners] >= 0) & (frames < row) & (vehicle[frames] == vehicle[row])
+    shared = (visit_of[owners] >= 0) & (frames < row)
+    if _is_known_view(storage, row, owners[shared], frames[shared], config):
+        return False
+    kept = shared & (vehicle[frames] == vehicle[row])
     landmarks, visits = owners[kept], table['visit'][kept]
     now = visits == visit_of[landmarks]
     this_visit = np.bincount(landmarks[now], minlength=len(visit_of))
@@ -111,6 +121,36 @@ def _is_needed(storage: Storage, row: int, config: GraphConfig) -> bool:
     most = own[np.argsort(-counts[owners[own]], kind='stable')]
     most = most[: config.graph_observations_per_keyframe]
     return int(few[owners[most]].sum()) > config.graph_needed_fraction * len(most)
+
+
+def _is_known_view(
+    storage: Storage, row: int, landmarks: Integers, frames: Integers, config: GraphConfig
+) -> bool:
+    """Return whether earlier visits have kept enough of what a keyframe shows.
+
+    landmarks, frames (n,): the observations, from earlier keyframes, of the landmarks that it
+    observes. These must be many, and come from enough visits, by any vehicle, of about the same
+    pose.
+    """
+    keyframes = storage.keyframes
+    vehicle, ordinal = keyframes['vehicle'], keyframes['ordinal']
+    others = keyframes['holds_landmarks'][frames] & (
+        (vehicle[frames] != vehicle[row])
+        | (ordinal[row] - ordinal[frames] > config.graph_visit_gap)
+    )
+    enough = _SHARED_BY_VIEWS * config.graph_observations_per_keyframe
+    if len(np.unique(landmarks[others])) < enough:
+        return False
+    rows = np.unique(frames[others])
+    offsets = between(keyframes['pose'][row], keyframes['pose'][rows])
+    distance, heading = _SAME_VIEW
+    near = (np.hypot(*offsets[:, :2].T) < distance) & (np.abs(offsets[:, 2]) < heading)
+    rows = rows[near]
+    visits = sum(
+        1 + int((np.diff(ordinal[rows[vehicle[rows] == one]]) > config.graph_visit_gap).sum())
+        for one in np.unique(vehicle[rows])
+    )
+    return visits >= _VIEW_VISITS
 
 
 def _reference_of(storage: Storage, row: int) -> int:

@@ -96,10 +96,23 @@ def factorize(first: Integers, rows: Integers, diagonal: Array, blocks: Array) -
 
 
 @kernel
-def solve_lower(first: Integers, rows: Integers, diagonal: Array, blocks: Array, x: Array) -> None:
-    """Replace the right-hand sides x (N, 3, R) by L⁻¹ x."""
+def solve_lower(
+    first: Integers,
+    rows: Integers,
+    diagonal: Array,
+    blocks: Array,
+    affected: Flags,
+    x: Array,
+) -> None:
+    """Replace the right-hand sides x (N, 3, R) by L⁻¹ x.
+
+    affected (N,): rows that may become nonzero, which are the `ancestors` of those that are not
+    zero in x.
+    """
     count = x.shape[2]
     for j in range(len(diagonal)):
+        if not affected[j]:
+            continue
         D = diagonal[j]
         for m in range(count):
             u = x[j, 0, m] / D[0, 0]
@@ -153,7 +166,10 @@ def solve_upper(
 
 @kernel
 def ancestors(first: Integers, rows: Integers, wanted: Flags) -> Flags:
-    """Return which rows of L⁻ᵀ x must be known for the wanted ones (N,)."""
+    """Return which rows of L⁻ᵀ x must be known for the wanted ones (N,).
+
+    They are also those of L⁻¹ x that are not zero if x is zero in all rows but the wanted ones.
+    """
     needed = wanted.copy()
     for j in range(len(needed)):
         if needed[j]:

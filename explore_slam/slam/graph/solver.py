@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Array, rotated
@@ -106,15 +107,28 @@ class Factorization:
     def solve(self, right: Array) -> Array:
         """Return H⁻¹ b for right-hand sides b (N, 3, R) in the order of the system."""
         x = np.array(right, np.float64, order='C')
-        cholesky.solve_lower(*self._parts(), x)
-        cholesky.solve_upper(*self._parts(), np.ones(len(x), np.bool_), x)
+        everything = np.ones(len(x), np.bool_)
+        cholesky.solve_lower(*self._parts(), everything, x)
+        cholesky.solve_upper(*self._parts(), everything, x)
         return x
 
-    def columns(self, node: int) -> Array:
-        """Return the covariance (N, 3, 3) of all nodes with one; both by node number."""
-        right = np.zeros((len(self.diagonal), 3, 3))
-        right[self.structure.place[node]] = np.eye(3)
-        found: Array = self.solve(right)[self.structure.place]
+    def cross_covariances(self, nodes: Integers, node: int) -> Array:
+        """Return the covariances (n, 3, 3) of nodes (n,) with one node, all by node number."""
+        place, source = self.structure.place[nodes], self.structure.place[node]
+        x = np.zeros((len(self.diagonal), 3, 3))
+        x[source] = np.eye(3)
+        cholesky.solve_lower(*self._parts(), self._ancestors(source), x)
+        cholesky.solve_upper(*self._parts(), self._ancestors(place), x)
+        found: Array = x[place]
+        return found
+
+    def _ancestors(self, rows: Integers | int) -> NDArray[np.bool_]:
+        """Return (N,) which rows of a solution those at some rows depend on."""
+        wanted = np.zeros(len(self.diagonal), np.bool_)
+        wanted[rows] = True
+        found: NDArray[np.bool_] = cholesky.ancestors(
+            self.structure.first, self.structure.rows, wanted
+        )
         return found
 
     @cached_property
@@ -138,10 +152,7 @@ class Factorization:
         """
         place = self.structure.place[nodes]
         last = self.structure.place[len(self.structure.place) - len(calibrations) :]
-        wanted = np.zeros(len(self.diagonal), np.bool_)
-        wanted[place] = True
-        wanted[last] = True
-        needed = cholesky.ancestors(self.structure.first, self.structure.rows, wanted)
+        needed = self._ancestors(np.concatenate([place, last]))
         rows = np.flatnonzero(needed)
         out = np.empty((len(poses), 3, samples))
         others = np.repeat(calibrations[:, :, None], samples, axis=2)
@@ -227,7 +238,8 @@ class Solution:
     def covariance(self, keyframe: int) -> Array:
         """Return the covariance (3, 3) of a pose (m, m, rad) in the axes of the map."""
         node = self.node_of(keyframe)
-        return rotated(self.factorization.columns(node)[node], -self.nodes[node, 2])
+        own = self.factorization.cross_covariances(np.array([node]), node)[0]
+        return rotated(own, -self.nodes[node, 2])
 
     def compute_marginals(self) -> None:
         """Compute what `relative_covariance` would otherwise compute when it is first called."""
@@ -240,7 +252,6 @@ class Solution:
         """
         a = self.node_of(reference)
         b = self._nodes_of(others)
-        column = self.factorization.columns(a)
         # relative pose z = a⁻¹ b: its step in the frame of b is δ_b − T δ_a
         theta = self.nodes[b, 2] - self.nodes[a, 2]
         c, s = np.cos(self.nodes[a, 2]), np.sin(self.nodes[a, 2])
@@ -252,7 +263,7 @@ class Solution:
         T[:, 0, 2] = -c * z[:, 1] + s * z[:, 0]
         T[:, 1, 2] = s * z[:, 1] + c * z[:, 0]
         turned = T.transpose(0, 2, 1)
-        cross = column[b] @ turned  # E[δ_b δ_aᵀ] Tᵀ
+        cross = self.factorization.cross_covariances(b, a) @ turned  # E[δ_b δ_aᵀ] Tᵀ
         own = T @ self.factorization.marginals[a] @ turned
         total = self.factorization.marginals[b] - cross - cross.transpose(0, 2, 1) + own
         return np.array(

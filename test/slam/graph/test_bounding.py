@@ -77,6 +77,25 @@ def test_graph_stops_growing_and_stays_consistent(bounded_world, visits):
     assert 2.0 < np.mean(nees) < 4.0
 
 
+@pytest.mark.parametrize('landmarks', [40, 300])
+def test_many_landmarks_keep_two_visits_of_a_view_and_few_keep_all(make_world, landmarks):
+    world = make_world(1, landmarks=landmarks)
+    world.config = replace(
+        world.config, graph_bounded=True, graph_visits=6, graph_observations_per_keyframe=15
+    )
+    world.graph = JointGraph(world.config)
+    start(world, 1)
+    kept, nees = [], []
+    for _ in range(6):
+        nees += lap(world, 1)[1]
+        kept.append(len(world.graph.observing_keyframes([0])))
+    if landmarks == 300:
+        assert kept[5] <= kept[2] + 2, kept
+    else:
+        assert kept[5] > kept[2] + LAP, kept
+    assert 1.5 < np.mean(nees) < 4.5
+
+
 def test_bound_costs_little_accuracy(bounded_world):
     errors = {}
     for bounded in (True, False):

@@ -60,8 +60,8 @@ def test_solves_like_a_dense_matrix(problem):
     structure, diagonal, blocks, H = problem
     right = np.random.default_rng(0).standard_normal((len(diagonal), 3, 5))
     x = right.copy()
-    cholesky.solve_lower(structure.first, structure.rows, diagonal, blocks, x)
     everything = np.ones(len(x), np.bool_)
+    cholesky.solve_lower(structure.first, structure.rows, diagonal, blocks, everything, x)
     cholesky.solve_upper(structure.first, structure.rows, diagonal, blocks, everything, x)
     expected = np.linalg.solve(H, right.reshape(-1, 5))
     np.testing.assert_allclose(x.reshape(-1, 5), expected, rtol=1e-7, atol=1e-10)
@@ -88,6 +88,22 @@ def test_rows_that_are_needed_suffice(problem):
     cholesky.solve_upper(*args, np.ones(n, np.bool_), full)
     cholesky.solve_upper(*args, needed, part)
     np.testing.assert_array_equal(part[n // 2], full[n // 2])
+
+
+def test_rows_that_are_affected_suffice(problem):
+    structure, diagonal, blocks, _ = problem
+    n = len(diagonal)
+    known = np.zeros(n, np.bool_)
+    known[n // 2] = True
+    full = np.zeros((n, 3, 4))
+    full[n // 2] = np.random.default_rng(1).standard_normal((3, 4))
+    part = full.copy()
+    args = structure.first, structure.rows, diagonal, blocks
+    affected = cholesky.ancestors(structure.first, structure.rows, known)
+    cholesky.solve_lower(*args, np.ones(n, np.bool_), full)
+    cholesky.solve_lower(*args, affected, part)
+    np.testing.assert_array_equal(part, full)
+    assert not full[~affected].any()
 
 
 def test_matrix_that_is_not_positive_is_reported():

@@ -27,7 +27,7 @@ def test_samples_have_the_joint_covariance_of_the_posterior(world):
     solution = world.graph.posterior(0)
     expected = np.zeros_like(found)
     for node in range(len(path)):
-        column = solution.factorization.columns(node)[: len(path)]
+        column = solution.factorization.cross_covariances(np.arange(len(path)), node)
         expected[:, 3 * node : 3 * node + 3] = column.reshape(-1, 3)
     deviation = np.sqrt(np.outer(expected.diagonal(), expected.diagonal()))
     np.testing.assert_allclose(found / deviation, expected / deviation, atol=0.05)
