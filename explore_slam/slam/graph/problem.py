@@ -65,12 +65,19 @@ class Problem(NamedTuple):
 
 
 def chosen_landmarks(
-    keyframe: Integers, landmark: Integers, minimum: int, per_keyframe: int
+    keyframe: Integers,
+    landmark: Integers,
+    minimum: int,
+    per_keyframe: int,
+    before: Integers | None = None,
 ) -> NDArray[np.bool_]:
     """Return (L,) the landmarks that become variables.
 
-    These are observed often enough, and are among the most observed of at least one keyframe.
-    keyframe, landmark: (O,) rows of all observations.
+    These are observed often enough, and are among the most observed of at least one keyframe, or
+    of those that it shares with the observing keyframe before it: where a vehicle turns to
+    something new, what many keyframes observe on either side has nothing in common.
+    keyframe, landmark: (O,) rows of all observations. before: of each keyframe row, that of the
+    observing keyframe before it, −1 for none.
     """
     counts = np.bincount(landmark)
     often = counts >= minimum
@@ -81,11 +88,20 @@ def chosen_landmarks(
     # by keyframe, then the most observed first, then by row
     rank_of = np.empty(len(counts), np.int64)
     rank_of[np.lexsort((np.arange(len(counts)), -counts))] = np.arange(len(counts))
-    order = np.argsort(frame * len(counts) + rank_of[seen])
-    frame = frame[order]
-    rank = np.arange(len(frame)) - np.searchsorted(frame, frame)
     chosen = np.zeros(len(counts), np.bool_)
-    chosen[seen[order[rank < per_keyframe]]] = True
+
+    def choose(frame: Integers, seen: Integers) -> None:
+        order = np.argsort(frame * len(counts) + rank_of[seen])
+        frame = frame[order]
+        rank = np.arange(len(frame)) - np.searchsorted(frame, frame)
+        chosen[seen[order[rank < per_keyframe]]] = True
+
+    choose(frame, seen)
+    if before is not None:
+        shared = (before[frame] >= 0) & np.isin(
+            before[frame] * len(counts) + seen, frame * len(counts) + seen
+        )
+        choose(frame[shared], seen[shared])
     return chosen
 
 
@@ -188,7 +204,11 @@ def _observations(
     own = np.flatnonzero((table['landmark'] >= 0) & (node[table['keyframe']] >= 0))
     frame, landmark = table['keyframe'][own], table['landmark'][own]
     chosen = chosen_landmarks(
-        frame, landmark, config.graph_minimum_observations, config.graph_observations_per_keyframe
+        frame,
+        landmark,
+        config.graph_minimum_observations,
+        config.graph_observations_per_keyframe,
+        _observing_before(storage, frame),
     )
     used = chosen[landmark]
     own, frame, landmark = own[used], node[frame[used]], landmark[used]
@@ -213,6 +233,20 @@ def _observations(
     if fresh.any():
         positions[fresh] = _first_positions(storage, own, place[landmark], len(chosen_rows))[fresh]
     return landmarks['number'][chosen_rows], positions, table['number'][own], factors
+
+
+def _observing_before(storage: Storage, frames: Integers) -> Integers:
+    """Return (K,) the observing keyframe before each of the vehicle, by row; −1 for none.
+
+    frames (O,): rows of the keyframes of all observations.
+    """
+    before = np.full(len(storage.keyframes), -1)
+    observing = np.unique(frames)
+    vehicle = storage.keyframes['vehicle'][observing]
+    for one in np.unique(vehicle):
+        own = observing[vehicle == one]
+        before[own[1:]] = own[:-1]
+    return before
 
 
 def _first_positions(storage: Storage, own: Integers, landmark: Integers, count: int) -> Array:
