@@ -15,9 +15,9 @@ class GraphConfig(Section):
     """
 
     graph_independent_observations: float = setting(
-        30.0,
+        15.0,  # 23 in the simulated office (benchmarks/noise_camera.py), 13 to 16 in Willow Garage
         'Landmark observations of one keyframe count as at most this many independent '
-        'observations, because errors within a frame are correlated',
+        'observations, because errors of neighbouring features are correlated',
         low=1.0,
         high=1e6,
     )
@@ -44,7 +44,8 @@ class GraphConfig(Section):
     )
     graph_observations_per_keyframe: int = setting(
         15,
-        'Landmarks are variables of the graph if they are among the most observed of a keyframe',
+        'Landmarks are variables of the graph if they are among this many most observed ones of a '
+        'keyframe, or of those that it shares with the keyframe before it',
         low=1,
         high=1000,
     )
