@@ -15,7 +15,7 @@ class GraphConfig(Section):
     """
 
     graph_independent_observations: float = setting(
-        15.0,  # 23 in the simulated office (benchmarks/noise_camera.py), 13 to 16 in Willow Garage
+        20.0,  # 23 in the simulated office (benchmarks/noise_camera.py), 13 to 16 in Willow Garage
         'Landmark observations of one keyframe count as at most this many independent '
         'observations, because errors of neighbouring features are correlated',
         low=1.0,
