@@ -255,6 +255,14 @@ class Scatter(NamedTuple):
     explained: Array
 
 
+def ray_axes(poses: Array, features: Features) -> Array:
+    """Return the directions (N, 2, 2) along and across the ray of each feature, in the map."""
+    direction = np.arctan2(features.points[:, 1], features.points[:, 0])
+    direction += poses[features.frame, 2]
+    c, s = np.cos(direction), np.sin(direction)
+    return np.stack([np.stack([c, s], axis=1), np.stack([-s, c], axis=1)], axis=1)
+
+
 def scatter(poses: Array, features: Features) -> Scatter:
     """Fit the planar error of every frame with poses (F, 3), and the places of the landmarks."""
     corrections, explained = np.zeros_like(poses), np.full_like(poses, np.nan)
@@ -266,9 +274,7 @@ def scatter(poses: Array, features: Features) -> Scatter:
         off = np.empty_like(world)
         for rows in groups:
             off[rows] = world[rows] - np.median(world[rows], axis=0)
-        direction = np.arctan2(features.points[:, 1], features.points[:, 0]) + own[:, 2]
-        c, s = np.cos(direction), np.sin(direction)
-        axes = np.stack([np.stack([c, s], axis=1), np.stack([-s, c], axis=1)], axis=1)
+        axes = ray_axes(corrected, features)
         claimed = np.stack([features.along, features.across], axis=1)
         normal = np.einsum('nij,nj->ni', axes, off) / claimed
         scale = np.array([robust(normal[:, 0]), robust(normal[:, 1])])
@@ -330,8 +336,6 @@ def neighbours(poses: Array, features: Features, found: Scatter) -> None:
     the mean of n independent ones would be 1 / n.
     """
     world = place_all(poses, features)
-    direction = np.arctan2(features.points[:, 1], features.points[:, 0])
-    direction += poses[features.frame, 2]
     off = np.full_like(world, np.nan)
     for landmark in np.unique(features.landmark[found.inlier]):
         rows = np.flatnonzero(found.inlier & (features.landmark == landmark))
@@ -340,10 +344,8 @@ def neighbours(poses: Array, features: Features, found: Scatter) -> None:
             off[rows] = (world[rows] - world[rows].mean(axis=0)) * np.sqrt(
                 len(rows) / (len(rows) - 1.0)
             )
-    c, s = np.cos(direction), np.sin(direction)
-    axes = np.stack([np.stack([c, s], axis=1), np.stack([-s, c], axis=1)], axis=1)
     claimed = np.stack([features.along, features.across], axis=1)
-    z = np.einsum('nij,nj->ni', axes, off) / claimed
+    z = np.einsum('nij,nj->ni', ray_axes(poses, features), off) / claimed
     products, pairs = np.zeros((len(DISTANCES), 2)), np.zeros(len(DISTANCES))
     counts, sums = list[int](), list[Array]()
     for number in np.unique(features.frame):

@@ -22,10 +22,10 @@ _MINIMUM_LANDMARKS = 3
 # a vehicle sees nothing, the graph must not grow without bound. Chosen by hand, far above the
 # `graph_recent_observations` of any place with landmarks.
 _MAXIMUM_RECENT = 100
-# A keyframe this near (m, rad) has about the same view, if it shows so many of the same landmarks:
-# twice those that it makes variables. The view is known once so many visits of it are kept. Chosen
-# by hand on patrols of the simulated office (`explore_slam benchmark endurance`), where the graph
-# otherwise grows until three visits of every landmark by every vehicle are kept.
+# A view is known once two visits of it are kept, by keyframes this near (m, rad), and if a
+# keyframe shares enough landmarks with earlier visits: twice those that it makes variables.
+# Chosen by hand on patrols of the simulated office (`explore_slam benchmark endurance`), where the
+# graph otherwise grows until three visits of every landmark by every vehicle are kept.
 _SAME_VIEW = (1.5, 0.8)
 _SHARED_BY_VIEWS = 2.0
 _VIEW_VISITS = 2

@@ -69,7 +69,7 @@ def chosen_landmarks(
     landmark: Integers,
     minimum: int,
     per_keyframe: int,
-    before: Integers | None = None,
+    before: Integers,
 ) -> NDArray[np.bool_]:
     """Return (L,) the landmarks that become variables.
 
@@ -97,11 +97,10 @@ def chosen_landmarks(
         chosen[seen[order[rank < per_keyframe]]] = True
 
     choose(frame, seen)
-    if before is not None:
-        shared = (before[frame] >= 0) & np.isin(
-            before[frame] * len(counts) + seen, frame * len(counts) + seen
-        )
-        choose(frame[shared], seen[shared])
+    shared = (before[frame] >= 0) & np.isin(
+        before[frame] * len(counts) + seen, frame * len(counts) + seen
+    )
+    choose(frame[shared], seen[shared])
     return chosen
 
 

@@ -10,7 +10,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from explore_slam.errors import SlamError
 from explore_slam.geometry import Array, rotated
@@ -122,11 +121,11 @@ class Factorization:
         found: Array = x[place]
         return found
 
-    def _ancestors(self, rows: Integers | int) -> NDArray[np.bool_]:
+    def _ancestors(self, rows: Integers | int) -> cholesky.Flags:
         """Return (N,) which rows of a solution those at some rows depend on."""
         wanted = np.zeros(len(self.diagonal), np.bool_)
         wanted[rows] = True
-        found: NDArray[np.bool_] = cholesky.ancestors(
+        found: cholesky.Flags = cholesky.ancestors(
             self.structure.first, self.structure.rows, wanted
         )
         return found

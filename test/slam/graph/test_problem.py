@@ -14,7 +14,7 @@ def turn_to_something_new():
 
 def test_landmarks_shared_with_the_keyframe_before_are_variables():
     keyframe, landmark = turn_to_something_new()
-    most = chosen_landmarks(keyframe, landmark, 2, 5)
+    most = chosen_landmarks(keyframe, landmark, 2, 5, np.full(6, -1))
     assert not most[SHARED].any()
     chosen = chosen_landmarks(keyframe, landmark, 2, 5, np.arange(6) - 1)
     assert np.count_nonzero(chosen[SHARED]) == 5
