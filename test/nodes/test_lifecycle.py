@@ -36,26 +36,40 @@ class Manager:
     """Clients of the services of one managed node; spin(seconds, until) of a test's harness."""
 
     def __init__(self, node, name, spin):
-        self._node, self._name, self._spin = node, name, spin
+        self._spin = spin
+        self._clients = {
+            kind: node.create_client(kind, f'{name}/{service}')
+            for kind, service in (
+                (GetState, 'get_state'),
+                (ChangeState, 'change_state'),
+                (SetParameters, 'set_parameters'),
+            )
+        }
 
-    def call(self, kind, service, request):
-        client = self._node.create_client(kind, f'{self._name}/{service}')
-        assert client.wait_for_service(timeout_sec=30.0), service
-        future = client.call_async(request)
-        assert self._spin(240.0, future.done), service  # kernels may have to be compiled
-        return future.result()
+    def call(self, request, attempts=1):
+        (kind,) = [kind for kind in self._clients if isinstance(request, kind.Request)]
+        client = self._clients[kind]
+        assert client.wait_for_service(timeout_sec=30.0), client.srv_name
+        for _ in range(attempts):
+            future = client.call_async(request)
+            # kernels may have to be compiled
+            if self._spin(240.0 / attempts, future.done):
+                return future.result()
+        raise AssertionError(f'{client.srv_name}: no answer')
 
     def change(self, transition):
         request = ChangeState.Request(transition=Transition(id=transition))
-        return self.call(ChangeState, 'change_state', request).success
+        return self.call(request).success
 
     def state(self):
-        return self.call(GetState, 'get_state', GetState.Request()).current_state.id
+        # asked first, and more than once: the answer to a client that the service's side of DDS has
+        # not discovered yet is lost
+        return self.call(GetState.Request(), attempts=12).current_state.id
 
     def set_parameter(self, name, text):
         value = ParameterValue(type=4, string_value=text)
         request = SetParameters.Request(parameters=[Parameter(name=name, value=value)])
-        return self.call(SetParameters, 'set_parameters', request).results[0]
+        return self.call(request).results[0]
 
 
 @pytest.fixture
