@@ -62,8 +62,8 @@ class Manager:
         return self.call(request).success
 
     def state(self):
-        # asked first, and more than once: the answer to a client that the service's side of DDS has
-        # not discovered yet is lost
+        # asked first, and more than once: the answer to a client that the service's side of DDS
+        # has not discovered yet is lost
         return self.call(GetState.Request(), attempts=12).current_state.id
 
     def set_parameter(self, name, text):
