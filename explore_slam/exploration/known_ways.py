@@ -22,10 +22,14 @@ _SHADOW = 1.5  # m behind such an obstacle, where unknown cells may be passable
 
 
 class KnownWays:
-    """The cells that were passable in any cycle; it follows the grid as that grows."""
+    """The cells that were passable in any cycle; it follows the grid as that grows.
+
+    They are kept as bits, eight cells of a row to a byte.
+    """
 
     def __init__(self) -> None:
-        self._passable = np.zeros((0, 0), np.bool_)
+        self._shape = (0, 0)
+        self._bits = np.zeros((0, 0), np.uint8)
         self._first = (0, 0)  # row and column of cell [0, 0], from the origin of the map frame
         self._resolution = 0.0
 
@@ -36,18 +40,26 @@ class KnownWays:
         """
         scale, (x, y) = grid.resolution, grid.origin
         first = round(y / scale), round(x / scale)
-        if (first, grid.shape, scale) != (self._first, self._passable.shape, self._resolution):
+        if (first, grid.shape, scale) != (self._first, self._shape, self._resolution):
             if scale != self._resolution:
-                self._passable = np.zeros((0, 0), np.bool_)
+                self._shape, self._bits = (0, 0), np.zeros((0, 0), np.uint8)
             shift = self._first[0] - first[0], self._first[1] - first[1]
-            self._passable = moved(self._passable, shift, grid.shape, False)
-            self._first, self._resolution = first, scale
+            self._bits = np.packbits(moved(self._passable(), shift, grid.shape, False), axis=1)
+            self._first, self._shape, self._resolution = first, grid.shape, scale
         if changed is None:
             changed = np.ones(tiles_of(grid.shape), np.bool_)
         for tile in np.argwhere(changed):
             low, high = tile * TILE, tile * TILE + TILE
-            part = slice(low[0], high[0]), slice(low[1], high[1])
-            self._passable[part] |= np.isfinite(costs.cost[part])
+            passable = np.isfinite(costs.cost[low[0] : high[0], low[1] : high[1]])
+            bits = np.packbits(passable, axis=1)
+            first_byte = low[1] // 8  # tiles begin with a byte
+            part = slice(first_byte, first_byte + bits.shape[1])
+            self._bits[low[0] : high[0], part] |= bits
+
+    def _passable(self) -> Mask:
+        """Return the cells (H, W) that were passable."""
+        cells = np.unpackbits(self._bits, axis=1, count=self._shape[1])
+        return cells.view(np.bool_)
 
     def blocked(
         self, costs: CostMap, radius: float, forbidden: Mask | None = None, *, people: bool
@@ -61,8 +73,9 @@ class KnownWays:
         closed = ~costs.free & ~costs.unknown
         obstacles = closed if forbidden is None else closed & ~forbidden
         cells = math.ceil(radius / scale) + 1
-        doubtful = obstacles & self._passable
-        lost = self._passable & (squared_distance(doubtful, cells) <= cells * cells)
+        passable = self._passable()
+        doubtful = obstacles & passable
+        lost = passable & (squared_distance(doubtful, cells) <= cells * cells)
         if people:
             doubtful |= _small(obstacles, math.ceil(_PERSON / scale))
         kept = squared_distance(closed & ~doubtful, cells)

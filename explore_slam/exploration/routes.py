@@ -169,6 +169,10 @@ class _Row:
         keys, first = np.unique(_keys(blocks), return_index=True)
         self._keys, self._values = keys, field.at(blocks[first])
 
+    def holds(self, blocks: NDArray[np.int64]) -> bool:
+        """Return whether all blocks (N, 2) are among the targets."""
+        return bool(np.isin(_keys(blocks), self._keys).all())
+
     def at(self, blocks: NDArray[np.int64]) -> Array:
         """Return the travel cost (N,) m to blocks (N, 2); inf to those that are not among them."""
         wanted = _keys(blocks)
@@ -181,6 +185,32 @@ def _keys(blocks: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return a number (N,) for each block (N, 2)."""
     keys: NDArray[np.int64] = blocks[:, 0] * 2**32 + blocks[:, 1]
     return keys
+
+
+class Ways:
+    """Travel costs from one block over a route grid that does not change meanwhile.
+
+    On a large map, only the costs to the blocks that were asked for are kept.
+    """
+
+    def __init__(
+        self, grid: RouteGrid, block: NDArray[np.int64], largest_field: int = _LARGEST_FIELD
+    ) -> None:
+        """Prepare the costs; largest_field: number of blocks up to which all of them are kept."""
+        self._grid, self._block, self._largest_field = grid, block, largest_field
+        self._field: Field | None = None
+        self._row: _Row | None = None
+
+    def to(self, blocks: NDArray[np.int64]) -> Array:
+        """Return the travel cost (N,) m to blocks (N, 2); inf if unreachable or outside."""
+        if self._row is not None and self._row.holds(blocks):
+            return self._row.at(blocks)
+        field = self._field or self._grid.values_from(self._block)
+        if self._grid.size <= self._largest_field:
+            self._field = field
+        elif len(blocks):
+            self._row = _Row(blocks, field)
+        return field.at(blocks)
 
 
 class RouteCache:

@@ -93,4 +93,4 @@ def test_the_memory_follows_a_grid_that_grows(rows, cols):
     ways.update(moved, nothing)
     passable = np.pad(np.isfinite(costs.cost), 5)
     expected = passable[5 - rows :, 5 - cols :][: moved.shape[0], : moved.shape[1]]
-    np.testing.assert_array_equal(ways._passable, expected)
+    np.testing.assert_array_equal(ways._passable(), expected)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from explore_slam.exploration.routes import RouteCache, RouteGrid, block_size
+from explore_slam.exploration.routes import RouteCache, RouteGrid, Ways, block_size
 
 INF = np.inf
 
@@ -53,6 +53,20 @@ def test_the_same_place_has_the_same_cost_whatever_part_of_the_map_is_known():
     large = grid_of_costs(13, 11, first=(-5, -3))
     blocks = np.array([[1, 1], [3, 2]])
     assert small.values_from(blocks[0]).at(blocks)[1] == large.values_from(blocks[0]).at(blocks)[1]
+
+
+@pytest.mark.parametrize(('largest', 'searches'), [(1000, 1), (0, 2)])
+def test_ways_from_a_block_are_those_of_its_field(monkeypatch, largest, searches):
+    grid = grid_of_costs(8, 16, blocked=[(r, 6) for r in range(6)])
+    field = grid.values_from(np.array([0, 0]))
+    made = []
+    monkeypatch.setattr(grid, 'values_from', lambda block: made.append(block) or field)
+    ways = Ways(grid, np.array([0, 0]), largest)
+    some = np.array([[0, 7], [3, 3], [0, 7], [9, 9]])
+    other = np.array([[0, 7], [1, 5]])
+    for blocks in (some, some[1:], np.empty((0, 2), np.int64), other, other):
+        assert ways.to(blocks).tolist() == field.at(blocks).tolist()
+    assert len(made) == searches
 
 
 def test_the_cache_keeps_fields_and_takes_the_shorter_of_both_ways():
