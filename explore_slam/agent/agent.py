@@ -277,7 +277,7 @@ class Agent:
         """The occupancy grid with the obstacles of the cameras, along the most likely path."""
         path, in_map = self.belief.best_path(), self.belief.keyframes_in_map()
         self.laser_map.redraw(path, in_map)
-        if not self.obstacle_map.views:
+        if not len(self.obstacle_map):
             return self.laser_map.grid
         self.obstacle_map.redraw(path, in_map)
         drawn = (self._team, self.laser_map.revision, self.obstacle_map.revision)

@@ -8,6 +8,7 @@ an obstacle if any of its slices is.
 
 import logging
 import math
+import zlib
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -253,7 +254,34 @@ class KeyframeView(NamedTuple):
     bodies: tuple[VehicleDisc, ...]
 
 
-class ObstacleMap(PathDrawing[KeyframeView, ObstacleGrid]):
+class _PackedView:
+    """A view as it is stored: compressed to a tenth, for a map keeps all of its views."""
+
+    def __init__(self, view: ObstacleView) -> None:
+        self._stamp, self._count = view.stamp, len(view)
+        # the cells follow one another row by row: most steps between them are alike
+        steps = np.diff(view.cells, axis=0, prepend=np.zeros((1, 2), np.int16))
+        parts = (steps[:, 0], steps[:, 1], view.occupied, view.free)
+        self._data = zlib.compress(b''.join(part.tobytes() for part in parts), level=1)
+
+    def unpack(self) -> ObstacleView:
+        """Return the view."""
+        words = np.frombuffer(zlib.decompress(self._data), np.uint16).reshape(4, self._count)
+        cells = np.cumsum(words[:2].view(np.int16).T, axis=0, dtype=np.int16)
+        return ObstacleView(self._stamp, cells, words[2], words[3])
+
+
+class _StoredView(NamedTuple):
+    """A KeyframeView with its view packed."""
+
+    keyframe: int
+    vehicle: str
+    packed: _PackedView
+    vehicle_in_keyframe: Pose2
+    bodies: tuple[VehicleDisc, ...]
+
+
+class ObstacleMap(PathDrawing[_StoredView, ObstacleGrid]):
     """All views of depth cameras with their keyframes, and the layer along the path."""
 
     def __init__(self, config: GridConfig | None = None) -> None:
@@ -271,7 +299,16 @@ class ObstacleMap(PathDrawing[KeyframeView, ObstacleGrid]):
     @property
     def views(self) -> Sequence[KeyframeView]:
         """All views in the order in which they were added."""
-        return tuple(self._items)
+        return tuple(
+            KeyframeView(
+                item.keyframe,
+                item.vehicle,
+                item.packed.unpack(),
+                item.vehicle_in_keyframe,
+                item.bodies,
+            )
+            for item in self._items
+        )
 
     def add(
         self,
@@ -282,15 +319,16 @@ class ObstacleMap(PathDrawing[KeyframeView, ObstacleGrid]):
         bodies: Sequence[VehicleDisc] = (),
     ) -> None:
         """Store a view; it enters the layer at the next redraw whose path holds its keyframes."""
-        self._append(KeyframeView(keyframe, vehicle, view, vehicle_in_keyframe, tuple(bodies)))
+        packed = _PackedView(view)
+        self._append(_StoredView(keyframe, vehicle, packed, vehicle_in_keyframe, tuple(bodies)))
 
-    def _draw_items(self, items: Sequence[KeyframeView]) -> int:
+    def _draw_items(self, items: Sequence[_StoredView]) -> int:
         refused = 0
         for item in items:
             keyframe = Pose2(*self._path[item.keyframe].tolist())
             pose = keyframe.compose(item.vehicle_in_keyframe)
             try:
-                self.layer.insert(PlacedView(pose, item.view, self._discs(item)))
+                self.layer.insert(PlacedView(pose, item.packed.unpack(), self._discs(item)))
             except MappingError as error:
                 logger.warning('%s', error)
                 refused += 1

@@ -103,6 +103,9 @@ class PathDrawing[I: Anchored, C: Canvas](ABC):
         self._snapshots: dict[int, C] = {}
         self.revision = 0  # counts the redraws that have changed the drawing
 
+    def __len__(self) -> int:
+        return len(self._items)
+
     @abstractmethod
     def _empty(self) -> C:
         """Return an empty drawing."""

@@ -103,6 +103,27 @@ def random_map(generator, count=60):
     return obstacle_map
 
 
+def test_a_map_keeps_its_views_as_they_came():
+    generator = np.random.default_rng(5)
+    obstacle_map = ObstacleMap()
+    cells = generator.integers(-(2**15), 2**15, (50, 2)).astype(np.int16)
+    bits = generator.integers(0, 2**16, (2, 50)).astype(np.uint16)
+    given = [
+        view(3, 4, stamp=7.5),
+        ObstacleView(8.5, cells, *bits),
+        ObstacleView(9.0, cells[:0], *bits[:, :0]),
+    ]
+    body = VehicleDisc(0, Pose2(1.0, 0.0, 0.0), 0.3)
+    for number, one in enumerate(given):
+        obstacle_map.add(number, 'robot1', one, Pose2(0.1, 0.0, 0.1), [body])
+    assert len(obstacle_map) == len(given)
+    for number, (item, one) in enumerate(zip(obstacle_map.views, given, strict=True)):
+        assert (item.keyframe, item.vehicle, item.bodies) == (number, 'robot1', (body,))
+        assert item.view.stamp == one.stamp
+        for name in ('cells', 'occupied', 'free'):
+            np.testing.assert_array_equal(getattr(item.view, name), getattr(one, name))
+
+
 def test_a_redraw_along_a_corrected_path_equals_drawing_from_scratch():
     generator = np.random.default_rng(3)
     obstacle_map = random_map(generator)
