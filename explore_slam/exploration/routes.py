@@ -187,8 +187,8 @@ def _keys(blocks: NDArray[np.int64]) -> NDArray[np.int64]:
     return keys
 
 
-class Ways:
-    """Travel costs from one block over a route grid that does not change meanwhile.
+class CostsFrom:
+    """Travel costs from one block, over a route grid that does not change meanwhile.
 
     On a large map, only the costs to the blocks that were asked for are kept.
     """
@@ -199,6 +199,7 @@ class Ways:
         """Prepare the costs; largest_field: number of blocks up to which all of them are kept."""
         self._grid, self._block, self._largest_field = grid, block, largest_field
         self._field: Field | None = None
+        self._asked = np.empty((0, 2), np.int64)
         self._row: _Row | None = None
 
     def to(self, blocks: NDArray[np.int64]) -> Array:
@@ -209,7 +210,8 @@ class Ways:
         if self._grid.size <= self._largest_field:
             self._field = field
         elif len(blocks):
-            self._row = _Row(blocks, field)
+            self._asked = np.concatenate([self._asked, blocks])
+            self._row = _Row(self._asked, field)
         return field.at(blocks)
 
 

@@ -25,7 +25,7 @@ from explore_slam.exploration.regions import (
     open_around,
     set_disc,
 )
-from explore_slam.exploration.routes import RouteGrid, Ways, block_size
+from explore_slam.exploration.routes import CostsFrom, RouteGrid, block_size
 from explore_slam.exploration.sections import PathConfig
 from explore_slam.exploration.strategies import STRATEGIES
 from explore_slam.exploration.tiles import tiles_of
@@ -112,7 +112,7 @@ class Scene:
         self.tight: set[str] = set()
         self._reach_before: dict[str, NDArray[np.bool_]] = {}  # without tight passages
         self._routes: dict[float, RouteGrid] = {}
-        self._ways: dict[str, Ways] = {}
+        self._costs_from: dict[str, CostsFrom] = {}
         self._padded: dict[tuple[float, bool], Costs] = {}
         for name in sorted(self.vehicles):
             self._place(name)
@@ -225,7 +225,7 @@ class Scene:
         self._reach_before[name] = self.reach[name]
         self.reach[name] = mask
         self._routes.clear()
-        self._ways.clear()
+        self._costs_from.clear()
         return True
 
     def forbid_tight(self, name: str) -> None:
@@ -233,7 +233,7 @@ class Scene:
         self.tight.remove(name)
         self.reach[name] = self._reach_before.pop(name)
         self._routes.clear()
-        self._ways.clear()
+        self._costs_from.clear()
 
     def _leads_further(self, mask: NDArray[np.bool_], name: str) -> bool:
         """Return whether cells (H, W) hold more passable ones than a vehicle reaches now."""
@@ -353,10 +353,10 @@ class Scene:
             costs = values[cells[:, 0], cells[:, 1]].astype(np.float64)
         else:
             routes = self._routes_from(self._bodies[name].envelope)
-            if name not in self._ways:
+            if name not in self._costs_from:
                 start = np.array([self.starts[name]])
-                self._ways[name] = Ways(routes, routes.blocks(start)[0])
-            costs = self._ways[name].to(routes.blocks(cells))
+                self._costs_from[name] = CostsFrom(routes, routes.blocks(start)[0])
+            costs = self._costs_from[name].to(routes.blocks(cells))
         costs[~self.reach[name][cells[:, 0], cells[:, 1]]] = np.inf
         return costs
 

@@ -244,18 +244,18 @@ def _draw(
                 count[r, c] += np.uint8(after > 0) - np.uint8(before > 0)
 
 
-class KeyframeView(NamedTuple):
+class KeyframeView[View](NamedTuple):
     """A view with its keyframe, the pose of the vehicle relative to it, and other vehicles."""
 
     keyframe: int
     vehicle: str
-    view: ObstacleView
+    view: View
     vehicle_in_keyframe: Pose2
     bodies: tuple[VehicleDisc, ...]
 
 
 class _PackedView:
-    """A view as it is stored: compressed to a tenth, for a map keeps all of its views."""
+    """A view as it is stored, for a map keeps all of them: a twelfth of the size in the office."""
 
     def __init__(self, view: ObstacleView) -> None:
         self._stamp, self._count = view.stamp, len(view)
@@ -271,17 +271,7 @@ class _PackedView:
         return ObstacleView(self._stamp, cells, words[2], words[3])
 
 
-class _StoredView(NamedTuple):
-    """A KeyframeView with its view packed."""
-
-    keyframe: int
-    vehicle: str
-    packed: _PackedView
-    vehicle_in_keyframe: Pose2
-    bodies: tuple[VehicleDisc, ...]
-
-
-class ObstacleMap(PathDrawing[_StoredView, ObstacleGrid]):
+class ObstacleMap(PathDrawing[KeyframeView[_PackedView], ObstacleGrid]):
     """All views of depth cameras with their keyframes, and the layer along the path."""
 
     def __init__(self, config: GridConfig | None = None) -> None:
@@ -297,13 +287,13 @@ class ObstacleMap(PathDrawing[_StoredView, ObstacleGrid]):
         return self._canvas
 
     @property
-    def views(self) -> Sequence[KeyframeView]:
+    def views(self) -> Sequence[KeyframeView[ObstacleView]]:
         """All views in the order in which they were added."""
         return tuple(
             KeyframeView(
                 item.keyframe,
                 item.vehicle,
-                item.packed.unpack(),
+                item.view.unpack(),
                 item.vehicle_in_keyframe,
                 item.bodies,
             )
@@ -320,15 +310,15 @@ class ObstacleMap(PathDrawing[_StoredView, ObstacleGrid]):
     ) -> None:
         """Store a view; it enters the layer at the next redraw whose path holds its keyframes."""
         packed = _PackedView(view)
-        self._append(_StoredView(keyframe, vehicle, packed, vehicle_in_keyframe, tuple(bodies)))
+        self._append(KeyframeView(keyframe, vehicle, packed, vehicle_in_keyframe, tuple(bodies)))
 
-    def _draw_items(self, items: Sequence[_StoredView]) -> int:
+    def _draw_items(self, items: Sequence[KeyframeView[_PackedView]]) -> int:
         refused = 0
         for item in items:
             keyframe = Pose2(*self._path[item.keyframe].tolist())
             pose = keyframe.compose(item.vehicle_in_keyframe)
             try:
-                self.layer.insert(PlacedView(pose, item.packed.unpack(), self._discs(item)))
+                self.layer.insert(PlacedView(pose, item.view.unpack(), self._discs(item)))
             except MappingError as error:
                 logger.warning('%s', error)
                 refused += 1

@@ -37,18 +37,11 @@ class Manager:
 
     def __init__(self, node, name, spin):
         self._spin = spin
-        self._clients = {
-            kind: node.create_client(kind, f'{name}/{service}')
-            for kind, service in (
-                (GetState, 'get_state'),
-                (ChangeState, 'change_state'),
-                (SetParameters, 'set_parameters'),
-            )
-        }
+        self._get_state = node.create_client(GetState, f'{name}/get_state')
+        self._change_state = node.create_client(ChangeState, f'{name}/change_state')
+        self._set_parameters = node.create_client(SetParameters, f'{name}/set_parameters')
 
-    def call(self, request, attempts=1):
-        (kind,) = [kind for kind in self._clients if isinstance(request, kind.Request)]
-        client = self._clients[kind]
+    def _call(self, client, request, attempts=1):
         assert client.wait_for_service(timeout_sec=30.0), client.srv_name
         for _ in range(attempts):
             future = client.call_async(request)
@@ -59,17 +52,17 @@ class Manager:
 
     def change(self, transition):
         request = ChangeState.Request(transition=Transition(id=transition))
-        return self.call(request).success
+        return self._call(self._change_state, request).success
 
     def state(self):
-        # asked first, and more than once: the answer to a client that the service's side of DDS
-        # has not discovered yet is lost
-        return self.call(GetState.Request(), attempts=12).current_state.id
+        # the first call of every test, and repeated: the answer to a client that the service's
+        # side of DDS has not discovered yet is lost
+        return self._call(self._get_state, GetState.Request(), attempts=12).current_state.id
 
     def set_parameter(self, name, text):
         value = ParameterValue(type=4, string_value=text)
         request = SetParameters.Request(parameters=[Parameter(name=name, value=value)])
-        return self.call(request).results[0]
+        return self._call(self._set_parameters, request).results[0]
 
 
 @pytest.fixture
