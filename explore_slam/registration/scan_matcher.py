@@ -7,7 +7,7 @@ point-to-line alignment with the odometry as prior refines the pose (Olson 2009;
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -47,6 +47,7 @@ _SIGMAS = 3.0  # the window covers the odometry's error
 _MINIMUM_WINDOW = (0.1, 0.03)  # m, rad
 _MAXIMUM_WINDOW = (0.6, 0.5)  # m, rad
 _MINIMUM_SCORE = 0.1  # mean likelihood of the returns
+_VAGUE = np.eye(3)  # information of 1 m and 1 rad, where a scan says nothing
 _ROUNDING = 1e-9  # asymmetry of a product of matrices, to its largest entry, that is tolerated
 # The score falls by this at two standard deviations of the odometry from the prediction.
 _PENALTY = 0.025
@@ -71,7 +72,7 @@ class ScanMatch:
     white: of this match alone, not shared with the matches before and after. drift: growth of
     the error since the last match, a random walk: what the scan left open of the odometry's
     error, and window. window: the part of drift that is the motion of the window's frame; zero
-    if no scan was kept since the last match.
+    if no scan was kept since the last match, but for the error of the first scan.
     information (3, 3): of the scan's geometry alone; overlap: fraction of the returns on known
     surfaces; rms (m) of their distances.
     """
@@ -88,6 +89,38 @@ class ScanMatch:
     def covariance(self) -> Array:
         """Covariance (3, 3) of the pose given an exact map: white error and drift together."""
         return self.white + self.drift
+
+
+class _FirstScan:
+    """The scan that a map began with, whose own error is that of all poses in the map.
+
+    It was placed, not matched. As poses come from matches with it rather than from odometry, they
+    take over its error: of the vehicle's way from there, that is a part of the drift.
+    """
+
+    def __init__(self) -> None:
+        self._covariance: Array | None = None  # of its error, as that of the first scan matched
+        self._from_odometry = np.eye(3)  # what is left of the pose at the start
+        self._entered = np.zeros((3, 3))  # covariance of what the pose has taken over
+
+    def step(self, found: Alignment, odometry: Array) -> Array:
+        """Return the growth (3, 3) of the error of poses with a match, zero after a few of them.
+
+        odometry (3, 3): covariance of the motion since the last match.
+        """
+        information = found.information
+        if self._covariance is None:
+            self._covariance = np.linalg.inv(information + _VAGUE)
+        certainty = np.linalg.inv(odometry)
+        self._from_odometry = (
+            np.linalg.inv(information + certainty) @ certainty @ self._from_odometry
+        )
+        share = np.eye(3) - self._from_odometry
+        entered = share @ self._covariance @ share.T
+        values, vectors = np.linalg.eigh(entered - self._entered)
+        self._entered = entered
+        growth: Array = (vectors * values.clip(0.0)) @ vectors.T
+        return growth
 
 
 class Refusal(Enum):
@@ -120,6 +153,7 @@ class ScanMatcher:
         self._kept: deque[PointCloud] = deque(maxlen=config.matching_window)  # placed
         self._last_kept = IDENTITY
         self._window_moved = False  # since the last match
+        self._first = _FirstScan()
         self._refused: tuple[PointCloud, Pose2] | None = None
         self._refusals = 0
         self._map: LocalMap | None = None
@@ -161,16 +195,18 @@ class ScanMatcher:
         if len(cloud) < _MINIMUM_POINTS:
             return RefusedScan(Refusal.FEW_RETURNS, prior)
         if not self._kept:
+            self._first = _FirstScan()
             self._keep(cloud, prior)
             return RefusedScan(Refusal.FIRST, prior)
-        found = self._match(self._local_map(), cloud, prior, covariance)
+        found = self._match(self._local_map(), cloud, prior, covariance, self._first)
         if isinstance(found, RefusedScan) and self._refused is not None:
             # The vehicle may have entered a place that only the refused scan has seen.
             alone = LocalMap.of([self._refused[0]], [self._refused[1]])
-            again = self._match(alone, cloud, prior, covariance)
+            first = _FirstScan()
+            again = self._match(alone, cloud, prior, covariance, first)
             if isinstance(again, ScanMatch):
                 self._restart(*self._refused)
-                found = again
+                self._first, found = first, again
         if isinstance(found, RefusedScan):
             self._refuse(cloud, prior)
             return found
@@ -213,6 +249,7 @@ class ScanMatcher:
         """Begin the map anew with one scan: the scans before it are out of sight."""
         self.reset()
         self.restarts += 1
+        self._first = _FirstScan()
         self._keep(cloud, pose)
 
     def _keep(self, cloud: PointCloud, pose: Pose2) -> None:
@@ -230,7 +267,12 @@ class ScanMatcher:
         return self._map
 
     def _match(
-        self, local_map: LocalMap, cloud: PointCloud, prior: Pose2, covariance: Array
+        self,
+        local_map: LocalMap,
+        cloud: PointCloud,
+        prior: Pose2,
+        covariance: Array,
+        first: _FirstScan,
     ) -> ScanMatch | RefusedScan:
         """Search near the odometry first, and in the widest window where nothing fits there."""
         covariance = covariance + np.diag(_MINIMUM_DEVIATIONS**2)
@@ -238,7 +280,7 @@ class ScanMatcher:
         likely = near is not None and _distance(near.pose, prior, covariance) < _UNLIKELY
         acceptable = near is not None and (likely or near.overlap >= _WIDE_OVERLAP)
         if near is not None and acceptable and near.overlap >= self.config.matching_overlap:
-            return self._inflate_prior(local_map, cloud, near, prior, covariance)
+            return self._inflate_prior(local_map, cloud, near, prior, covariance, first)
         window = SearchWindow(prior, *_MAXIMUM_WINDOW)
         slipped = np.diag([*_MAXIMUM_WINDOW[:1] * 2, _MAXIMUM_WINDOW[1]]) ** 2
         found = self._register(local_map, cloud, prior, slipped, window)
@@ -249,11 +291,17 @@ class ScanMatcher:
                 and likely
                 and near.overlap >= _REDUCED_OVERLAP * self.config.matching_overlap
             ):
-                return self._inflate_prior(local_map, cloud, near, prior, covariance)
+                return self._inflate_prior(local_map, cloud, near, prior, covariance, first)
             return RefusedScan(Refusal.LITTLE_OVERLAP, prior)
         if _is_ambiguous(local_map, cloud, window, found.pose):
             return RefusedScan(Refusal.AMBIGUOUS, prior)
-        return _scan_match(found, slipped, self._window_moved)
+        return self._with_first(found, slipped, first)
+
+    def _with_first(self, found: Alignment, covariance: Array, first: _FirstScan) -> ScanMatch:
+        """Return a match, with what the pose has taken over of the error of the first scan."""
+        match = _scan_match(found, covariance, self._window_moved)
+        growth = first.step(found, covariance)
+        return replace(match, drift=match.drift + growth, window=match.window + growth)
 
     def _register(
         self,
@@ -282,7 +330,13 @@ class ScanMatcher:
         return without_direction(again or found, direction)
 
     def _inflate_prior(
-        self, local_map: LocalMap, cloud: PointCloud, found: Alignment, prior: Pose2, P: Array
+        self,
+        local_map: LocalMap,
+        cloud: PointCloud,
+        found: Alignment,
+        prior: Pose2,
+        P: Array,
+        first: _FirstScan,
     ) -> ScanMatch:
         """Inflate the odometry covariance to match the innovation; return the match with it.
 
@@ -296,7 +350,7 @@ class ScanMatcher:
             weaker = Prior(prior, np.linalg.inv(P))
             again = local_map.align(cloud, found.pose, _LAST_REACH, weaker)
             found = found if again is None else self._opened(local_map, cloud, again, weaker)
-        return _scan_match(found, P, self._window_moved)
+        return self._with_first(found, P, first)
 
 
 def _distance(pose: Pose2, prior: Pose2, covariance: Array) -> float:

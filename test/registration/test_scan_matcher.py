@@ -196,6 +196,31 @@ def test_errors_of_a_match_are_covariances_whatever_the_rounding():
         )
 
 
+def test_all_poses_share_the_error_of_the_first_scan_and_their_drift_covers_it():
+    """The mean over many matches with one scan is off by the error of that scan."""
+    noise, steps, squares = np.array([0.02, 0.02, 0.02]), 24, []
+    for seed in range(40):
+        random = np.random.default_rng(seed)
+        matcher = ScanMatcher(ScanMatchingConfig())
+        matcher.match(scan_of(ROOM, IDENTITY, 0.01, random), IDENTITY, IDENTITY, np.diag(noise**2))
+        true, chain, drift, offsets, white = IDENTITY, IDENTITY, np.zeros((3, 3)), [], []
+        for step in range(steps):
+            move = Pose2(0.02 if step % 2 else -0.02, 0.0, 0.0)
+            true = true.compose(move)
+            prior = chain.compose(Pose2(*(np.array(move) + noise * random.normal(size=3))))
+            match = matcher.match(
+                scan_of(ROOM, true, 0.01, random), IDENTITY, prior, np.diag(noise**2)
+            )
+            chain, drift = match.pose, drift + match.drift
+            offsets.append(true.between(chain))
+            white.append(match.white)
+        late = slice(steps // 2, steps)
+        off = np.mean(offsets[late], axis=0)
+        covariance = drift + np.mean(white[late], axis=0) / (steps // 2)
+        squares.append(off @ np.linalg.solve(covariance, off))
+    assert 1.0 < np.mean(squares) < 4.5  # 3 in the mean, by the noise of a mean of 40
+
+
 @pytest.mark.parametrize('independent', [1.0, 0.6, 0.05])
 def test_the_window_drifts_by_errors_that_scans_share(independent):
     information = np.diag([4e5, 1e5, 1e6])
