@@ -264,7 +264,7 @@ class FastSlamConfig(Section):
         high=20.0,
     )
     independent_observations: float = setting(
-        20.0,  # as the graph counts them
+        15.0,  # as the graph counts them
         'Engine fastslam2: the observations of one update count as at most this many independent '
         'ones, because the features of one frame share errors',
         low=1.0,
