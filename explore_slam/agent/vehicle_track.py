@@ -56,6 +56,7 @@ class VehicleTrack:
     sets: clouds of several lasers, until they can be matched together.
     clouds: stamps (s) and point clouds of the newest scans that were placed by matching.
     last_match_attempt: stamp (s) of the newest scan that was passed to scan matching.
+    scan_period: time (s) between that scan and the one before; inf if it was the first.
     last_heard: time (s) of the agent when odometry arrived last.
     last_seen: stamp (s) of the newest frame or landmarks that were processed.
     follower: newest report of the path follower.
@@ -77,6 +78,7 @@ class VehicleTrack:
     newest_view: ObstacleView | None = None
     matched_until: float = -np.inf
     last_match_attempt: float = -np.inf
+    scan_period: float = np.inf
     last_heard: float = -np.inf
     last_seen: float = -np.inf
     plan: Plan | None = None
@@ -140,7 +142,9 @@ class VehicleTrack:
         if self.sweeps.several and self.unmatched.first > self.sweeps.first:
             return None
         scan = self.unmatched.pop()
-        self.last_match_attempt = max(self.last_match_attempt, scan.stamp)
+        if scan.stamp > self.last_match_attempt:
+            self.scan_period = scan.stamp - self.last_match_attempt
+            self.last_match_attempt = scan.stamp
         return scan
 
     def next_ready(self, timeout: float) -> Stamped | None:
@@ -148,15 +152,24 @@ class VehicleTrack:
 
         It waits for earlier scans whose sweeps are not complete, which takes a second at most.
         While scans are matched, a measurement waits for the next scan as well, at most for the
-        timeout (s): only then is the motion up to its stamp refined.
+        timeout (s): only then is the motion up to its stamp refined. A scan that is expected only
+        later than that, by the time between the last two, is not waited for.
         """
         stamp = self.waiting.first
         if stamp > self.odometry.last or stamp >= self.sweeps.first:
             return None
-        matching = stamp - timeout < self.last_match_attempt < stamp
-        if (matching or self.sets.first <= stamp) and self.odometry.last < stamp + timeout:
+        waits = self._expects_scan(stamp, timeout) or self.sets.first <= stamp
+        if waits and self.odometry.last < stamp + timeout:
             return None
         return self.waiting.pop()
+
+    def _expects_scan(self, stamp: float, timeout: float) -> bool:
+        """Return whether a scan at a stamp (s) or up to a timeout (s) later is about to come."""
+        last = self.last_match_attempt
+        if last >= stamp:
+            return False
+        expected = last + self.scan_period
+        return stamp - timeout < last or stamp - timeout < expected <= stamp + timeout
 
     def restart_clock(self) -> None:
         """Continue after the clock jumped back: drop what waits, restamp the newest keyframe."""
@@ -176,6 +189,7 @@ class VehicleTrack:
         self.last_view = None
         self.last_seen = -np.inf
         self.matched_until = self.last_match_attempt = -np.inf
+        self.scan_period = np.inf
         if self.keyframe is not None:
             self.keyframe = replace(self.keyframe, stamp=self.odometry.last)
 

@@ -20,6 +20,7 @@ from explore_slam.data import (
 )
 from explore_slam.errors import ConfigError, RecordingError
 from explore_slam.geometry import Pose2
+from explore_slam.mounts import LaserMountConfig
 from explore_slam.recording import BagReader, BagWriter, Event, Replay, TopicKind
 from explore_slam.recording.events import odometry_event, start_event, truth_event, write_event
 from explore_slam.recording.importers.importing import write_settings
@@ -47,7 +48,7 @@ def team_events(seconds: float = 12.0) -> list[Event]:
     """Two vehicles on circles; odometry that drifts, landmarks, scans, truth, start poses."""
     rng = np.random.default_rng(7)
     found = [start_event(name, 5.0, pose) for name, pose in STARTS.items()]
-    room, laser = SyntheticWorld(), Pose2(0.1, 0.0, 0.0)
+    room, laser = SyntheticWorld(), LaserMountConfig().pose
     for name, start in STARTS.items():
         true, odometry = start, Pose2(9.0, 9.0, 1.0)
         for index in range(round(20 * seconds)):
@@ -144,6 +145,20 @@ def test_live_order_does_not_matter_as_long_as_it_is_nearly_right(team_bag, tmp_
     assert first.metrics['mean_online_position_rms'] == pytest.approx(
         second.metrics['mean_online_position_rms'], abs=0.03
     )
+
+
+def test_a_frame_waits_for_the_scan_of_its_moment_that_comes_after_it(team_bag, tmp_path):
+    def rank(event: Event) -> tuple[float, bool]:
+        return event.stamp, event.kind is TopicKind.SCAN
+
+    frames_first = write(tmp_path / 'frames', sorted(team_events(), key=rank))
+    without = [event for event in team_events() if event.kind is not TopicKind.SCAN]
+    no_scans = write(tmp_path / 'without', without)
+    error, alone = (
+        replay_bag(bag, options={'particles': 50}).metrics['mean_online_position_rms']
+        for bag in (frames_first, no_scans)
+    )
+    assert error < 0.75 * alone  # were the frames processed at once, the scans would be of no use
 
 
 def _write_at(writer: BagWriter, event: Event, log_time: float) -> None:
