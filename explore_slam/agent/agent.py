@@ -179,7 +179,7 @@ class Agent:
 
     def _cover(self, track: VehicleTrack, scan: LaserScan) -> None:
         """Extend the trajectory of a vehicle whose motion its scans show to a new scan."""
-        laser = scan.mount or self.config.laser_mount.pose
+        laser = self._team.laser_pose(scan)
         queue = track.sweeps.of(scan.sensor)
         new = NewScan(scan, queue.judge.known_sweep(scan), queue.newest_end, laser)
         for motion in track.source.cover(new, track.odometry, track.matcher):
@@ -220,7 +220,7 @@ class Agent:
         release_sweeps(self._team, track)
         while (scan := track.next_to_match()) is not None:
             if track.keyframe is None or scan.stamp >= track.keyframe.stamp:
-                laser = scan.mount or self.config.laser_mount.pose
+                laser = self._team.laser_pose(scan)
                 bodies = self._team.discs(track, scan)
                 refine_by_scan(track, scan, laser, self.config.slam, bodies)
         timeout = self.config.scan_matching.scan_wait_timeout

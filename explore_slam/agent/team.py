@@ -140,6 +140,10 @@ class Team:
         """
         return self.config.scan_matching.scan_matching and track.name not in self.camera_scans
 
+    def laser_pose(self, scan: LaserScan) -> Pose2:
+        """Return the pose of a scan's laser in the vehicle frame: its own, else the setting."""
+        return scan.mount or self.config.laser_mount.pose
+
     def is_late(self, track: VehicleTrack, stamp: float) -> bool:
         """Return whether a stamp (s) lies before the newest keyframe, and count it if so."""
         if track.keyframe is not None and stamp >= track.keyframe.stamp:

@@ -53,7 +53,7 @@ def process(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
         track.keyframe.number,
         track.name,
         scan,
-        moved.compose(scan.mount or team.config.laser_mount.pose),
+        moved.compose(team.laser_pose(scan)),
         team.bodies(track, scan),
     )
     _close_loops(team, track, scan, moved)
@@ -67,7 +67,7 @@ def _close_loops(team: Team, track: VehicleTrack, scan: LaserScan, moved: Pose2)
     if team.matches_scans(track):
         cloud = track.cloud_of(scan.stamp)
     else:
-        laser = scan.mount or team.config.laser_mount.pose
+        laser = team.laser_pose(scan)
         cloud = scan_cloud(scan, laser, team.config.scan_matching.matching_range)
         cloud = cloud.masked(team.discs(track, scan))
     if cloud is None or track.keyframe is None:

@@ -80,6 +80,24 @@ def support(choice: Choice, weights: Array, candidates: int) -> Array:  # pragma
     return total
 
 
+@kernel
+def mean_robust_weights(chosen: Associations, weights: Array) -> Array:  # pragma: no cover
+    """Return (K,): the mean robust weight of each observation over the particles (M,) that use it.
+
+    It is 1 where no particle does.
+    """
+    means = np.ones(len(chosen.choice))
+    for k in range(len(means)):
+        total, using = 0.0, 0.0
+        for m in range(len(weights)):
+            if chosen.choice[k, m] >= 0:
+                total += weights[m] * chosen.robust_weight[k, m]
+                using += weights[m]
+        if using > 0.0:
+            means[k] = total / using
+    return means
+
+
 @dataclass(frozen=True)
 class CandidateSet:
     """Observations, and the landmarks that each may be by descriptor and place.
@@ -160,6 +178,10 @@ class AssociationState:
     def support(self, weights: Array) -> Array:
         """Return (K, J): the weight of the particles (M,) that chose each candidate."""
         return support(self.chosen.choice, weights, self.found.candidates.shape[1])
+
+    def robust_weights(self, weights: Array) -> Array:
+        """Return (K,) the mean robust weight of each observation; weights (M,) of the particles."""
+        return mean_robust_weights(self.chosen, weights)
 
     def ids_in(self, particle: int, ids: Places) -> Places:
         """Return (K,) the id of the landmark that a particle chose, or -1; ids (n,) by entry."""

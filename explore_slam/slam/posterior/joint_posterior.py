@@ -186,11 +186,19 @@ class JointPosterior:
             return motion + frame
         return motion if motion.any() else None
 
-    def observe(self, keyframe: int, ids: Places, observed: Observed) -> None:
-        """Record observations (K,) of landmarks by id, -1 where there is none, at a keyframe."""
+    def observe(
+        self, keyframe: int, ids: Places, observed: Observed, weights: Array | None = None
+    ) -> None:
+        """Record observations (K,) of landmarks by id, -1 where there is none, at a keyframe.
+
+        weights (K,) in (0, 1]: the part of its information that each counts with. Default: all.
+        """
         known = ids >= 0
         if known.any():
-            self.graph.add_observations(keyframe, ids[known], observed.z[known], observed.R[known])
+            some = None if weights is None else weights[known]
+            self.graph.add_observations(
+                keyframe, ids[known], observed.z[known], observed.R[known], some
+            )
 
     def observe_with_initial_pose(
         self,
