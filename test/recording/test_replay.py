@@ -147,7 +147,7 @@ def test_live_order_does_not_matter_as_long_as_it_is_nearly_right(team_bag, tmp_
     )
 
 
-def test_a_frame_waits_for_the_scan_of_its_moment_that_comes_after_it(team_bag, tmp_path):
+def test_a_frame_waits_for_the_scan_of_its_moment_that_comes_after_it(tmp_path):
     def rank(event: Event) -> tuple[float, bool]:
         return event.stamp, event.kind is TopicKind.SCAN
 

@@ -180,7 +180,7 @@ class AssociationState:
         return support(self.chosen.choice, weights, self.found.candidates.shape[1])
 
     def robust_weights(self, weights: Array) -> Array:
-        """Return (K,) the mean robust weight of each observation; weights (M,) of the particles."""
+        """Return (K,) the mean robust weight of each observation; weights (M,): of particles."""
         return mean_robust_weights(self.chosen, weights)
 
     def ids_in(self, particle: int, ids: Places) -> Places:
