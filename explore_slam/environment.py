@@ -78,6 +78,7 @@ HIGHEST_DOMAIN = 232  # the ports of higher ones would lie above 65535
 _SET_APART = ('ROS_LOG_DIR', 'ROS_HOME', 'MPLBACKEND')  # not by `one_machine` alone
 _DRAWING = ('egl', 'osmesa')  # how MuJoCo draws without a window
 _ISOLATED = '_EXPLORE_SLAM_ISOLATED'  # set in a process that was started again
+_MMAP_THRESHOLD = -3  # M_MMAP_THRESHOLD of malloc.h
 _PACKAGE = Path(__file__).resolve().parent
 
 
@@ -176,6 +177,18 @@ def prepare_libraries(environment: MutableMapping[str, str]) -> None:
     home = environment.get('XDG_CONFIG_HOME') or environment.get('HOME') or '/nonexistent'
     if 'MPLCONFIGDIR' not in environment and not os.access(home, os.W_OK):
         environment['MPLCONFIGDIR'] = str(scratch_folder() / 'matplotlib')
+
+
+def return_large_arrays() -> None:
+    """Let the C library return arrays of 1 MiB and more to the system as soon as they are freed.
+
+    By default glibc raises that size to the largest that was freed, up to 32 MiB, and what is
+    smaller stays with the process: 100 MiB of an agent after five minutes, and more with time.
+    Other C libraries have no such setting.
+    """
+    mallopt = getattr(ctypes.CDLL(None), 'mallopt', None)
+    if mallopt is not None:
+        mallopt(_MMAP_THRESHOLD, 2**20)
 
 
 def is_writable(folder: Path) -> bool:

@@ -1,5 +1,6 @@
 """Shells that are set up for something else: what is used of them, and what is not."""
 
+import ctypes
 import logging
 import os
 import subprocess
@@ -138,6 +139,38 @@ def test_folders_of_a_home_that_cannot_be_written(caplog, tmp_path):
     usable = {'HOME': str(tmp_path), 'MPLBACKEND': 'a window'}
     prepare_libraries(usable)
     assert usable == {'HOME': str(tmp_path), 'MPLBACKEND': 'agg'}
+
+
+# Large arrays with small ones between them that stay: what is kept of what the large ones took.
+FREED = """
+import numpy as np
+from explore_slam.environment import return_large_arrays
+from explore_slam.studies.endurance_study import resident_memory
+if {called}:
+    return_large_arrays()
+np.ones(2**21)  # freed: from now on, arrays up to 16 MiB come from the heap
+before, small, large = resident_memory(), [], []
+for _ in range(30):
+    large.append(np.ones(2**18))
+    small.append(np.ones(2**13))
+large.clear()
+print(resident_memory() - before - 30 * 2**16 / 2**20)
+"""
+
+
+def test_the_memory_of_large_arrays_goes_back_to_the_system():
+    kept = {
+        called: float(
+            subprocess.run(
+                [sys.executable, '-c', FREED.format(called=called)],
+                check=True, capture_output=True, text=True, cwd=REPOSITORY,
+            ).stdout
+        )
+        for called in (False, True)
+    }  # fmt: skip
+    if hasattr(ctypes.CDLL(None), 'mallopt'):
+        assert kept[False] > 40.0  # of 60 MiB
+    assert kept[True] < 5.0
 
 
 def test_the_scratch_folder_of_another_user_is_not_used(tmp_path, monkeypatch):

@@ -8,7 +8,12 @@ import os
 import sys
 from collections.abc import Sequence
 
-from explore_slam.environment import prepare_libraries, prepare_ros, start_isolated
+from explore_slam.environment import (
+    prepare_libraries,
+    prepare_ros,
+    return_large_arrays,
+    start_isolated,
+)
 from explore_slam.failures import run_guarded
 
 # Command -> module with HELP, configure(parser) and run(arguments) -> exit code.
@@ -56,6 +61,7 @@ def _run(words: list[str], wanted: str | None) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors='replace')  # m² on a terminal that cannot show it
     prepare_libraries(os.environ)
+    return_large_arrays()
     if wanted in ROS_COMMANDS:
         prepare_ros(os.environ)
     elif wanted != 'demo':  # which names what it does not use

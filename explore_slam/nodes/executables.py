@@ -11,7 +11,7 @@ import logging
 import os
 import sys
 
-from explore_slam.environment import prepare_ros, start_isolated
+from explore_slam.environment import prepare_ros, return_large_arrays, start_isolated
 from explore_slam.failures import run_guarded
 
 
@@ -42,6 +42,7 @@ def start(module: str) -> int:
 
     def run() -> int:
         prepare_ros(os.environ)
+        return_large_arrays()
         return int(importlib.import_module(f'explore_slam.nodes.{module}').main())
 
     try:

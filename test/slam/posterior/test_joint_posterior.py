@@ -713,3 +713,41 @@ def test_a_motion_is_appended_to_the_graph_as_the_filter_has_it(make_slam):
     for mine, theirs in zip(total, recorded, strict=True):
         np.testing.assert_array_equal(mine, theirs)
     assert isinstance(total, Segment)
+
+
+@pytest.mark.parametrize('seed', [1, 4])
+def test_a_look_alike_that_the_filter_takes_for_an_outlier_is_one_in_the_graph(make_slam, seed):
+    random = np.random.default_rng(seed)
+
+    def scatter(count, low, high):
+        across, height = random.uniform(-1, 1, count), random.uniform(0, 1, count)
+        return np.c_[random.uniform(low, high, count), across, height]
+
+    # What is far away is known from the start, what is near only from the second pose on, but for
+    # one landmark, of which the third pose sees a look-alike.
+    points = np.vstack([scatter(30, 2.5, 3.5), scatter(12, 1.2, 1.8), [[1.2, 0.3, 0.0]]])
+    deviations = np.array([0.02] * 30 + [0.003] * 13)
+    descriptors = np.eye(43, 128, dtype=np.float32)
+    everything = {'graph_observations_per_keyframe': 1000}
+    slam = make_slam({'a': Pose2(0.0, 0.0, 0.0)}, seed, **everything)
+
+    def see(stamp, x, chosen, moved=(0.0, 0.0)):
+        positions = points - [x, 0.0, 0.0] + deviations[:, None] * random.standard_normal((43, 3))
+        positions[42, :2] += moved
+        covariances = deviations[:, None, None] ** 2 * np.eye(3)
+        return LandmarkObservations(
+            stamp, positions[chosen], covariances[chosen], descriptors[chosen]
+        )
+
+    step = Pose2(0.3, 0.0, 0.0), np.diag([0.03, 0.03, 0.02]) ** 2
+    slam.predict('a', STILL, 1e-10 * np.eye(3))
+    slam.update('a', see(0.0, 0.0, np.r_[:30, 42]))
+    slam.predict('a', *step)
+    slam.update('a', see(1.0, 0.3, np.r_[:42]))
+    slam.predict('a', *step)
+    summary = slam.update('a', see(2.0, 0.6, np.r_[:43], (0.045, 0.06)))
+    assert summary.associated == 43  # the gate is as wide as the odometry is uncertain
+    slam.redraw([0])
+    pose, covariance = slam.estimate('a')
+    error = np.array([pose.x - 0.6, pose.y, pose.theta])
+    assert error @ np.linalg.solve(covariance, error) < 7.8  # 95 % of three degrees of freedom
