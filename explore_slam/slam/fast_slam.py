@@ -172,7 +172,7 @@ class FastSlam(Checkpointed):
         """
         number = self._number(vehicle)
         self._check(number, observations)
-        redrawn_before = self._redrawer.complete_pending()
+        redrawn = self._redrawer.complete_pending()
         if self._engine.starts_new_round(number):
             self._end_round()
 
@@ -184,6 +184,7 @@ class FastSlam(Checkpointed):
             if replacement is not None:
                 state.discard()
                 self._redrawer.replace_particles(replacement)
+                redrawn = True
                 with self._rejecting(what):
                     normals, state, proposal, P = self._associate(number, observations)
         found, group = state.found, self.groups.of(number)
@@ -215,8 +216,7 @@ class FastSlam(Checkpointed):
         relocalization = self._relocalization.update(
             number, observations, found, agreed, committed.ids
         )
-        redrawn = self._redrawer.redraw_if_due(self.groups.of(number))
-        redrawn = redrawn or redrawn_before or relocalization.closed
+        redrawn |= self._redrawer.redraw_if_due(self.groups.of(number)) or relocalization.closed
         joined = self._joining.by_landmarks(number, observations)
         return UpdateSummary(
             stamp=observations.stamp,
