@@ -36,10 +36,11 @@ _MINIMUM_DEVIATIONS = np.array([1e-4, 1e-4, 1e-4])
 # enough to be negligible beside a closure, narrow enough to keep the graph definite.
 _LOOSE_DEVIATIONS = np.array([30.0, 30.0, 3.0])
 
-# Keyframes since the last redraw after which closures no longer wait for others. Chosen by hand:
-# each redraw optimizes the whole graph, and more of them hardly change the path. A change can be
-# judged by `explore_slam benchmark consistency`.
-_BATCH = 8
+# Keyframes since the last redraw after which closures no longer wait for others: the first number,
+# in a large graph one for every hundred of its keyframes. Each redraw optimizes all of them, which
+# after half an hour kept a processor busy. Chosen by hand: more redraws hardly change the path. A
+# change can be judged by `explore_slam benchmark consistency` and `benchmark endurance`.
+_BATCH, _KEYFRAMES_PER_BATCH = 8, 100
 _MINIMUM_INFORMATION = 1e-4  # 1/m², 1/rad²: of a closure in directions that it leaves free
 _EXPECTED_D2 = 3.0  # expected squared Mahalanobis distance of a pose (chi-square, 3 dof)
 
@@ -318,10 +319,11 @@ class JointPosterior:
     def is_closure_due(self, closures: Sequence[RelativePose]) -> bool:
         """Return whether closures require a redraw now instead of together with later ones.
 
-        They do if the last redraw was some keyframes ago, or if a closure differs from the
-        estimate by more than the expected squared Mahalanobis distance.
+        They do if the last redraw was some keyframes ago, more in a large graph, or if a closure
+        differs from the estimate by more than the expected squared Mahalanobis distance.
         """
-        if self._next - self._redrawn_at >= _BATCH:
+        batch = max(_BATCH, len(self.graph.live_keyframes()) // _KEYFRAMES_PER_BATCH)
+        if self._next - self._redrawn_at >= batch:
             return True
         path = self.graph.path()
         for closure in closures:
