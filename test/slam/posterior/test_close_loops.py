@@ -8,6 +8,7 @@ from explore_slam.errors import SlamError
 from explore_slam.geometry import Pose2, between
 from explore_slam.settings import with_values
 from explore_slam.slam import FastSlam, FastSlamConfig, RelativePose, TeamBelief
+from explore_slam.slam.posterior import joint_posterior
 
 WALK = np.diag([4e-4, 4e-4, 1e-3])
 SIDE = [Pose2(1.0, 0.0, 0.0)] * 5 + [Pose2(1.0, 0.0, np.pi / 2)]
@@ -76,6 +77,20 @@ def test_a_redraw_follows_a_surprise_or_comes_with_later_closures():
     off = expected._replace(x=expected.x + 0.8)
     slam.close_loops([RelativePose(keyframes[2], keyframes[24], off, EXACT)])
     assert slam.redraws == draws + 2
+
+
+@pytest.mark.parametrize(('per_batch', 'redrawn'), [(100, True), (2, False)])
+def test_in_a_large_graph_closures_wait_longer_for_later_ones(monkeypatch, per_batch, redrawn):
+    monkeypatch.setattr(joint_posterior, '_KEYFRAMES_PER_BATCH', per_batch)
+    slam = make()
+    true, keyframes = drive(slam, 'a', LAP)
+    slam.close_loops([closure(true, keyframes, 0, 24)])
+    draws = slam.redraws
+    drive(slam, 'a', SIDE + SIDE[:4], begin=25)  # more than 8 keyframes, fewer than half of all
+    path = slam.best_path()
+    expected = Pose2.from_array(between(path[keyframes[0]], path[-1]))
+    slam.close_loops([RelativePose(keyframes[0], len(path) - 1, expected, EXACT)])
+    assert (slam.redraws > draws) == redrawn
 
 
 def test_a_large_graph_is_redrawn_beside_the_caller_with_the_same_result():
