@@ -8,6 +8,7 @@ observed the same landmarks.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from explore_slam.geometry import Array, between, compose
 from explore_slam.slam.graph import chain, checks, se2
@@ -29,6 +30,10 @@ _MAXIMUM_RECENT = 100
 _SAME_VIEW = (1.5, 0.8)
 _SHARED_BY_VIEWS = 2.0
 _VIEW_VISITS = 2
+# A place is known too once other visits have left this many keyframes in it that are as near,
+# whatever they show: a rich texture shows something new at every visit. Chosen as above: of those
+# that hold landmarks it drops a tenth after 300 s (of 660) and a quarter after 600 s (of 1026).
+_KEYFRAMES_PER_PLACE = 8
 
 
 def count_visits(storage: Storage, row: int, landmarks: Integers, gap: int) -> Integers:
@@ -103,7 +108,10 @@ def _is_needed(storage: Storage, row: int, config: GraphConfig) -> bool:
     visit_of = np.full(len(storage.landmarks) + 1, -1)  # the last entry is that of row −1
     visit_of[owners[own]] = table['visit'][own]
     shared = (visit_of[owners] >= 0) & (frames < row)
-    if _is_known_view(storage, row, owners[shared], frames[shared], config):
+    seen_before = (owners[shared], frames[shared])
+    if _is_known_view(storage, row, *seen_before, config) or _is_known_place(
+        storage, row, *seen_before, config
+    ):
         return False
     kept = shared & (vehicle[frames] == vehicle[row])
     landmarks, visits = owners[kept], table['visit'][kept]
@@ -132,25 +140,56 @@ def _is_known_view(
     observes. These must be many, and come from enough visits, by any vehicle, of about the same
     pose.
     """
-    keyframes = storage.keyframes
-    vehicle, ordinal = keyframes['vehicle'], keyframes['ordinal']
-    others = keyframes['holds_landmarks'][frames] & (
-        (vehicle[frames] != vehicle[row])
-        | (ordinal[row] - ordinal[frames] > config.graph_visit_gap)
-    )
+    vehicle, ordinal = storage.keyframes['vehicle'], storage.keyframes['ordinal']
     enough = _SHARED_BY_VIEWS * config.graph_observations_per_keyframe
+    others = _are_of_other_visits(storage, row, frames, config)
     if len(np.unique(landmarks[others])) < enough:
         return False
     rows = np.unique(frames[others])
-    offsets = between(keyframes['pose'][row], keyframes['pose'][rows])
-    distance, heading = _SAME_VIEW
-    near = (np.hypot(*offsets[:, :2].T) < distance) & (np.abs(offsets[:, 2]) < heading)
-    rows = rows[near]
+    rows = rows[_are_near(storage, row, rows)]
     visits = sum(
         1 + int((np.diff(ordinal[rows[vehicle[rows] == one]]) > config.graph_visit_gap).sum())
         for one in np.unique(vehicle[rows])
     )
     return visits >= _VIEW_VISITS
+
+
+def _is_known_place(
+    storage: Storage, row: int, landmarks: Integers, frames: Integers, config: GraphConfig
+) -> bool:
+    """Return whether other visits have left enough keyframes at about the pose of one.
+
+    landmarks, frames (n,): as above. Without a few landmarks in common with other visits, the pose
+    might be another one.
+    """
+    others = _are_of_other_visits(storage, row, frames, config)
+    if len(np.unique(landmarks[others])) < _MINIMUM_LANDMARKS:
+        return False
+    rows = np.arange(row)
+    rows = rows[_are_of_other_visits(storage, row, rows, config)]
+    return int(_are_near(storage, row, rows).sum()) >= _KEYFRAMES_PER_PLACE
+
+
+def _are_of_other_visits(
+    storage: Storage, row: int, frames: Integers, config: GraphConfig
+) -> NDArray[np.bool_]:
+    """Return (n,) which of some keyframes hold landmarks and belong to another visit than one."""
+    keyframes = storage.keyframes
+    vehicle, ordinal = keyframes['vehicle'], keyframes['ordinal']
+    is_past = ordinal[row] - ordinal[frames] > config.graph_visit_gap
+    found: NDArray[np.bool_] = keyframes['holds_landmarks'][frames] & (
+        (vehicle[frames] != vehicle[row]) | is_past
+    )
+    return found
+
+
+def _are_near(storage: Storage, row: int, rows: Integers) -> NDArray[np.bool_]:
+    """Return (n,) which of some keyframes show about the view of another."""
+    poses = storage.keyframes['pose']
+    offsets = between(poses[row], poses[rows])
+    distance, heading = _SAME_VIEW
+    near: NDArray[np.bool_] = np.hypot(*offsets[:, :2].T) < distance
+    return near & (np.abs(offsets[:, 2]) < heading)
 
 
 def _reference_of(storage: Storage, row: int) -> int:
