@@ -23,17 +23,17 @@ _MINIMUM_LANDMARKS = 3
 # a vehicle sees nothing, the graph must not grow without bound. Chosen by hand, far above the
 # `graph_recent_observations` of any place with landmarks.
 _MAXIMUM_RECENT = 100
-# A view is known once two visits of it are kept, by keyframes this near (m, rad), and if a
-# keyframe shares enough landmarks with earlier visits: twice those that it makes variables.
 # Chosen by hand on patrols of the simulated office (`explore_slam benchmark endurance`), where the
-# graph otherwise grows until three visits of every landmark by every vehicle are kept.
+# graph otherwise grows until three visits of every landmark by every vehicle are kept: keyframes
+# this near (m, rad) have the same view, and one is rich in landmarks with this many, of those that
+# it makes variables. Such a view is known once two visits of it are kept that share as many with
+# it, or once other visits have left this many keyframes: a rich texture shows something new at
+# every visit. The latter drops a tenth of those that hold landmarks after 300 s and a quarter of
+# those after 600 s.
 _SAME_VIEW = (1.5, 0.8)
-_SHARED_BY_VIEWS = 2.0
+_RICH = 2.0
 _VIEW_VISITS = 2
-# A place is known too once other visits have left this many keyframes in it that are as near,
-# whatever they show: a rich texture shows something new at every visit. Chosen as above: of those
-# that hold landmarks it drops a tenth after 300 s (of 660) and a quarter after 600 s (of 1026).
-_KEYFRAMES_PER_PLACE = 8
+_VIEW_KEYFRAMES = 8
 
 
 def count_visits(storage: Storage, row: int, landmarks: Integers, gap: int) -> Integers:
@@ -108,10 +108,8 @@ def _is_needed(storage: Storage, row: int, config: GraphConfig) -> bool:
     visit_of = np.full(len(storage.landmarks) + 1, -1)  # the last entry is that of row −1
     visit_of[owners[own]] = table['visit'][own]
     shared = (visit_of[owners] >= 0) & (frames < row)
-    seen_before = (owners[shared], frames[shared])
-    if _is_known_view(storage, row, *seen_before, config) or _is_known_place(
-        storage, row, *seen_before, config
-    ):
+    rich = _RICH * config.graph_observations_per_keyframe
+    if len(own) >= rich and _is_known_view(storage, row, owners[shared], frames[shared], config):
         return False
     kept = shared & (vehicle[frames] == vehicle[row])
     landmarks, visits = owners[kept], table['visit'][kept]
@@ -134,40 +132,28 @@ def _is_needed(storage: Storage, row: int, config: GraphConfig) -> bool:
 def _is_known_view(
     storage: Storage, row: int, landmarks: Integers, frames: Integers, config: GraphConfig
 ) -> bool:
-    """Return whether earlier visits have kept enough of what a keyframe shows.
+    """Return whether other visits have kept enough of a view that is rich in landmarks.
 
     landmarks, frames (n,): the observations, from earlier keyframes, of the landmarks that it
-    observes. These must be many, and come from enough visits, by any vehicle, of about the same
-    pose.
+    shows. Without a few of them from other visits, its pose might be another one.
     """
     vehicle, ordinal = storage.keyframes['vehicle'], storage.keyframes['ordinal']
-    enough = _SHARED_BY_VIEWS * config.graph_observations_per_keyframe
     others = _are_of_other_visits(storage, row, frames, config)
-    if len(np.unique(landmarks[others])) < enough:
+    shared = len(np.unique(landmarks[others]))
+    if shared < _MINIMUM_LANDMARKS:
         return False
-    rows = np.unique(frames[others])
-    rows = rows[_are_near(storage, row, rows)]
-    visits = sum(
-        1 + int((np.diff(ordinal[rows[vehicle[rows] == one]]) > config.graph_visit_gap).sum())
-        for one in np.unique(vehicle[rows])
-    )
-    return visits >= _VIEW_VISITS
-
-
-def _is_known_place(
-    storage: Storage, row: int, landmarks: Integers, frames: Integers, config: GraphConfig
-) -> bool:
-    """Return whether other visits have left enough keyframes at about the pose of one.
-
-    landmarks, frames (n,): as above. Without a few landmarks in common with other visits, the pose
-    might be another one.
-    """
-    others = _are_of_other_visits(storage, row, frames, config)
-    if len(np.unique(landmarks[others])) < _MINIMUM_LANDMARKS:
-        return False
+    if shared >= _RICH * config.graph_observations_per_keyframe:
+        rows = np.unique(frames[others])
+        rows = rows[_are_near(storage, row, rows)]
+        visits = sum(
+            1 + int((np.diff(ordinal[rows[vehicle[rows] == one]]) > config.graph_visit_gap).sum())
+            for one in np.unique(vehicle[rows])
+        )
+        if visits >= _VIEW_VISITS:
+            return True
     rows = np.arange(row)
     rows = rows[_are_of_other_visits(storage, row, rows, config)]
-    return int(_are_near(storage, row, rows).sum()) >= _KEYFRAMES_PER_PLACE
+    return int(_are_near(storage, row, rows).sum()) >= _VIEW_KEYFRAMES
 
 
 def _are_of_other_visits(
