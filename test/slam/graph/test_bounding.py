@@ -96,6 +96,30 @@ def test_many_landmarks_keep_two_visits_of_a_view_and_few_keep_all(make_world, l
     assert 1.5 < np.mean(nees) < 4.5
 
 
+@pytest.mark.parametrize(
+    ('shown', 'common'), [(40, 3), (40, 2), (25, 3)], ids=['rich', 'place in doubt', 'few']
+)
+def test_of_a_rich_texture_that_is_new_at_every_visit_two_visits_are_kept(
+    bounded_world, shown, common
+):
+    """shown: new landmarks per keyframe, each seen from two; common: those of every lap."""
+    graph = bounded_world(graph_observations_per_keyframe=15).graph
+    graph.add_start(0, 0, circle_pose(0))
+    kept = []
+    for k in range(1, 5 * LAP + 1):
+        graph.add_keyframe(0, k, between(circle_pose(k - 1), circle_pose(k)), NOISE)
+        first = 1000 + k * shown // 2
+        ids = np.append(np.arange(first, first + shown), np.arange(common))
+        z = np.tile([2.0, 0.0, 1.0], (len(ids), 1))
+        graph.add_observations(k, ids, z, np.repeat(LANDMARK_NOISE, len(ids), axis=0))
+        if k % LAP == 0:
+            kept.append(len(graph.observing_keyframes([0])))
+    if (shown, common) == (40, 3):
+        assert kept[4] <= kept[1] + 10, kept  # its newest keyframes are always kept
+    else:
+        assert kept[4] == 5 * LAP, kept
+
+
 def test_bound_costs_little_accuracy(bounded_world):
     errors = {}
     for bounded in (True, False):
