@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from explore_slam.agent import checkpoint
 from explore_slam.agent.config import AgentConfig
@@ -46,7 +47,14 @@ from explore_slam.data import (
 from explore_slam.errors import AgentError
 from explore_slam.exploration import KnownPlace
 from explore_slam.geometry import IDENTITY, Array, Pose2, rotated
-from explore_slam.mapping import LaserMap, ObstacleMap, OccupancyGrid, save_map, with_obstacles
+from explore_slam.mapping import (
+    LaserMap,
+    ObstacleMap,
+    OccupancyGrid,
+    cells_looked_at,
+    save_map,
+    with_obstacles,
+)
 from explore_slam.slam import Landmarks, OdometryCalibration, TeamBelief, compound
 from explore_slam.slam.checks import check_motion_covariance, check_pose
 from explore_slam.sweeps import Sweep
@@ -285,6 +293,10 @@ class Agent:
             merged = with_obstacles(self.laser_map.grid, self.obstacle_map.layer)
             self._merged = (drawn, merged)
         return self._merged[1]
+
+    def looked_at(self, grid: OccupancyGrid) -> NDArray[np.bool_] | None:
+        """Return through which cells (H, W) of `grid` cameras have looked; None without any."""
+        return cells_looked_at(grid, self.obstacle_map.layer) if len(self.obstacle_map) else None
 
     @property
     def no_returns(self) -> dict[str, tuple[float, bool]]:

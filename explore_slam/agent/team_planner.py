@@ -4,6 +4,7 @@ import logging
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 
 from explore_slam.agent.agent import Agent
 from explore_slam.agent.operator_areas import OperatorAreas
@@ -157,7 +158,10 @@ class TeamPlanner:
                 name: known._replace(goal=self._goals.get(name))
                 for name, known in vehicles.items()
             }
-        result = self._planner.plan(self.areas.view(grid), now, vehicles, mode, forbidden)
+        looked_at = partial(self._agent.looked_at, grid)
+        result = self._planner.plan(
+            self.areas.view(grid), now, vehicles, mode, forbidden, looked_at
+        )
         for name in result.refused:
             logger.warning('%s: the goal of the operator cannot be reached', name)
             del self._goals[name]
@@ -192,6 +196,7 @@ class TeamPlanner:
             self._agent.track(vehicle).body,
             battery=self.batteries[vehicle].level,
             known_places=self._known_places(vehicle),
+            has_camera=self._agent.newest_view(vehicle) is not None,
         )
 
     def _known_places(self, vehicle: str) -> tuple[KnownPlace, ...]:

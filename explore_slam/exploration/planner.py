@@ -9,8 +9,9 @@ One cycle of exploration, as `Planner.plan` runs it:
 4. Continue the present path of each vehicle if it still leads there, or plan a new one.
 5. Grant rights of way, and turn paths into plans (Traffic, plan_for).
 
-Without any target, a vehicle may pass through a tight place if that is worth it, then looks again
-where a way to what is left has become blocked (SecondLook). Only then exploration ends.
+Without any target, a vehicle may pass through a tight place if that is worth it; then those with a
+depth camera visit what no camera has looked at (find_unviewed), and one looks again where a way to
+what is left has become blocked (SecondLook). Only then exploration ends.
 
 A vehicle whose battery is low takes no part in this but for the right of way: it drives home, and
 what it was on its way to is for the others.
@@ -18,7 +19,7 @@ what it was on its way to is for the others.
 
 import logging
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -27,6 +28,7 @@ from numpy.typing import NDArray
 
 from explore_slam.data import BatteryLevel, Plan
 from explore_slam.exploration.blacklist import Blacklist
+from explore_slam.exploration.camera_views import find_unviewed
 from explore_slam.exploration.config import ExplorationConfig
 from explore_slam.exploration.frontiers import find_frontiers
 from explore_slam.exploration.keep_out import TRAFFIC_DISTANCE, KeepOutZones
@@ -57,6 +59,7 @@ from explore_slam.geometry import Array, Pose2
 from explore_slam.polyline import arc_lengths, points_at, remaining_path
 
 logger = logging.getLogger(__name__)
+LookedAt = Callable[[], NDArray[np.bool_] | None]
 
 # Chosen by hand; `explore_slam benchmark exploration` measures what another value does
 _SAME_FRONTIER = 2.0  # m; a frontier whose target has moved by no more is the same, receding
@@ -147,10 +150,12 @@ class Planner:
         vehicles: Mapping[str, VehicleSnapshot],
         mode: PlanningMode | str = PlanningMode.EXPLORE,
         forbidden: NDArray[np.bool_] | None = None,
+        looked_at: LookedAt = lambda: None,
     ) -> PlanningResult:
         """Run one planning cycle at a time (s); see PlanningResult.
 
         forbidden: cells (H, W), occupied in the grid, that no vehicle may enter.
+        looked_at: returns the cells (H, W) that depth cameras have looked at, None without any.
         """
         wanted = PlanningMode(mode)
         self._history.update(vehicles)
@@ -184,7 +189,7 @@ class Planner:
         if wanted is PlanningMode.RETURN_HOME and scene.starts:
             result = self._go_home(scene, (), Orders())
         elif scene.explorers:
-            result = self._explore(scene)
+            result = self._explore(scene, looked_at)
         else:
             result = self._without_explorers(scene, vehicles)
         for name, one in vehicles.items():
@@ -252,8 +257,10 @@ class Planner:
         text = f'cannot search now: {reason}'
         return PlanningResult(ExplorationStatus.PAUSED, text, searched=False)
 
-    def _explore(self, scene: Scene) -> PlanningResult:
+    def _explore(self, scene: Scene, looked_at: LookedAt) -> PlanningResult:
         """Assign frontiers; without any, look again at what is blocked before exploration ends.
+
+        Before that, cameras look at what they have not seen yet.
 
         Vehicles that were sent to a goal drive there meanwhile.
         """
@@ -265,6 +272,10 @@ class Planner:
         if candidates:
             self._empty_searches = 0
             return self._assign(scene, candidates, guided)
+        unviewed = self._unviewed(scene, looked_at)
+        if unviewed:
+            self._empty_searches = 0
+            return self._assign(scene, unviewed, guided, with_camera=True)
         frontiers = tuple(found)
         if self._keep_out.release_temporary():
             # a keep-out zone may close the only way to the rest
@@ -286,6 +297,16 @@ class Planner:
             config = replace(config, frontiers=replace(config.frontiers, sensor_range=max(ranges)))
         cache = scene.frontier_cache(viewpoints)
         return find_frontiers(scene.grid, config, scene.costs, viewpoints, cache)
+
+    def _unviewed(self, scene: Scene, looked_at: LookedAt) -> list[Frontier]:
+        """Return the areas that vehicles with a camera can get to and no camera has looked at."""
+        names = [name for name in scene.explorers if scene.vehicles[name].has_camera]
+        config = self.config.frontiers
+        seen = looked_at() if names and config.min_unviewed_area > 0.0 else None
+        if seen is None:
+            return []
+        reach = np.logical_or.reduce([scene.reach[name] for name in names])
+        return self._open(scene, find_unviewed(scene.grid, scene.costs, seen, reach, config))
 
     def _open(self, scene: Scene, frontiers: list[Frontier]) -> list[Frontier]:
         """Return the frontiers that may be tried, or else those that have not failed for good."""
@@ -514,9 +535,24 @@ class Planner:
         ]
         return any(released)
 
-    def _assign(self, scene: Scene, frontiers: list[Frontier], guided: Orders) -> PlanningResult:
-        """Assign frontiers to vehicles by the strategy, and plan the paths."""
-        names = tuple(name for name in scene.explorers if scene.vehicles[name].goal is None)
+    def _assign(
+        self,
+        scene: Scene,
+        frontiers: list[Frontier],
+        guided: Orders,
+        *,
+        with_camera: bool = False,
+    ) -> PlanningResult:
+        """Assign frontiers to vehicles by the strategy, and plan the paths.
+
+        with_camera: the frontiers are areas for vehicles with a camera to look at.
+        """
+        names = tuple(
+            name
+            for name in scene.explorers
+            if scene.vehicles[name].goal is None
+            and (scene.vehicles[name].has_camera or not with_camera)
+        )
         if self.config.loops.loop_seeking:
             names = self._seek_loops(scene, names, frontiers, guided)
         if not names:
@@ -560,7 +596,8 @@ class Planner:
         status = (
             ExplorationStatus.STARTED if self._searches == 1 else ExplorationStatus.IN_PROGRESS
         )
-        reason = f'{len(frontiers)} frontiers'
+        what = 'areas that no camera has looked at' if with_camera else 'frontiers'
+        reason = f'{len(frontiers)} {what}'
         return self._conclude(scene, status, reason, tuple(frontiers), guided, names, costs)
 
     def _seek_loops(

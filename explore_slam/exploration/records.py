@@ -97,6 +97,7 @@ class VehicleSnapshot(NamedTuple):
     battery: a vehicle whose battery is low drives home and explores no more; one whose battery is
     critical stays where it is.
     known_places: where it may close a loop.
+    has_camera: whether it has one that shows obstacles above and below the plane of the laser.
     """
 
     pose: Pose2
@@ -106,6 +107,7 @@ class VehicleSnapshot(NamedTuple):
     goal: Pose2 | None = None
     battery: BatteryLevel = BatteryLevel.OK
     known_places: tuple[KnownPlace, ...] = ()
+    has_camera: bool = False
 
 
 @dataclass(frozen=True)

@@ -118,6 +118,14 @@ class FrontierConfig(Section):
         low=0.0,
         high=10.0,
     )
+    min_unviewed_area: float = setting(
+        2.0,
+        'At the end, areas that a laser has seen but no depth camera has looked at are visited if '
+        'they are at least this large: table tops and shelves may be there. 0: none is',
+        unit='m²',
+        low=0.0,
+        high=1e6,
+    )
     sensor_range: float = setting(
         8.0,
         'Range that the laser is expected to cover (max range of the paper, equation 9)',

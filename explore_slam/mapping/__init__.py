@@ -8,7 +8,13 @@ from explore_slam.mapping.config import GridConfig
 from explore_slam.mapping.laser_map import KeyframeScan, LaserMap
 from explore_slam.mapping.map_files import load_map, save_map
 from explore_slam.mapping.map_images import read_image
-from explore_slam.mapping.obstacle_map import ObstacleGrid, ObstacleMap, PlacedView, with_obstacles
+from explore_slam.mapping.obstacle_map import (
+    ObstacleGrid,
+    ObstacleMap,
+    PlacedView,
+    cells_looked_at,
+    with_obstacles,
+)
 from explore_slam.mapping.occupancy_grid import OccupancyGrid
 from explore_slam.mapping.path_drawing import MAP_FRAME, RedrawSummary, VehicleDisc
 
@@ -23,6 +29,7 @@ __all__ = [
     'PlacedView',
     'RedrawSummary',
     'VehicleDisc',
+    'cells_looked_at',
     'load_map',
     'read_image',
     'save_map',

@@ -92,6 +92,11 @@ class ObstacleGrid:
         found: NDArray[np.bool_] = self._count > 0
         return found
 
+    def looked_at(self) -> NDArray[np.bool_]:
+        """Return through which cells (H, W), above the floor, a camera has looked."""
+        found: NDArray[np.bool_] = self._evidence.any(axis=2)
+        return found
+
     def insert(self, placed: PlacedView) -> None:
         """Add a view; MappingError, and no change, if it does not fit into maximum_map_side."""
         view, pose = placed.view, placed.pose
@@ -346,3 +351,14 @@ def with_obstacles(grid: OccupancyGrid, layer: ObstacleGrid) -> OccupancyGrid:
     mask[place] = found
     merged.occupy(mask & (seen_free | (around == 0)))
     return merged
+
+
+def cells_looked_at(grid: OccupancyGrid, layer: ObstacleGrid) -> NDArray[np.bool_]:
+    """Return through which cells (H, W) of a grid, above the floor, a camera has looked."""
+    seen, found = np.zeros(grid.shape, np.bool_), layer.looked_at()
+    row, column = grid.offset_of(*layer.first_cell)
+    low, high = max(row, 0), min(row + found.shape[0], grid.shape[0])
+    left, right = max(column, 0), min(column + found.shape[1], grid.shape[1])
+    if low < high and left < right:
+        seen[low:high, left:right] = found[low - row : high - row, left - column : right - column]
+    return seen

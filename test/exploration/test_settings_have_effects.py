@@ -75,6 +75,15 @@ def frontiers(config):
     return [(f.target, f.size, f.gain) for f in find_frontiers(hall(), config)]
 
 
+def looks_by_a_camera(config):
+    """Where a vehicle is sent in a closed room in which no camera has looked anywhere."""
+    grid = grid_of(CLOSED, cells_per_letter=LETTER)
+    seen = np.zeros(grid.shape, np.bool_)
+    one = vehicle(1, 1, CLOSED)._replace(has_camera=True)
+    result = Planner(config).plan(grid, 0.0, {'robot1': one}, looked_at=lambda: seen)
+    return [f.target for f in result.frontiers]
+
+
 def frontiers_behind_a_gap(config):
     """Frontiers that can only be seen from a distance."""
     narrow = """
@@ -320,6 +329,7 @@ EFFECTS = {
     'viewpoint_distance': (2.5, frontiers_behind_a_gap),
     'min_frontier_gain': (50.0, frontiers),
     'min_gain_per_travel': (10.0, plans_of_a_team),
+    'min_unviewed_area': (0.0, looks_by_a_camera),
     'sensor_range': (2.0, frontiers),
     'travel_weight': (10.0, paper_choice),
     'hysteresis': (0.5, kept_choice),

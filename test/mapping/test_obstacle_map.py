@@ -16,6 +16,7 @@ from explore_slam.mapping import (
     OccupancyGrid,
     PlacedView,
     VehicleDisc,
+    cells_looked_at,
     with_obstacles,
 )
 
@@ -215,3 +216,20 @@ def test_a_map_without_a_laser_consists_of_the_obstacles():
     merged = with_obstacles(OccupancyGrid(), place(ObstacleGrid(), view(TOP)))
     assert (merged.to_trinary() == 100).sum() == 100
     assert same_grid(merged, with_obstacles(OccupancyGrid(), place(ObstacleGrid(), view(TOP))))
+
+
+def test_cells_looked_at_are_those_that_views_show_wherever_the_grid_begins():
+    layer = place(ObstacleGrid(), view(free=LOW, x=(20, 30), y=(-5, 5)))
+    side = layer.config.resolution
+    grid = OccupancyGrid.from_probability(
+        np.full((40, 40), 0.1), np.ones((40, 40), np.bool_), origin=(1.2, -1.0)
+    )
+    seen = cells_looked_at(grid, layer)
+    assert seen.shape == grid.shape
+    centres = grid.to_point(np.argwhere(seen))
+    assert (np.abs(centres - (1.35, 0.0)) < (0.15, 0.25)).all()
+    assert len(centres) == round(0.3 / side) * round(0.5 / side)
+    far = OccupancyGrid.from_probability(
+        np.full((4, 4), 0.1), np.ones((4, 4), np.bool_), origin=(90.0, 90.0)
+    )
+    assert not cells_looked_at(far, layer).any()

@@ -1,0 +1,80 @@
+"""Areas that a laser has seen, but no depth camera has looked at.
+
+Table tops, shelves and steps may be there, of which a laser shows legs at most. A laser completes
+rooms through their doors, so that some would never be looked at. They are visited once no frontier
+is left: as a vehicle drives to the middle of such an area, it looks ahead.
+"""
+
+import math
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from explore_slam.exploration.clearance import CostMap
+from explore_slam.exploration.frontier_kernels import Viewpoints, find_viewpoint
+from explore_slam.exploration.records import Frontier, Grid
+from explore_slam.exploration.sections import FrontierConfig
+
+# Chosen by hand; `explore_slam benchmark obstacles` measures what another value does.
+_NARROWEST = 0.5  # m; narrower strips, as along walls and between two views, are left out
+_LARGEST = 3.0  # m; longer areas are split: about as far as a depth camera looks
+
+
+def find_unviewed(
+    grid: Grid,
+    costs: CostMap,
+    looked_at: NDArray[np.bool_],
+    viewpoints: NDArray[np.bool_],
+    config: FrontierConfig,
+) -> list[Frontier]:
+    """Return the areas to be looked at, as frontiers whose target lies in or near their middle.
+
+    looked_at (H, W): cells that cameras have looked at. viewpoints (H, W): cells that a vehicle
+    with a camera can get to. Areas smaller than `min_unviewed_area` are left out.
+    """
+    scale = grid.resolution
+    side = max(1, round(_NARROWEST / scale))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+    unviewed = (costs.free & ~looked_at).astype(np.uint8)
+    wide = cv2.morphologyEx(unviewed, cv2.MORPH_OPEN, disc)
+    marks = np.zeros(grid.shape, np.int32)
+    found = []
+    for mark, cells in enumerate(_areas(wide, config.min_unviewed_area / scale**2, scale), 1):
+        row, col = find_viewpoint(
+            costs.free,
+            Viewpoints(viewpoints, costs.squared),
+            0,
+            marks,
+            mark,
+            cells,
+            round(config.viewpoint_distance / scale),
+        )
+        if row < 0:
+            continue
+        places = np.array([[row, col], np.rint(cells.mean(axis=0))])
+        (x, y), middle = grid.to_point(places).tolist()
+        middle, area = (middle[0], middle[1]), len(cells) * scale**2
+        found.append(
+            Frontier(
+                cells, middle, (x, y), (row, col), math.sqrt(area), area, middle, showing=area
+            )
+        )
+    return found
+
+
+def _areas(mask: NDArray[np.uint8], least: float, scale: float) -> Iterator[NDArray[np.int64]]:
+    """Yield connected areas of a mask (H, W) with at least so many cells, in pieces (N, 2)."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
+    for label in range(1, count):
+        left, top, width, height, size = stats[label].tolist()
+        if size < least:
+            continue
+        box = labels[top : top + height, left : left + width]
+        cells = np.argwhere(box == label) + (top, left)
+        centered = cells - cells.mean(axis=0)
+        along = centered @ np.linalg.eigh(centered.T @ centered)[1][:, -1]
+        pieces = max(1, math.ceil(np.ptp(along) * scale / _LARGEST))
+        order = np.argsort(np.round(along, 6), kind='stable')
+        yield from (np.ascontiguousarray(part) for part in np.array_split(cells[order], pieces))
