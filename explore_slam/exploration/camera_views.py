@@ -69,12 +69,19 @@ def _areas(mask: NDArray[np.uint8], least: float, scale: float) -> Iterator[NDAr
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
     for label in range(1, count):
         left, top, width, height, size = stats[label].tolist()
-        if size < least:
-            continue
-        box = labels[top : top + height, left : left + width]
-        cells = np.argwhere(box == label) + (top, left)
-        centered = cells - cells.mean(axis=0)
-        along = centered @ np.linalg.eigh(centered.T @ centered)[1][:, -1]
-        pieces = max(1, math.ceil(np.ptp(along) * scale / _LARGEST))
-        order = np.argsort(np.round(along, 6), kind='stable')
-        yield from (np.ascontiguousarray(part) for part in np.array_split(cells[order], pieces))
+        if size >= least:
+            box = labels[top : top + height, left : left + width]
+            yield from _pieces(np.argwhere(box == label) + (top, left), _LARGEST / scale)
+
+
+def _pieces(cells: NDArray[np.int64], largest: float) -> Iterator[NDArray[np.int64]]:
+    """Cut cells (N, 2) across their main direction until no piece is longer than `largest`."""
+    centered = cells - cells.mean(axis=0)
+    along = centered @ np.linalg.eigh(centered.T @ centered)[1][:, -1]
+    count = math.ceil(np.ptp(along) / largest)
+    if count <= 1:
+        yield cells
+        return
+    order = np.argsort(np.round(along, 6), kind='stable')
+    for part in np.array_split(cells[order], count):
+        yield from _pieces(np.ascontiguousarray(part), largest)
