@@ -91,7 +91,7 @@ class JointGraph:
                 where = state[name.replace('/vehicles', '/linearized_at')]
                 vehicles = tuple(state[name].tolist())
                 problem = collect(graph._storage, vehicles, graph.config)
-                graph._posteriors[vehicles] = posterior_at(problem, where)
+                graph._keep(posterior_at(problem, where))
         return graph
 
     # ---- recording measurements
@@ -537,16 +537,21 @@ class JointGraph:
         if is_current:
             versions = self._storage.versions_of(problem.vehicles)
             problem = problem._replace(versions=versions, made_robust=())
-            self._posteriors[problem.vehicles] = replace(solution, problem=problem)
+            self._keep(replace(solution, problem=problem))
 
     def posterior(self, vehicle: int) -> Solution:
         """Return the posterior of a vehicle and those tied to it around the present estimate."""
         vehicles = self._component(vehicle)
         found = self._posteriors.get(vehicles)
         if found is None or found.problem.versions != self._storage.versions_of(vehicles):
-            found = posterior_at(collect(self._storage, vehicles, self.config))
-            self._posteriors[vehicles] = found
+            found = self._keep(posterior_at(collect(self._storage, vehicles, self.config)))
         return found
+
+    def _keep(self, solution: Solution) -> Solution:
+        """Keep the posterior of some vehicles until they change; return what is kept."""
+        kept = replace(solution, problem=solution.problem.without_factors())
+        self._posteriors[kept.problem.vehicles] = kept
+        return kept
 
     def draw(
         self, samples: int, random: np.random.Generator, vehicle: int | None = None

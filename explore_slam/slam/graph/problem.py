@@ -54,6 +54,11 @@ class Problem(NamedTuple):
         """Node of the first calibration."""
         return len(self.start) - len(self.calibrated)
 
+    def without_factors(self) -> 'Problem':
+        """Return the problem without what only solving it needs, which is most of its memory."""
+        none = Factors._make(column[:0].copy() for column in self.factors)
+        return self._replace(factors=none, observations=self.observations[:0].copy())
+
     def with_robust(self, numbers: Sequence[int], scale: float) -> 'Problem':
         """Return the problem with a Cauchy kernel of a scale on factors that had no kernel."""
         end = len(self.factors.kind) - len(self.observations)

@@ -13,7 +13,7 @@ from explore_slam.slam.graph.factors import Integers
 from explore_slam.slam.graph.tables import GrowingTable
 
 TABLES = ('keyframes', 'factors', 'observations', 'landmarks')
-SPARSE = 2  # a table is compacted when it has more dead rows than 1 / SPARSE of all
+DEAD_ROWS = 0.2  # a table is compacted when more of its rows are dead, which costs little then
 
 
 class Calibration(NamedTuple):
@@ -200,7 +200,7 @@ class Storage:
         """Drop the marked observations; compact the table when most of it is dropped."""
         self.observations['landmark'][where] = -1
         alive = self.observations['landmark'] >= 0
-        if SPARSE * int(alive.sum()) < len(alive):
+        if alive.sum() < (1.0 - DEAD_ROWS) * len(alive):
             self.observations.keep(alive)
 
     def forget_landmarks(self, rows: Integers) -> None:
@@ -211,7 +211,7 @@ class Storage:
                 self.visits.pop((number, vehicle), None)
         self.landmarks['number'][rows] = -1
         alive = self.landmarks['number'] >= 0
-        if SPARSE * int(alive.sum()) < len(alive):
+        if alive.sum() < (1.0 - DEAD_ROWS) * len(alive):
             moved_to = np.append(np.cumsum(alive) - 1, -1)
             moved_to[:-1][~alive] = -1
             self.observations['landmark'][:] = moved_to[self.observations['landmark']]

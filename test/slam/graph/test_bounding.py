@@ -538,3 +538,18 @@ def test_a_keyframe_whose_closure_is_dropped_stays_beside_what_it_closed_on(boun
     np.testing.assert_allclose(graph.path(), before, atol=0.1)
     with pytest.raises(SlamError, match='not in the graph'):
         graph.drop_factor(factors[31])
+
+
+def test_what_is_kept_of_a_posterior_gives_covariances_without_the_measurements(bounded_world):
+    world = bounded_world()
+    start(world, 1)
+    lap(world, 1)
+    graph = world.graph
+    newest = int(graph.live_keyframes()[-1])
+    kept = graph.posterior(0)
+    assert not len(kept.problem.factors.kind)
+    solved = graph.solve(graph.snapshot(0))
+    assert len(solved.problem.factors.kind)
+    np.testing.assert_allclose(
+        kept.covariance(newest), solved.covariance(newest), rtol=1e-3, atol=1e-9
+    )
