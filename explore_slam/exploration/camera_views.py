@@ -71,7 +71,8 @@ def _areas(mask: NDArray[np.uint8], least: float, scale: float) -> Iterator[NDAr
         left, top, width, height, size = stats[label].tolist()
         if size >= least:
             box = labels[top : top + height, left : left + width]
-            yield from _pieces(np.argwhere(box == label) + (top, left), _LARGEST / scale)
+            cells = np.ascontiguousarray(np.argwhere(box == label) + (top, left))
+            yield from _pieces(cells, _LARGEST / scale)
 
 
 def _pieces(cells: NDArray[np.int64], largest: float) -> Iterator[NDArray[np.int64]]:

@@ -2,6 +2,7 @@
 
 import importlib
 import pkgutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,13 @@ from exploration_maps import grid_of, point_of
 
 from explore_slam import exploration, mapping
 from explore_slam.data import LaserScan
-from explore_slam.exploration import ExplorationConfig, Planner, VehicleSnapshot
+from explore_slam.exploration import (
+    ExplorationConfig,
+    Planner,
+    VehicleSnapshot,
+    make_cost_map,
+)
+from explore_slam.exploration.camera_views import find_unviewed
 from explore_slam.geometry import IDENTITY, Pose2
 from explore_slam.mapping import OccupancyGrid
 from explore_slam.settings import with_values
@@ -48,6 +55,13 @@ def test_nothing_is_compiled_after_warm_up(strategy):
         for name, col in {'a': 3, 'b': 8, 'c': 14}.items()
     }
     assert Planner(config).plan(grid, 0.0, vehicles).plans
+    unviewed = np.ones(grid.shape, np.bool_)
+    for side in (8, 80):  # an area that is visited as a whole, and one in pieces
+        unviewed[8 : 8 + side, 8 : 8 + side] = False
+        costs = make_cost_map(grid, config.paths)
+        reach = np.isfinite(costs.cost)
+        settings = replace(config.frontiers, min_unviewed_area=1.0)
+        assert find_unviewed(grid, costs, unviewed, reach, settings)
     scan = LaserScan(0.0, 0.0, 0.1, np.array([2.0, np.inf], np.float32), 0.1, 30.0)
     drawn = OccupancyGrid()
     drawn.insert_scan(IDENTITY, scan)
