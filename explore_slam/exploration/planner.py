@@ -260,9 +260,8 @@ class Planner:
     def _explore(self, scene: Scene, looked_at: LookedAt) -> PlanningResult:
         """Assign frontiers; without any, look again at what is blocked before exploration ends.
 
-        Before that, cameras look at what they have not seen yet.
-
-        Vehicles that were sent to a goal drive there meanwhile.
+        Before that, cameras look at what they have not seen yet. Vehicles that were sent to a goal
+        drive there meanwhile.
         """
         guided = self._guide(scene)
         found = self._search(scene, scene.viewpoints())

@@ -25,11 +25,10 @@ _MINIMUM_LANDMARKS = 3
 _MAXIMUM_RECENT = 100
 # Chosen by hand on patrols of the simulated office (`explore_slam benchmark endurance`), where the
 # graph otherwise grows until three visits of every landmark by every vehicle are kept: keyframes
-# this near (m, rad) have the same view, and one is rich in landmarks with this many, of those that
-# it makes variables. Such a view is known once two visits of it are kept that share as many with
-# it, or once other visits have left this many keyframes: a rich texture shows something new at
-# every visit. The latter drops a tenth of those that hold landmarks after 300 s and a quarter of
-# those after 600 s.
+# this near (m, rad) have the same view; one is rich in landmarks if it shows twice those that it
+# makes variables. Such a view is known once two visits of it are kept that share as many with it,
+# or once other visits have left eight keyframes: a rich texture shows something new each time. The
+# latter drops a tenth of those that hold landmarks after 300 s, a quarter of those after 600 s.
 _SAME_VIEW = (1.5, 0.8)
 _RICH = 2.0
 _VIEW_VISITS = 2
