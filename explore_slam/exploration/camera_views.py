@@ -8,11 +8,11 @@ is left: as a vehicle drives to the middle of such an area, it looks ahead.
 import math
 from collections.abc import Iterator
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
-from explore_slam.exploration.clearance import CostMap
+from explore_slam.exploration.clearance import CostMap, squared_distance
 from explore_slam.exploration.frontier_kernels import Viewpoints, find_viewpoint
 from explore_slam.exploration.records import Frontier, Grid
 from explore_slam.exploration.sections import FrontierConfig
@@ -35,10 +35,7 @@ def find_unviewed(
     with a camera can get to. Areas smaller than `min_unviewed_area` are left out.
     """
     scale = grid.resolution
-    side = max(1, round(_NARROWEST / scale))
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
-    unviewed = (costs.free & ~looked_at).astype(np.uint8)
-    wide = cv2.morphologyEx(unviewed, cv2.MORPH_OPEN, disc)
+    wide = _opened(costs.free & ~looked_at, 0.5 * _NARROWEST / scale)
     marks = np.zeros(grid.shape, np.int32)
     found = []
     for mark, cells in enumerate(_areas(wide, config.min_unviewed_area / scale**2, scale), 1):
@@ -64,15 +61,25 @@ def find_unviewed(
     return found
 
 
-def _areas(mask: NDArray[np.uint8], least: float, scale: float) -> Iterator[NDArray[np.int64]]:
+def _opened(mask: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
+    """Return the cells of a mask (H, W) that a disc covers that fits into it (opening).
+
+    radius: of the disc (cells).
+    """
+    limit = math.floor(radius) + 1
+    inner = squared_distance(~mask, limit) > radius * radius
+    covered: NDArray[np.bool_] = squared_distance(inner, limit) <= radius * radius
+    return covered
+
+
+def _areas(mask: NDArray[np.bool_], least: float, scale: float) -> Iterator[NDArray[np.int64]]:
     """Yield connected areas of a mask (H, W) with at least so many cells, in pieces (N, 2)."""
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
-    for label in range(1, count):
-        left, top, width, height, size = stats[label].tolist()
-        if size >= least:
-            box = labels[top : top + height, left : left + width]
-            cells = np.ascontiguousarray(np.argwhere(box == label) + (top, left))
-            yield from _pieces(cells, _LARGEST / scale)
+    labels, _ = ndimage.label(mask)
+    sizes = np.bincount(labels.ravel())
+    for label, box in enumerate(ndimage.find_objects(labels), 1):
+        if sizes[label] >= least:
+            cells = np.argwhere(labels[box] == label) + (box[0].start, box[1].start)
+            yield from _pieces(np.ascontiguousarray(cells), _LARGEST / scale)
 
 
 def _pieces(cells: NDArray[np.int64], largest: float) -> Iterator[NDArray[np.int64]]:
