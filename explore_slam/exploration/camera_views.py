@@ -15,6 +15,7 @@ from scipy import ndimage
 from explore_slam.exploration.clearance import CostMap, squared_distance
 from explore_slam.exploration.frontier_kernels import Viewpoints, find_viewpoint
 from explore_slam.exploration.records import Frontier, Grid
+from explore_slam.exploration.regions import along_main_direction, cut_across
 from explore_slam.exploration.sections import FrontierConfig
 
 # Chosen by hand; `explore_slam benchmark obstacles` measures what another value does.
@@ -84,12 +85,10 @@ def _areas(mask: NDArray[np.bool_], least: float, scale: float) -> Iterator[NDAr
 
 def _pieces(cells: NDArray[np.int64], largest: float) -> Iterator[NDArray[np.int64]]:
     """Cut cells (N, 2) across their main direction until no piece is longer than `largest`."""
-    centered = cells - cells.mean(axis=0)
-    along = centered @ np.linalg.eigh(centered.T @ centered)[1][:, -1]
+    along = along_main_direction(cells)
     count = math.ceil(np.ptp(along) / largest)
     if count <= 1:
         yield cells
         return
-    order = np.argsort(np.round(along, 6), kind='stable')
-    for part in np.array_split(cells[order], count):
-        yield from _pieces(np.ascontiguousarray(part), largest)
+    for part in cut_across(cells, along, count):
+        yield from _pieces(part, largest)

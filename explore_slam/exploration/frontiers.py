@@ -25,9 +25,9 @@ from explore_slam.exploration.frontier_kernels import (
     visible_unknown,
 )
 from explore_slam.exploration.records import Cell, Frontier, Grid
+from explore_slam.exploration.regions import along_main_direction, cut_across
 from explore_slam.exploration.sections import FrontierConfig
 from explore_slam.exploration.sparse_memory import SparseArray
-from explore_slam.geometry import Array
 
 # Chosen by hand; `explore_slam benchmark exploration` measures what another value does
 _RAYS = 40  # by which the unknown area in sight of a viewpoint is estimated
@@ -325,8 +325,4 @@ def _split(cells: NDArray[np.int64], largest: int) -> list[NDArray[np.int64]]:
     pieces = math.ceil(len(cells) / largest)
     if pieces == 1:
         return [cells]
-    centered = cells - cells.mean(axis=0)
-    spread: Array = centered.T @ centered
-    direction = np.linalg.eigh(spread)[1][:, -1]
-    order = np.argsort(np.round(centered @ direction, 6), kind='stable')
-    return [np.ascontiguousarray(part) for part in np.array_split(cells[order], pieces)]
+    return cut_across(cells, along_main_direction(cells), pieces)

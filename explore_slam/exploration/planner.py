@@ -19,7 +19,7 @@ what it was on its way to is for the others.
 
 import logging
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -267,7 +267,9 @@ class Planner:
         found = self._search(scene, scene.viewpoints())
         if self._release_shut_in(scene, found):
             found = self._search(scene, scene.viewpoints())
-        candidates = self._worthwhile(scene, self._open(scene, found)) or self._squeeze(scene)
+        candidates = self._worthwhile(
+            scene, self._open(scene, found, scene.explorers)
+        ) or self._squeeze(scene)
         if candidates:
             self._empty_searches = 0
             return self._assign(scene, candidates, guided)
@@ -304,17 +306,26 @@ class Planner:
         seen = looked_at() if names and config.min_unviewed_area > 0.0 else None
         if seen is None:
             return []
-        reach = np.logical_or.reduce([scene.reach[name] for name in names])
-        return self._open(scene, find_unviewed(scene.grid, scene.costs, seen, reach, config))
+        reach = np.logical_or.reduce([scene.reach[name] for name in names]) & scene.viewpoints()
+        found = find_unviewed(scene.grid, scene.costs, seen, reach, config)
+        return self._open(scene, found, names)
 
-    def _open(self, scene: Scene, frontiers: list[Frontier]) -> list[Frontier]:
-        """Return the frontiers that may be tried, or else those that have not failed for good."""
-        names = scene.explorers
+    def _open(
+        self, scene: Scene, frontiers: list[Frontier], names: Sequence[str]
+    ) -> list[Frontier]:
+        """Return the frontiers that some vehicle reaches and may try, by name.
+
+        Without any, return those that have not failed for good.
+        """
         for fails in (partial(self._blacklist.blocks, now=scene.now), self._blacklist.gave_up):
             left = [
                 frontier
                 for frontier in frontiers
-                if not all(fails(frontier.target, vehicle=name) for name in names)
+                if any(
+                    scene.reach[name][frontier.target_cell]
+                    and not fails(frontier.target, vehicle=name)
+                    for name in names
+                )
             ]
             if left:
                 return left
@@ -352,7 +363,9 @@ class Planner:
             if not scene.allow_tight(name):
                 continue
             found = self._search(scene, scene.viewpoints())
-            worth = [f for f in self._open(scene, found) if f.gain >= _SQUEEZE_GAIN]
+            worth = [
+                f for f in self._open(scene, found, scene.explorers) if f.gain >= _SQUEEZE_GAIN
+            ]
             if worth:
                 self._squeezing = name
                 return worth
@@ -377,7 +390,7 @@ class Planner:
             for f in notable
             if f.showing >= _UNSEEN_ROOM
             and reach[f.target_cell]
-            and all(self._blacklist.gave_up(f.target, name) for name in scene.explorers)
+            and not self._open(scene, [f], scene.explorers)
             and all(math.dist(f.target, place) > radius for place in self._looked_at)
         ]
         return far, failed

@@ -10,6 +10,7 @@ from explore_slam.compiled import kernel
 from explore_slam.exploration.frontier_kernels import SQUARE
 from explore_slam.exploration.records import Cell
 from explore_slam.exploration.value_iteration import Costs
+from explore_slam.geometry import Array
 
 
 def set_disc(mask: NDArray[np.bool_], row: int, col: int, radius: float) -> None:
@@ -92,3 +93,17 @@ def open_around(
             for c in range(max(0, col - half), min(cost.shape[1], col + half + 1)):
                 if allowed[r, c] and cost[r, c] == np.inf and todo[r // SQUARE, c // SQUARE]:
                     cost[r, c] = prices[min(squared[r, c], prices.size - 1)]
+
+
+def along_main_direction(cells: NDArray[np.int64]) -> Array:
+    """Return where cells (N, 2) lie along the direction in which they spread most, as (N,)."""
+    centered = cells - cells.mean(axis=0)
+    spread: Array = centered.T @ centered
+    found: Array = np.round(centered @ np.linalg.eigh(spread)[1][:, -1], 6)
+    return found
+
+
+def cut_across(cells: NDArray[np.int64], along: Array, pieces: int) -> list[NDArray[np.int64]]:
+    """Cut cells (N, 2) into pieces of about equal size, in the order of `along` (N,)."""
+    order = np.argsort(along, kind='stable')
+    return [np.ascontiguousarray(part) for part in np.array_split(cells[order], pieces)]

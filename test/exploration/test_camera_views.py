@@ -135,3 +135,23 @@ def test_a_camera_that_shows_nothing_does_not_keep_exploration_from_ending():
     _, status, sent = explore(vehicles, left_room)
     assert status is ExplorationStatus.COMPLETE
     assert sent == {'robot1'}
+
+
+def test_what_vehicles_with_a_camera_have_given_up_is_not_kept_open_by_one_without():
+    grid = rooms()
+    seen = np.ones(grid.shape, np.bool_)
+    seen[4:12, 32:42] = False
+    planner = Planner(config(return_to_init=False, maximum_attempts=1))
+    vehicles = {'robot1': at(5, 13), 'robot2': at(7, 2, has_camera=False)}
+    blocked = 0
+    for turn in range(100):
+        result = planner.plan(grid, 0.1 * turn, vehicles, looked_at=lambda: seen)
+        if result.status.explored:
+            break
+        for name, plan in result.plans.items():  # each is blocked where it stands
+            short_of = plan.goal.compose(Pose2(-1.5, 0.0, 0.0))  # where it faces the area
+            vehicles[name] = vehicles[name]._replace(pose=short_of)
+            planner.report_blocked(name, plan.goal, 0.1 * turn)
+            blocked += 1
+    assert result.status.explored
+    assert blocked

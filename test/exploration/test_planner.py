@@ -530,3 +530,29 @@ def test_permanent_zones_around_a_trapped_vehicle_are_released_too():
         statuses.append((result.status, 'released' in result.reason, bool(result.plans)))
     assert statuses[0] == (ExplorationStatus.IN_PROGRESS, True, False)
     assert statuses[1][2]
+
+
+def test_a_frontier_that_only_one_vehicle_reaches_and_has_given_up_ends_exploration():
+    """The other one is shut in: it has not failed, but it never gets there."""
+    text = """
+????????????????????
+#####....###########
+#.........#........#
+#.........#........#
+#.........#........#
+#.........#........#
+####################
+"""
+    grid = grid_of(text, cells_per_letter=SIDE)
+    planner = Planner(config(maximum_attempts=1))
+    vehicles = team(text, (4, 5), (4, 14))
+    sent = set()
+    for turn in range(100):
+        result = planner.plan(grid, 0.1 * turn, vehicles)
+        if result.status.explored:
+            break
+        for name, plan in result.plans.items():
+            sent.add(name)
+            planner.report_blocked(name, plan.goal, 0.1 * turn)
+    assert result.status.explored
+    assert sent == {'robot1'}

@@ -91,7 +91,10 @@ class DefaultStrategy:
                 cache = self._caches.setdefault(body.envelope, RouteCache())
                 alike = [body.envelope == other.envelope for other in situation.kinds]
                 between[body.envelope] = cache.between(
-                    routes, routes.blocks(every), np.array(targets), situation.costs[alike]
+                    routes,
+                    routes.blocks(every),
+                    np.array(targets, np.int64),
+                    situation.costs[alike],
                 )
         each = np.array([between[body.envelope] for body in situation.kinds])
         strips = 2.0 * np.maximum(situation.side_ranges(self._sensor_range), _SHORTEST_SIDE_RANGE)

@@ -13,7 +13,7 @@ from explore_slam.slam.graph.factors import Integers
 from explore_slam.slam.graph.tables import GrowingTable
 
 TABLES = ('keyframes', 'factors', 'observations', 'landmarks')
-DEAD_ROWS = 0.2  # a table is compacted when more of its rows are dead, which costs little then
+DEAD_ROWS = 0.2  # part of a table's rows; with more of them dropped, it is compacted
 
 
 class Calibration(NamedTuple):
