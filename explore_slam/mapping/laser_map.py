@@ -25,7 +25,7 @@ class KeyframeScan(NamedTuple):
 
 
 class LaserMap(PathDrawing[KeyframeScan, OccupancyGrid]):
-    """All scans with their keyframes, and the occupancy grid along the most likely path."""
+    """Scans with their keyframes, and the occupancy grid along the most likely path."""
 
     def __init__(self, config: GridConfig | None = None) -> None:
         self.config = config or GridConfig()
@@ -52,8 +52,8 @@ class LaserMap(PathDrawing[KeyframeScan, OccupancyGrid]):
 
     @property
     def scans(self) -> Sequence[KeyframeScan]:
-        """All scans in the order in which they were added."""
-        return tuple(self._items)
+        """The scans that are kept, in the order in which they were added."""
+        return tuple(self._held())
 
     def add(
         self,
@@ -85,7 +85,7 @@ class LaserMap(PathDrawing[KeyframeScan, OccupancyGrid]):
                 ),
             )  # fmt: skip
         return bool(changed) and any(
-            item.vehicle in changed for item in self._items[: self._drawn]
+            item.vehicle in changed for item in self._held(stop=self._drawn)
         )
 
     def _draw_items(self, items: Sequence[KeyframeScan]) -> int:
@@ -94,8 +94,10 @@ class LaserMap(PathDrawing[KeyframeScan, OccupancyGrid]):
             logger.warning('%s', error)
         return len(errors)
 
+    def _pose(self, item: KeyframeScan) -> Pose2:
+        return Pose2(*self._path[item.keyframe].tolist()).compose(item.laser_in_keyframe)
+
     def _placed(self, item: KeyframeScan) -> PlacedScan:
         """Return a scan at the pose that its keyframe has on the path."""
-        keyframe = Pose2(*self._path[item.keyframe].tolist())
-        pose = keyframe.compose(item.laser_in_keyframe)
-        return PlacedScan(pose, item.scan, self._discs(item), item.vehicle not in self._not_free)
+        is_free = item.vehicle not in self._not_free
+        return PlacedScan(self._pose(item), item.scan, self._discs(item), is_free)

@@ -260,7 +260,7 @@ class KeyframeView[View](NamedTuple):
 
 
 class _PackedView:
-    """A view as it is stored, for a map keeps all of them: a twelfth of the size in the office."""
+    """A view as it is stored, for a map keeps many: a twelfth of the size in the office."""
 
     def __init__(self, view: ObstacleView) -> None:
         self._stamp, self._count = view.stamp, len(view)
@@ -277,7 +277,7 @@ class _PackedView:
 
 
 class ObstacleMap(PathDrawing[KeyframeView[_PackedView], ObstacleGrid]):
-    """All views of depth cameras with their keyframes, and the layer along the path."""
+    """Views of depth cameras with their keyframes, and the layer along the path."""
 
     def __init__(self, config: GridConfig | None = None) -> None:
         self.config = config or GridConfig()
@@ -293,7 +293,7 @@ class ObstacleMap(PathDrawing[KeyframeView[_PackedView], ObstacleGrid]):
 
     @property
     def views(self) -> Sequence[KeyframeView[ObstacleView]]:
-        """All views in the order in which they were added."""
+        """The views that are kept, in the order in which they were added."""
         return tuple(
             KeyframeView(
                 item.keyframe,
@@ -302,7 +302,7 @@ class ObstacleMap(PathDrawing[KeyframeView[_PackedView], ObstacleGrid]):
                 item.vehicle_in_keyframe,
                 item.bodies,
             )
-            for item in self._items
+            for item in self._held()
         )
 
     def add(
@@ -317,13 +317,15 @@ class ObstacleMap(PathDrawing[KeyframeView[_PackedView], ObstacleGrid]):
         packed = _PackedView(view)
         self._append(KeyframeView(keyframe, vehicle, packed, vehicle_in_keyframe, tuple(bodies)))
 
+    def _pose(self, item: KeyframeView[_PackedView]) -> Pose2:
+        return Pose2(*self._path[item.keyframe].tolist()).compose(item.vehicle_in_keyframe)
+
     def _draw_items(self, items: Sequence[KeyframeView[_PackedView]]) -> int:
         refused = 0
         for item in items:
-            keyframe = Pose2(*self._path[item.keyframe].tolist())
-            pose = keyframe.compose(item.vehicle_in_keyframe)
             try:
-                self.layer.insert(PlacedView(pose, item.view.unpack(), self._discs(item)))
+                placed = PlacedView(self._pose(item), item.view.unpack(), self._discs(item))
+                self.layer.insert(placed)
             except MappingError as error:
                 logger.warning('%s', error)
                 refused += 1

@@ -5,9 +5,15 @@ redraw compares the new path with the one drawn last: the drawing returns to the
 before the first item whose keyframe moved noticeably, and the items from there on are drawn again
 in their order. Cells are clamped, so that order matters; because it is preserved, the result
 equals a drawing from scratch along the path that `PathDrawing.path` returns, bit for bit.
+
+Memory is bounded by the area: of the items that one vehicle has taken at one place the newest
+ITEMS_PER_PLACE are kept. Older ones stay in the drawing until it is redrawn from before them; the
+newer ones have brought the same cells to their limits by then.
 """
 
+import math
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol, Self
 
@@ -22,6 +28,9 @@ SNAPSHOT_SPACING = 16  # items between the closest snapshots; powers of two of i
 # An item is drawn again when its keyframe has moved by more than this distance (m), its turn
 # counted by the effect on returns at a typical range (m): less than half a cell shows nothing.
 REDRAW_DISTANCE, REDRAW_RANGE = 0.02, 3.0
+# A place is a square of this side (m) and one of so many sectors of headings. One pass leaves
+# about ten scans there (ScanConfig.map_scan_distance and map_scan_heading): all of it is kept.
+PLACE_SIDE, PLACE_SECTORS, ITEMS_PER_PLACE = 1.0, 8, 10
 MAP_FRAME = -1  # in place of a keyframe: the offset is a pose in the map frame
 
 
@@ -54,11 +63,15 @@ class RedrawSummary(NamedTuple):
 
 
 class Anchored(Protocol):
-    """An item: taken at a keyframe, while other vehicles were within discs."""
+    """An item: taken by a vehicle at a keyframe, while other vehicles were within discs."""
 
     @property
     def keyframe(self) -> int:
         """Number of the keyframe."""
+
+    @property
+    def vehicle(self) -> str:
+        """Name of the vehicle."""
 
     @property
     def bodies(self) -> tuple[VehicleDisc, ...]:
@@ -96,23 +109,34 @@ class PathDrawing[I: Anchored, C: Canvas](ABC):
     def __init__(self, snapshot_memory: float) -> None:
         self._snapshot_memory = snapshot_memory
         self._canvas = self._empty()
-        self._items: list[I] = []
+        self._items: list[I | None] = []  # None: given up
         self._drawn = 0
+        self._numbers: dict[tuple[str, int, int, int], deque[int]] = {}  # of items by place
+        self._thinned = 0  # items that have been counted at their places
+        self._given_up = 0
         self._path: Array = np.empty((0, 3))
         self._in_map: NDArray[np.bool_] = np.empty(0, np.bool_)  # which of these keyframes
         self._snapshots: dict[int, C] = {}
         self.revision = 0  # counts the redraws that have changed the drawing
 
     def __len__(self) -> int:
-        return len(self._items)
+        return len(self._items) - self._given_up
 
     @abstractmethod
     def _empty(self) -> C:
         """Return an empty drawing."""
 
     @abstractmethod
+    def _pose(self, item: I) -> Pose2:
+        """Return the pose on the path at which an item was taken."""
+
+    @abstractmethod
     def _draw_items(self, items: Sequence[I]) -> int:
         """Draw items that are in the map along the path; return how many are refused."""
+
+    def _held(self, start: int = 0, stop: int | None = None) -> list[I]:
+        """Return the items with numbers from start to before stop that have not been given up."""
+        return [item for item in self._items[start:stop] if item is not None]
 
     def _must_start_over(self) -> bool:
         """Return whether what is drawn would be drawn differently now."""
@@ -157,15 +181,17 @@ class PathDrawing[I: Anchored, C: Canvas](ABC):
         end = self._drawn
         while end < len(self._items) and self._can_draw(self._items[end], poses):
             end += 1
+        drawn = len(self._held(start, end))
         # only snapshots that remain at the end are worth a copy
         for stop in [*sorted(n for n in snapshot_positions(end) if n > start), end]:
-            items = self._items[self._drawn : stop]
+            items = self._held(self._drawn, stop)
             self._drawn = stop
             refused += self._draw_items([i for i in items if self._in_map[i.keyframe]])
             if stop % SNAPSHOT_SPACING == 0 and stop > start:
                 self._keep_snapshot()
-        self.revision += restored or self._drawn > start
-        return RedrawSummary(start, self._drawn - start, len(self._items) - self._drawn, refused)
+        self.revision += restored or drawn > 0
+        self._thin_out()
+        return RedrawSummary(start, drawn, len(self._items) - self._drawn, refused)
 
     @property
     def path(self) -> Array:
@@ -189,6 +215,8 @@ class PathDrawing[I: Anchored, C: Canvas](ABC):
         if not changed.any():
             return self._drawn
         for number, item in enumerate(self._items[: self._drawn]):
+            if item is None:
+                continue
             if changed[item.keyframe] or any(changed[body.keyframe] for body in item.bodies):
                 return number
         return self._drawn
@@ -201,8 +229,10 @@ class PathDrawing[I: Anchored, C: Canvas](ABC):
         self._snapshots = {count: self._snapshots[count] for count in older}
 
     @staticmethod
-    def _can_draw(item: Anchored, poses: Array) -> bool:
+    def _can_draw(item: Anchored | None, poses: Array) -> bool:
         """Return whether the path (K, 3) holds all keyframes of an item."""
+        if item is None:
+            return True
         newest = max([item.keyframe, *(body.keyframe for body in item.bodies)])
         return newest < len(poses)
 
@@ -222,6 +252,26 @@ class PathDrawing[I: Anchored, C: Canvas](ABC):
                 rows.append((pose.x, pose.y, body.radius))
             ignore = np.array(rows).reshape(-1, 3)
         return ignore
+
+    def _thin_out(self) -> None:
+        """Give up items at places where the same vehicle has taken enough newer ones."""
+        for number in range(self._thinned, self._drawn):
+            item = self._items[number]
+            if item is None:
+                continue
+            pose = self._pose(item)
+            place = (
+                item.vehicle,
+                math.floor(pose.x / PLACE_SIDE),
+                math.floor(pose.y / PLACE_SIDE),
+                math.floor(pose.theta / math.tau * PLACE_SECTORS) % PLACE_SECTORS,
+            )
+            numbers = self._numbers.setdefault(place, deque())
+            numbers.append(number)
+            if len(numbers) > ITEMS_PER_PLACE:
+                self._items[numbers.popleft()] = None
+                self._given_up += 1
+        self._thinned = max(self._thinned, self._drawn)
 
     def _keep_snapshot(self) -> None:
         """Store the current drawing; drop old snapshots by position and by memory."""
