@@ -32,17 +32,18 @@ def camera_scan(
     band: Band,
     reach: float,
     mount: Pose2,
+    sensor: str = '',
 ) -> LaserScan:
     """Return the scan in a depth image (W, H) m.
 
     tilt: slopes of the floor; height (m): of the camera above it. band: heights that count.
-    reach (m): longest range. mount: of the camera, which looks along its x axis.
+    reach (m): longest range. mount: of the camera, which looks along its x axis. sensor: its name.
     """
     half = math.atan(float(np.abs(rays.tangent[rays.ahead > 0.0]).max(initial=0.0)))
     beams = 2 * math.ceil(half / _STEP) + 1
     first = -(beams // 2) * _STEP
     ranges = _ranges(rays, depth, tilt, height, band, reach, beams, first)
-    return LaserScan(stamp, first, _STEP, ranges, RANGE_MIN, reach, mount)
+    return LaserScan(stamp, first, _STEP, ranges, RANGE_MIN, reach, mount, sensor=sensor)
 
 
 @kernel

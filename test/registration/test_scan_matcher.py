@@ -15,9 +15,10 @@ from explore_slam.registration import (
     ScanMatch,
     ScanMatcher,
     ScanMatchingConfig,
+    scan_cloud,
 )
 from explore_slam.registration.alignment import Alignment
-from explore_slam.registration.scan_matcher import _scan_match, _window
+from explore_slam.registration.scan_matcher import _scan_match, _window, _window_drift
 from explore_slam.slam.checks import check_motion_covariance
 
 ROOM = np.vstack(
@@ -69,6 +70,27 @@ def test_wheels_that_are_off_by_half_a_metre_and_ten_degrees_are_put_right(shift
         assert off[2] < 0.01
         assert match.overlap > 0.8
         assert np.sqrt(np.diag(match.covariance)).max() < 0.05
+
+
+def test_a_narrow_view_is_matched_near_the_odometry_only():
+    """It shows a wall or a corner, which fits at many places."""
+    random, true = np.random.default_rng(5), Pose2(0.3, -0.2, 0.2)
+    matcher = ScanMatcher(ScanMatchingConfig(), narrow_view=True)
+    clouds = [scan_cloud(scan_of(ROOM, pose, 0.01, random)) for pose in (IDENTITY, true, true)]
+    first, near, far = (
+        cloud.only(np.abs(np.arctan2(*cloud.points.T[::-1])) < 0.5) for cloud in clouds
+    )
+    assert isinstance(matcher.match_cloud(first, IDENTITY, WHEELS), RefusedScan)
+    match = matcher.match_cloud(near, true.compose(Pose2(0.04, 0.03, 0.04)), WHEELS)
+    assert isinstance(match, ScanMatch)
+    off = true.between(match.pose)
+    assert (off.x, off.theta) == pytest.approx((0.0, 0.0), abs=0.01)
+    assert off.y == pytest.approx(0.03, abs=0.01)  # along the wall ahead
+    off, unknown = true.compose(Pose2(0.3, 0.0, 0.0)), np.eye(3)
+    assert matcher.match_cloud(far, off, unknown) == RefusedScan(Refusal.LITTLE_OVERLAP, off)
+    assert matcher.probe(far, off) is None
+    wide = started(ROOM)
+    assert isinstance(wide.match_cloud(clouds[2], off, unknown), ScanMatch)
 
 
 def test_the_mount_of_the_laser_counts():
@@ -187,7 +209,7 @@ def test_errors_of_a_match_are_covariances_whatever_the_rounding():
         turn = planar_rotation(random.uniform(0.0, math.tau))
         information = turn @ jacobian.T @ jacobian @ turn.T
         odometry = np.diag(10.0 ** random.uniform(-7.0, -2.0, 3))
-        match = _scan_match(Alignment(IDENTITY, information, 1.0, 0.0, 360, 1.0), odometry, False)
+        match = _scan_match(Alignment(IDENTITY, information, 1.0, 0.0, 360, 1.0), odometry, 0.0)
         for covariance in (match.white, match.drift):
             check_motion_covariance('error', covariance)
         total = np.linalg.inv(information + np.linalg.inv(odometry))
@@ -221,14 +243,17 @@ def test_all_poses_share_the_error_of_the_first_scan_and_their_drift_covers_it()
     assert 1.0 < np.mean(squares) < 4.5  # 3 in the mean, by the noise of a mean of 40
 
 
+@pytest.mark.parametrize('narrow_view', [False, True])
 @pytest.mark.parametrize('independent', [1.0, 0.6, 0.05])
-def test_the_window_drifts_by_errors_that_scans_share(independent):
+def test_the_window_drifts_by_errors_that_scans_share(independent, narrow_view):
     information = np.diag([4e5, 1e5, 1e6])
     found = Alignment(IDENTITY, information, 1.0, 0.0, 360, independent)
     odometry = np.diag([0.02, 0.02, 0.02]) ** 2
-    still, moved = (_scan_match(found, odometry, window_moved) for window_moved in (False, True))
+    drift = _window_drift(found, narrow_view)
+    still, moved = (_scan_match(found, odometry, fraction) for fraction in (0.0, drift))
     assert not still.window.any()
-    np.testing.assert_allclose(moved.window, 0.7 * (1.0 - independent) * moved.white)
+    fraction = 2.0 if narrow_view else 0.7 * (1.0 - independent)
+    np.testing.assert_allclose(moved.window, fraction * moved.white)
     np.testing.assert_allclose(moved.drift - moved.window, still.drift, atol=1e-12)
     np.testing.assert_allclose(moved.white, still.white)
 

@@ -27,10 +27,15 @@ def release_sweeps(team: Team, track: VehicleTrack) -> None:
             enqueue_scan_of_one_moment(team, track, scan)
 
 
-def enqueue_scan_of_one_moment(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
-    """Queue a scan for the map and, if the vehicle's scans are matched, for matching."""
-    if team.matches_scans(track):
-        track.unmatched.push(scan, team.config.inputs.measurement_queue_length)
+def enqueue_scan_of_one_moment(
+    team: Team, track: VehicleTrack, scan: LaserScan, level: LaserScan | None = None
+) -> None:
+    """Queue a scan for the map and, if scans are matched, for matching.
+
+    level: the scan to be matched in its place.
+    """
+    if team.config.scan_matching.scan_matching:
+        track.unmatched.push(level or scan, team.config.inputs.measurement_queue_length)
     if track.unmapped:
         track.count('ignored_while_paused')
     else:
@@ -64,7 +69,7 @@ def _close_loops(team: Team, track: VehicleTrack, scan: LaserScan, moved: Pose2)
 
     moved: motion since the keyframe.
     """
-    if team.matches_scans(track):
+    if team.config.scan_matching.scan_matching:
         cloud = track.cloud_of(scan.stamp)
     else:
         laser = team.laser_pose(scan)
