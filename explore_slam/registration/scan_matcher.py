@@ -68,7 +68,7 @@ _OTHER_MODE = 0.92  # fraction of the best score at which another mode makes a m
 _UNLIKELY = 5.0
 # Of a narrow view, a match is refused above this distance, or if it is this far (m, rad) from the
 # odometry's pose: by itself, a wall fits at many places.
-_NARROW_UNLIKELY, _NARROW_CORRECTION = 3.0, (0.15, 0.1)
+_NARROW_UNLIKELY, _NARROW_CORRECTION = 2.0, (0.15, 0.1)
 _REFUSALS_UNTIL_RESTART = 3  # scans in succession
 
 
