@@ -292,6 +292,12 @@ class RgbdFrame:
                 'expected uint16 (mm) or float32 (m)'
             )
         _check_shape(self, 'depth', self.depth, size)
+        if self.mount is not None and not _is_finite(self.mount):
+            raise DataError(f'RgbdFrame: mount is {self.mount}, expected finite values')
+
+
+def _is_finite(pose: Pose3) -> bool:
+    return all(map(math.isfinite, (*pose.position, *pose.quaternion)))
 
 
 OBSTACLE_CELL = 0.05  # m, side of the cells of an ObstacleView; as that of the default grid
@@ -306,12 +312,14 @@ class ObstacleView:
     cells (N, 2) int16: columns along x and rows along y of squares with the side OBSTACLE_CELL.
     occupied, free (N,) uint16: slices of height in which something was seen, and through which the
     camera looked, as bits; HOLE_BIT: the floor is lower there, or it was seen where it should be.
+    sensor: which camera of the vehicle it is from; '' where there is one only or it is not known.
     """
 
     stamp: float
     cells: NDArray[np.int16]
     occupied: NDArray[np.uint16]
     free: NDArray[np.uint16]
+    sensor: str = ''
 
     def __post_init__(self) -> None:
         _check_stamp(self, self.stamp)

@@ -16,7 +16,7 @@ from explore_slam.data import (
     TagObservations,
 )
 from explore_slam.errors import DataError
-from explore_slam.geometry import IDENTITY, Pose2
+from explore_slam.geometry import IDENTITY, Pose2, Pose3
 
 CAMERA = Intrinsics(4, 3, 5.0, 5.0, 2.0, 1.5)
 RGB, DEPTH = np.zeros((3, 4, 3), np.uint8), np.zeros((3, 4), np.uint16)
@@ -38,6 +38,10 @@ RANGES = np.ones(3, np.float32)
         (lambda: Intrinsics(4, 3, 0.0, 5.0, 2.0, 1.5), 'fx, fy'),
         (lambda: RgbdFrame(1.0, RGB[:2], DEPTH, CAMERA), r'rgb has shape \(2, 4, 3\)'),
         (lambda: RgbdFrame(1.0, RGB, DEPTH.astype(np.int32), CAMERA), 'depth is of type int32'),
+        (
+            lambda: RgbdFrame(1.0, RGB, DEPTH, CAMERA, Pose3((math.nan, 0, 0), (0, 0, 0, 1))),
+            'mount is Pose3.*nan.*finite',
+        ),
         (
             lambda: LandmarkObservations(
                 1.0, np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros((2, 128), np.float32)

@@ -171,6 +171,36 @@ def test_the_time_between_scans_is_that_of_their_stamps(caplog):
     assert 'that is 0.25 s for a scan, expected at most 0.15 s' in caplog.text
 
 
+@pytest.mark.parametrize(
+    ('share', 'doubted'),
+    [(0.06, True), (0.8, True), (0.88, False), (1.0, False), (1.12, False), (1.4, True)],
+)
+def test_a_duration_far_from_the_time_between_scans_is_put_to_the_test(share, doubted):
+    judge, between = SweepJudge('robot1'), 359.0 / 360.0 / 5.5
+    scans = scans_with(share * between / 359)
+    judged(scans, judge)
+    stated = pytest.approx(share * between)
+    wanted = (pytest.approx(between), stated) if doubted else (stated, 0.0)
+    assert judge.doubtful(scans[-1]) == wanted
+
+
+def test_the_doubt_does_not_flicker_at_its_limit():
+    judge, between = SweepJudge('robot1'), 359.0 / 360.0 / 5.5
+    steps = ((0.86, False), (0.84, True), (0.86, True), (0.89, True), (0.91, False), (0.86, False))
+    for number, (share, doubted) in enumerate(steps):
+        judge._stamps.clear()
+        scans = scans_with(share * between / 359)
+        judged(scans, judge)
+        assert (judge.doubtful(scans[-1]).stated > 0.0) is doubted, number
+
+
+def test_settings_are_not_doubted():
+    judge = SweepJudge('robot1')
+    scans = scans_with(STATED, timing=SweepTiming(0.03))
+    judged(scans, judge)
+    assert judge.doubtful(scans[-1]) == (0.03, 0.0)
+
+
 def test_settings():
     assert SweepConfig().record == SweepTiming()
     values = {'sweep_time': 0.1, 'sweep_direction': 'backward', 'sweep_stamp': 'last'}

@@ -276,9 +276,9 @@ class Agent:
         """All mapped views of obstacles, and the layer as it was drawn last."""
         return self._team.obstacle_map
 
-    def newest_view(self, vehicle: str) -> ObstacleView | None:
-        """Return the newest view of obstacles of a vehicle that was processed."""
-        return self.track(vehicle).newest_view
+    def newest_views(self, vehicle: str) -> tuple[ObstacleView, ...]:
+        """Return the newest view of obstacles that was processed, of each camera of a vehicle."""
+        return tuple(self.track(vehicle).newest_views.values())
 
     @property
     def grid(self) -> OccupancyGrid:
@@ -436,6 +436,7 @@ class Agent:
         self.reset()
         self._team.belief, self._team.loops, self._team.tags = belief, saved.loops, saved.tags
         self._team.laser_map, self._team.obstacle_map = saved.laser_map, saved.obstacle_map
+        saved.laser_map.known_free = self.camera_scans
         self._merged = None
         for vehicle in self.tracks:
             belief.restart_clock(vehicle)

@@ -91,6 +91,7 @@ def _scans_state(laser_map: LaserMap, vehicles: list[str]) -> State:
         'numbers': np.array(numbers, np.int64).reshape(-1, 3),
         'scans': np.array(scans, np.float64).reshape(-1, 8),
         'ranges': np.concatenate([np.empty(0, np.float32), *ranges]),
+        'sensors': np.array([item.sensor for item in laser_map.scans], np.str_),
         'deskewed': np.array(deskewed, np.int64),
         'bearings': np.concatenate(bearings),
         'bodies': np.array(bodies, np.float64).reshape(-1, 6),
@@ -103,6 +104,7 @@ def _laser_map(state: State, vehicles: list[str], config: GridConfig) -> LaserMa
     bodies = _bodies_by_row(state['bodies'])
     first, first_bearing = 0, 0
     deskewed = set(state['deskewed'].tolist())
+    sensors = _sensors(state)
     rows = zip(state['numbers'].tolist(), state['scans'].tolist(), strict=True)
     for row, ((keyframe, vehicle, count), (*sweep, x, y, theta)) in enumerate(rows):
         stamp, angle_min, increment, range_min, range_max = sweep
@@ -113,7 +115,14 @@ def _laser_map(state: State, vehicles: list[str], config: GridConfig) -> LaserMa
             bearings = state['bearings'][first_bearing : first_bearing + count]
             first_bearing += count
         scan = LaserScan(
-            stamp, angle_min, increment, ranges, range_min, range_max, bearings=bearings
+            stamp,
+            angle_min,
+            increment,
+            ranges,
+            range_min,
+            range_max,
+            bearings=bearings,
+            sensor=sensors[row],
         )
         laser_map.add(keyframe, vehicles[vehicle], scan, Pose2(x, y, theta), bodies.get(row, []))
     return laser_map
@@ -133,6 +142,7 @@ def _views_state(obstacle_map: ObstacleMap, vehicles: list[str]) -> State:
     return {
         'numbers': np.array(numbers, np.int64).reshape(-1, 3),
         'poses': np.array(poses, np.float64).reshape(-1, 4),
+        'sensors': np.array([item.sensor for item in views], np.str_),
         'cells': np.concatenate([np.empty((0, 2), np.int16), *(i.view.cells for i in views)]),
         'occupied': np.concatenate([none, *(item.view.occupied for item in views)]),
         'free': np.concatenate([none, *(item.view.free for item in views)]),
@@ -143,19 +153,30 @@ def _views_state(obstacle_map: ObstacleMap, vehicles: list[str]) -> State:
 def _obstacle_map(state: State, vehicles: list[str], config: GridConfig) -> ObstacleMap:
     """Return the obstacle map of the arrays that _views_state made."""
     obstacle_map = ObstacleMap(config)
-    bodies = _bodies_by_row(state['bodies'])
+    bodies, sensors = _bodies_by_row(state['bodies']), _sensors(state)
     first = 0
     rows = zip(state['numbers'].tolist(), state['poses'].tolist(), strict=True)
     for row, ((keyframe, vehicle, count), (stamp, x, y, theta)) in enumerate(rows):
         part = slice(first, first + count)
         first += count
         view = ObstacleView(
-            stamp, state['cells'][part], state['occupied'][part], state['free'][part]
+            stamp,
+            state['cells'][part],
+            state['occupied'][part],
+            state['free'][part],
+            sensors[row],
         )
         obstacle_map.add(
             keyframe, vehicles[vehicle], view, Pose2(x, y, theta), bodies.get(row, [])
         )
     return obstacle_map
+
+
+def _sensors(state: State) -> list[str]:
+    """Return the sensor of each scan or view; states of earlier revisions do not have it."""
+    names = state.get('sensors')
+    count = len(state['numbers'])
+    return [''] * count if names is None else [str(name) for name in names.tolist()]
 
 
 def _bodies_by_row(table: NDArray[np.float64]) -> dict[int, list[VehicleDisc]]:

@@ -5,6 +5,9 @@ scans at different turn rates differ in shape if the beams are measured one afte
 agree only when each is undone by the right sweep: all at one moment, forward or backward. At equal
 turn rates they agree under each of them, which is why scan matching notices nothing.
 
+Where the message states a duration that does not suit the time between scans, the duration is
+tested as well: a sweep from scan to scan, forward or backward, and the stated one.
+
 A wrong stamp shows as well: the turn between two scans then differs from that of odometry in
 proportion to the difference of their turn rates, whereas wheels of a wrong size err in proportion
 to the turn. Both are estimated together (least squares).
@@ -50,18 +53,25 @@ _CRITERIA = ((_FEWEST, 2.0, 0.8), (12, 1.5, 0.95))  # comparisons, factor, share
 # The delay of the stamps in units of the sweep: 0 is stamped at the first beam, 1 at the last.
 _FIRST, _LAST, _DELAY_DEVIATION = 0.35, 0.65, 0.12
 
+# Share of the time between scans below which a stated duration gives nearly the shape of one
+# moment, so that scans could not tell the two apart: at 5.5 Hz and 0.9 rad/s, _LEAST_SKEW.
+_NEARLY_MOMENT = 0.25
+
 _SHAPES = ('moment', 'forward', 'backward')
+_STATED_SHAPES = ('stated forward', 'stated backward')
 
 
 @dataclass
 class _Probe:
     """A scan with the odometry around it.
 
+    sweeps: shape -> sweep, stamped at its first beam. duration: of the longest one (s).
     at (m,) s and poses (m, 3), headings unwrapped; rate: mean turn rate (rad/s) from a sweep
     before the stamp to one after it; change: of the turn rate between the two halves.
     """
 
     scan: LaserScan
+    sweeps: dict[str, Sweep]
     duration: float
     at: Array
     poses: Array
@@ -73,8 +83,8 @@ class _Probe:
 
     def middle(self, shape: str) -> Pose2:
         """Return the odometry pose at the time to which a shape refers the scan."""
-        after = 0.0 if shape == 'moment' else 0.5 * self.duration
-        columns = [np.interp(self.scan.stamp + after, self.at, c) for c in self.poses.T]
+        stamp = self.scan.stamp + self.sweeps[shape].middle
+        columns = [np.interp(stamp, self.at, c) for c in self.poses.T]
         return Pose2.from_array(columns)
 
     def cloud(self, shape: str) -> PointCloud:
@@ -82,8 +92,7 @@ class _Probe:
         if shape not in self.clouds:
             scan = self.scan
             if shape != 'moment':
-                sweep = Sweep(self.duration, shape == 'backward')
-                scan = deskewed(scan, sweep, self.at, self.poses, self.laser)
+                scan = deskewed(scan, self.sweeps[shape], self.at, self.poses, self.laser)
             self.clouds[shape] = scan_cloud(scan, self.laser, _FARTHEST)
         return self.clouds[shape]
 
@@ -109,6 +118,8 @@ class SweepDetector:
         self._probes: deque[_Probe] = deque()
         self._costs: list[tuple[float, ...]] = []  # m², per comparison and shape
         self._turns: dict[str, list[tuple[float, float, float]]] = {}  # see _compare
+        self._shapes: tuple[str, ...] = _SHAPES
+        self._is_stated_tested = False
 
     @property
     def is_done(self) -> bool:
@@ -148,15 +159,17 @@ class SweepDetector:
         at = scan.stamp + np.array([-duration, 0.0, duration])
         return float(np.abs(np.diff(np.interp(at, table[:, 0], table[:, 3]))).max())
 
-    def add(self, scan: LaserScan, duration: float, laser: Pose2) -> None:
+    def add(self, scan: LaserScan, duration: float, laser: Pose2, stated: float = 0.0) -> None:
         """Compare a scan with an earlier one; odometry has come up to a sweep after its stamp.
 
         duration: of a sweep, if its beams are measured one after the other (s). laser: its pose in
-        the vehicle frame.
+        the vehicle frame. stated: implausible duration by the message (s), tested too; 0: none.
         """
         if self.is_done:
             return
-        probe = self._probe(scan, duration, laser)
+        if (stated > 0.0) != self._is_stated_tested:
+            self._begin_again(duration, stated)
+        probe = self._probe(scan, duration, stated, laser)
         if probe is None:
             return
         while self._probes and self._probes[0].scan.stamp < scan.stamp - _HISTORY:
@@ -170,10 +183,27 @@ class SweepDetector:
         most = max(abs(other.rate - probe.rate) for other in others)
         chosen = [other for other in others if abs(other.rate - probe.rate) > 0.9 * most]
         self._compare(chosen[-1 - self.comparisons % len(chosen)], probe)
-        self._decide(duration)
+        self._decide(probe, stated)
 
-    def _probe(self, scan: LaserScan, duration: float, laser: Pose2) -> _Probe | None:
+    def _begin_again(self, duration: float, stated: float) -> None:
+        """Forget the comparisons: other shapes are tested from now on."""
+        self._probes.clear()
+        self._costs.clear()
+        self._turns.clear()
+        self._is_stated_tested = stated > 0.0
+        apart = stated > _NEARLY_MOMENT * duration
+        self._shapes = _SHAPES + _STATED_SHAPES if apart else _SHAPES
+
+    def _probe(
+        self, scan: LaserScan, duration: float, stated: float, laser: Pose2
+    ) -> _Probe | None:
         """Return a scan with its odometry, None where that does not cover it."""
+        durations = (0.0, duration, duration, stated, stated)
+        sweeps = {
+            shape: Sweep(one, shape.endswith('backward'))
+            for shape, one in zip(self._shapes, durations, strict=False)
+        }
+        duration = max(sweep.duration for sweep in sweeps.values())
         table = np.array(self._odometry)
         begin, end = scan.stamp - duration, scan.stamp + duration
         if len(table) < 3 or table[0, 0] > begin or table[-1, 0] < end:
@@ -184,7 +214,7 @@ class SweepDetector:
         headings = np.interp((begin, scan.stamp, end), table[:, 0], table[:, 3])
         before, after = np.diff(headings) / duration
         rate, change = 0.5 * float(before + after), abs(float(after - before))
-        return _Probe(scan, duration, at, poses, laser, rate, change)
+        return _Probe(scan, sweeps, duration, at, poses, laser, rate, change)
 
     @staticmethod
     def _tells(a: _Probe, b: _Probe) -> bool:
@@ -203,7 +233,7 @@ class SweepDetector:
         by how much the alignment turns further than odometry (rad).
         """
         costs, turns = [], {}
-        for shape in _SHAPES:
+        for shape in self._shapes:
             prior = a.middle(shape).between(b.middle(shape))
             window = SearchWindow(prior, *_WINDOW)
             cloud = b.cloud(shape)
@@ -225,53 +255,83 @@ class SweepDetector:
             for shape, row in turns.items():
                 self._turns.setdefault(shape, []).append(row)
 
-    def _decide(self, duration: float) -> None:
-        shape = self._best_shape() if self.comparisons >= _FEWEST else None
+    def _decide(self, probe: _Probe, stated: float) -> None:
         late = self.comparisons >= _MOST
+        shape = self._best_shape() if self.comparisons >= _FEWEST else None
         if shape == 'moment':
-            self.found = Sweep(0.0)
-            logger.info(
-                '%s: the scans show that all beams are measured at one moment (%d comparisons)',
-                self.vehicle,
-                self.comparisons,
-            )
+            # it stands for a stated duration that is too short to be told from it
+            self.found = Sweep(0.0 if len(self._shapes) > len(_SHAPES) else stated)
+            self._report(self.found, '', probe.scan, stated)
         elif shape is not None:
-            delay, deviation = self._delay(shape, duration)
+            sweep = probe.sweeps[shape]
+            delay, deviation = self._delay(shape, sweep.duration)
             known = deviation < _DELAY_DEVIATION and (delay < _FIRST or delay > _LAST)
             if known or late:
-                self.found = Sweep(duration, shape == 'backward', known and delay > _LAST)
-                logger.info(
-                    '%s: the scans show %s%s (%d comparisons); with sweep_time, sweep_direction '
-                    'and sweep_stamp set, it is known from the start, and to the path follower',
-                    self.vehicle,
-                    self.found,
-                    '' if known else ' (the stamp is assumed)',
-                    self.comparisons,
-                )
+                self.found = sweep._replace(last=known and delay > _LAST)
+                remark = '' if known else ' (the stamp is assumed)'
+                self._report(self.found, remark, probe.scan, stated)
         elif late:
             self.gave_up = True
             logger.info(
                 '%s: %d comparisons of scans do not show when their beams are measured; they are '
-                'used as the messages say; set sweep_time if that is wrong',
+                'used as the messages say%s; set sweep_time if that is wrong',
                 self.vehicle,
                 self.comparisons,
+                f' (a sweep of {stated:.3g} s)' if stated else '',
             )
         if self.is_done:
             self.clear()
 
+    def _report(self, found: Sweep, remark: str, scan: LaserScan, stated: float) -> None:
+        """Log what the scans have shown, and what the message states if that is implausible."""
+        advice = (
+            'with sweep_time, sweep_direction and sweep_stamp set, it is known from the start, '
+            'and to the path follower'
+        )
+        moment = 'that all beams are measured at one moment'
+        shown = f'{found}{remark}' if found.duration else moment
+        if not stated:
+            logger.info(
+                '%s: the scans show %s (%d comparisons)%s',
+                self.vehicle,
+                shown,
+                self.comparisons,
+                f'; {advice}' if found.duration else '',
+            )
+            return
+        confirmed = found.duration == stated
+        logger.log(
+            logging.INFO if confirmed else logging.WARNING,
+            '%s: time_increment of the scans is %.4g s, a sweep of %.3g s, which is not the time '
+            'between scans; the scans show %s (%d comparisons)%s',
+            self.vehicle,
+            scan.time_increment,
+            stated,
+            shown,
+            self.comparisons,
+            '' if confirmed else f'; correct the driver; {advice}',
+        )
+
     def _best_shape(self) -> str | None:
-        """Return the shape under which scans agree much better than under the others, or None."""
+        """Return the shape under which scans agree much better than under the others, or None.
+
+        Of two durations in one direction, the better one suffices: where scans do not tell them
+        apart clearly, either is much better than the wrong direction meanwhile.
+        """
         costs = np.array(self._costs)
         total = costs.sum(axis=0)
         best = int(np.argmin(total))
-        others = np.delete(costs, best, axis=1)
-        wins = (others > costs[:, [best]]).mean(axis=0)
-        worse = np.delete(total, best) / total[best]
+        direction = self._shapes[best].split()[-1]
+        rivals = [
+            index for index, shape in enumerate(self._shapes) if not shape.endswith(direction)
+        ]
+        wins = (costs[:, rivals] > costs[:, [best]]).mean(axis=0)
+        worse = total[rivals] / total[best]
         found = any(
             len(costs) >= fewest and (worse >= factor).all() and (wins >= share).all()
             for fewest, factor, share in _CRITERIA
         )
-        return _SHAPES[best] if found else None
+        return self._shapes[best] if found else None
 
     def _delay(self, shape: str, duration: float) -> tuple[float, float]:
         """Return by how many sweeps the stamps are late, and the standard deviation of that."""

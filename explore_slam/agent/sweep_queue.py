@@ -10,7 +10,7 @@ from explore_slam.agent.odometry import OdometryBuffer
 from explore_slam.agent.sweep_detection import SweepDetector
 from explore_slam.data import LaserScan, OdometryReading
 from explore_slam.geometry import Pose2
-from explore_slam.sweeps import Sweep, SweepJudge, deskewed
+from explore_slam.sweeps import NO_TEST, Sweep, SweepJudge, SweepTest, deskewed
 
 logger = logging.getLogger(__name__)
 
@@ -24,17 +24,17 @@ class _Waiting:
     """A scan that waits for odometry.
 
     sweep: None if all beams were measured at one moment. stamp: of the scan after deskewing (s).
-    test: assumed duration (s) of the sweep while its timing is unknown; 0 if it is known.
+    test: assumed durations of the sweep while its timing is unknown.
     """
 
-    def __init__(self, scan: LaserScan, sweep: Sweep | None, test: float) -> None:
+    def __init__(self, scan: LaserScan, sweep: Sweep | None, test: SweepTest) -> None:
         self.scan, self.sweep, self.test = scan, sweep, test
         self.stamp = self.end = scan.stamp
         if sweep is not None:
             self.stamp += sweep.middle
             self.end += sweep.begin + sweep.duration
-        if test:
-            self.end = max(self.end, scan.stamp + test)
+        if test.duration:
+            self.end = max(self.end, scan.stamp + test.longest)
 
 
 class SweepQueues:
@@ -143,10 +143,10 @@ class SweepQueue:
         to keep the capacity.
         """
         sweep = self.judge.sweep_of(scan)
-        test = 0.0 if self.detector.is_done else self.judge.doubtful(scan)
+        test = NO_TEST if self.detector.is_done else self.judge.doubtful(scan)
         item = _Waiting(scan, sweep, test)
         self.newest_end = item.end
-        if sweep is None and not test and not len(self._waiting):
+        if sweep is None and not test.duration and not len(self._waiting):
             return None  # else it waits behind earlier scans, so that they stay in order
         return self._waiting.push(item, capacity)
 
@@ -159,8 +159,8 @@ class SweepQueue:
             item = self._waiting.pop()
             scan, mount = item.scan, item.scan.mount or laser
             sweep = item.sweep
-            if item.test:
-                held = self._holds(scan, item.test)
+            if item.test.duration:
+                held = self._holds(scan, item.test.longest)
                 if not self.detector.is_done:
                     self._test(scan, item.test, mount, held)
                 if held:
@@ -174,9 +174,9 @@ class SweepQueue:
             return deskewed(scan, sweep, np.array(at), np.array(poses), mount)
         return None
 
-    def _test(self, scan: LaserScan, duration: float, laser: Pose2, held: bool) -> None:
+    def _test(self, scan: LaserScan, test: SweepTest, laser: Pose2, held: bool) -> None:
         """Compare a scan with earlier ones, which may show the timing of the sweeps."""
-        self.detector.add(scan, duration, laser)
+        self.detector.add(scan, test.duration, laser, test.stated)
         found = self.detector.found
         if found is None:
             return
@@ -202,7 +202,7 @@ class SweepQueue:
         if self.detector.is_done or waited > _LONGEST_HOLD or len(self._held) >= _MOST_HELD:
             self._may_hold = False
             for one in self._held:
-                again = _Waiting(one, self.judge.known_sweep(one), 0.0)
+                again = _Waiting(one, self.judge.known_sweep(one), NO_TEST)
                 self._waiting.push(again, len(self._waiting) + 1)
             self._held.clear()
 

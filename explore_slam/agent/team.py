@@ -75,11 +75,19 @@ class Team:
         """
         inputs, noise = config.inputs, config.slam.odometry_noise
         _check_sources(sources or {}, config)
+        blind = sorted(n for n in camera_scans if (sources or {}).get(n) == 'scan')
+        if blind:
+            raise AgentError(
+                f'odometry of {", ".join(blind)} is scan, expected wheels or wheels+gyro: the '
+                'scans of a camera show too little of the motion'
+            )
         self.config = config
         self.start_poses = dict(start_poses)
         self.camera_scans = frozenset(camera_scans)
         self.belief = TeamBelief(self.start_poses, config.slam, seed)
         self.laser_map = LaserMap(config.mapping)
+        # in a depth image the floor is seen where a beam has no return
+        self.laser_map.known_free = self.camera_scans
         self.obstacle_map = ObstacleMap(config.mapping)
         self.loops = LoopClosing(config.closures)
         self.tags = TagMapping(config.vision.tags, table_of(config.vision.tags).poses)

@@ -196,7 +196,7 @@ class TeamPlanner:
             self._agent.track(vehicle).body,
             battery=self.batteries[vehicle].level,
             known_places=self._known_places(vehicle),
-            has_camera=self._agent.newest_view(vehicle) is not None,
+            has_camera=bool(self._agent.newest_views(vehicle)),
         )
 
     def _known_places(self, vehicle: str) -> tuple[KnownPlace, ...]:

@@ -49,8 +49,8 @@ class VehicleTrack:
     unmapped: its scans are matched, but do not enter the map.
     body: its size and speed.
     last_scans: stamp (s) and odometry pose of the newest scan of each laser in the map.
-    last_view: stamp (s) and odometry pose of the newest view of obstacles in the map.
-    newest_view: of obstacles, whether or not it is in the map.
+    last_views: the same of the newest view of obstacles of each camera.
+    newest_views: of obstacles by each camera, whether or not they are in the map.
     matched_until: stamp (s) up to which scan matching has refined the odometry.
     sweeps: scans whose beams were measured one after the other, until odometry covers them.
     sets: clouds of several lasers, until they can be matched together.
@@ -74,8 +74,8 @@ class VehicleTrack:
     unmapped: bool = False
     keyframe: Keyframe | None = None
     last_scans: dict[str, tuple[float, Pose2]] = field(default_factory=dict)
-    last_view: tuple[float, Pose2] | None = None
-    newest_view: ObstacleView | None = None
+    last_views: dict[str, tuple[float, Pose2]] = field(default_factory=dict)
+    newest_views: dict[str, ObstacleView] = field(default_factory=dict)
     matched_until: float = -np.inf
     last_match_attempt: float = -np.inf
     scan_period: float = np.inf
@@ -186,7 +186,7 @@ class VehicleTrack:
         self.slip.clear()
         self.clouds.clear()
         self.last_scans.clear()
-        self.last_view = None
+        self.last_views.clear()
         self.last_seen = -np.inf
         self.matched_until = self.last_match_attempt = -np.inf
         self.scan_period = np.inf

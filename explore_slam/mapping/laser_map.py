@@ -23,6 +23,11 @@ class KeyframeScan(NamedTuple):
     laser_in_keyframe: Pose2
     bodies: tuple[VehicleDisc, ...]
 
+    @property
+    def sensor(self) -> str:
+        """Which laser of the vehicle it is from."""
+        return self.scan.sensor
+
 
 class LaserMap(PathDrawing[KeyframeScan, OccupancyGrid]):
     """Scans with their keyframes, and the occupancy grid along the most likely path."""
@@ -30,6 +35,8 @@ class LaserMap(PathDrawing[KeyframeScan, OccupancyGrid]):
     def __init__(self, config: GridConfig | None = None) -> None:
         self.config = config or GridConfig()
         super().__init__(self.config.snapshot_memory)
+        # vehicles of whose beams it is known that those without return are free
+        self.known_free: frozenset[str] = frozenset()
         self._judges: dict[str, NoReturnJudge] = {}
         self._not_free: set[str] = set()  # vehicles whose no returns the drawn scans did not free
 
@@ -48,7 +55,9 @@ class LaserMap(PathDrawing[KeyframeScan, OccupancyGrid]):
 
     def _is_free(self, vehicle: str) -> bool:
         meaning = self.config.no_return_meaning
-        return self._judges[vehicle].is_free if meaning == 'auto' else meaning == 'free'
+        if meaning == 'auto':
+            return vehicle in self.known_free or self._judges[vehicle].is_free
+        return meaning == 'free'
 
     @property
     def scans(self) -> Sequence[KeyframeScan]:

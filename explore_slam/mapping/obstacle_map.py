@@ -10,7 +10,7 @@ import logging
 import math
 import zlib
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import cv2
 import numpy as np
@@ -249,7 +249,13 @@ def _draw(
                 count[r, c] += np.uint8(after > 0) - np.uint8(before > 0)
 
 
-class KeyframeView[View](NamedTuple):
+class _Sensed(Protocol):
+    @property
+    def sensor(self) -> str:
+        """Which camera of the vehicle it is from."""
+
+
+class KeyframeView[View: _Sensed](NamedTuple):
     """A view with its keyframe, the pose of the vehicle relative to it, and other vehicles."""
 
     keyframe: int
@@ -258,12 +264,17 @@ class KeyframeView[View](NamedTuple):
     vehicle_in_keyframe: Pose2
     bodies: tuple[VehicleDisc, ...]
 
+    @property
+    def sensor(self) -> str:
+        """Which camera of the vehicle it is from."""
+        return self.view.sensor
+
 
 class _PackedView:
     """A view as it is stored, for a map keeps many: a twelfth of the size in the office."""
 
     def __init__(self, view: ObstacleView) -> None:
-        self._stamp, self._count = view.stamp, len(view)
+        self._stamp, self._count, self.sensor = view.stamp, len(view), view.sensor
         # the cells follow one another row by row: most steps between them are alike
         steps = np.diff(view.cells, axis=0, prepend=np.zeros((1, 2), np.int16))
         parts = (steps[:, 0], steps[:, 1], view.occupied, view.free)
@@ -273,7 +284,7 @@ class _PackedView:
         """Return the view."""
         words = np.frombuffer(zlib.decompress(self._data), np.uint16).reshape(4, self._count)
         cells = np.cumsum(words[:2].view(np.int16).T, axis=0, dtype=np.int16)
-        return ObstacleView(self._stamp, cells, words[2], words[3])
+        return ObstacleView(self._stamp, cells, words[2], words[3], self.sensor)
 
 
 class ObstacleMap(PathDrawing[KeyframeView[_PackedView], ObstacleGrid]):

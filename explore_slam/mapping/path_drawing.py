@@ -6,14 +6,15 @@ before the first item whose keyframe moved noticeably, and the items from there 
 in their order. Cells are clamped, so that order matters; because it is preserved, the result
 equals a drawing from scratch along the path that `PathDrawing.path` returns, bit for bit.
 
-Memory is bounded by the area: of the items that one vehicle has taken at one place the newest
-ITEMS_PER_PLACE are kept. Older ones stay in the drawing until it is redrawn from before them; the
-newer ones have brought the same cells to their limits by then.
+Memory is bounded by the area: of the items that one sensor has taken at one place in the map,
+ITEMS_PER_PLACE are kept. A new one takes the place of the one taken nearest to its pose: a vehicle
+that stands still replaces its own items, not what it has seen in other directions. Items that are
+given up stay in the drawing until it is redrawn from before them; others have shown the same by
+then.
 """
 
 import math
 from abc import ABC, abstractmethod
-from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol, Self
 
@@ -21,16 +22,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from explore_slam.errors import MappingError
-from explore_slam.geometry import IDENTITY, Array, Pose2, wrap_angles
+from explore_slam.geometry import IDENTITY, Array, Pose2, wrap_angle, wrap_angles
 from explore_slam.mapping.occupancy_grid import NO_BODIES
 
 SNAPSHOT_SPACING = 16  # items between the closest snapshots; powers of two of it further back
 # An item is drawn again when its keyframe has moved by more than this distance (m), its turn
 # counted by the effect on returns at a typical range (m): less than half a cell shows nothing.
 REDRAW_DISTANCE, REDRAW_RANGE = 0.02, 3.0
-# A place is a square of this side (m) and one of so many sectors of headings. One pass leaves
-# about ten scans there (ScanConfig.map_scan_distance and map_scan_heading): all of it is kept.
+# A place is a square of this side (m) and one of so many sectors of headings. Driving straight
+# through leaves about ten scans there (ScanConfig.map_scan_distance).
 PLACE_SIDE, PLACE_SECTORS, ITEMS_PER_PLACE = 1.0, 8, 10
+_TURN_RANGE = 1.0  # m; a turn counts as the distance by which it moves what is so far away
 MAP_FRAME = -1  # in place of a keyframe: the offset is a pose in the map frame
 
 
@@ -45,6 +47,16 @@ class VehicleDisc(NamedTuple):
     keyframe: int
     offset: Pose2
     radius: float
+
+
+class Place(NamedTuple):
+    """A place of a sensor: square of the map by column and row, and sector of headings."""
+
+    vehicle: str
+    sensor: str
+    column: int
+    row: int
+    sector: int
 
 
 class RedrawSummary(NamedTuple):
@@ -72,6 +84,10 @@ class Anchored(Protocol):
     @property
     def vehicle(self) -> str:
         """Name of the vehicle."""
+
+    @property
+    def sensor(self) -> str:
+        """Which of its sensors of one kind; '' where there is one only."""
 
     @property
     def bodies(self) -> tuple[VehicleDisc, ...]:
@@ -111,7 +127,7 @@ class PathDrawing[I: Anchored, C: Canvas](ABC):
         self._canvas = self._empty()
         self._items: list[I | None] = []  # None: given up
         self._drawn = 0
-        self._numbers: dict[tuple[str, int, int, int], deque[int]] = {}  # of items by place
+        self._places: dict[Place, dict[int, Pose2]] = {}  # poses of items there by number
         self._thinned = 0  # items that have been counted at their places
         self._given_up = 0
         self._path: Array = np.empty((0, 3))
@@ -227,6 +243,7 @@ class PathDrawing[I: Anchored, C: Canvas](ABC):
         self._drawn = max(older, default=0)
         self._canvas = self._snapshots[self._drawn].copy() if older else self._empty()
         self._snapshots = {count: self._snapshots[count] for count in older}
+        self._forget_places(self._drawn)
 
     @staticmethod
     def _can_draw(item: Anchored | None, poses: Array) -> bool:
@@ -254,24 +271,32 @@ class PathDrawing[I: Anchored, C: Canvas](ABC):
         return ignore
 
     def _thin_out(self) -> None:
-        """Give up items at places where the same vehicle has taken enough newer ones."""
+        """Give up items at places where the same sensor has taken enough of them."""
         for number in range(self._thinned, self._drawn):
             item = self._items[number]
-            if item is None:
+            if item is None or not self._in_map[item.keyframe]:
                 continue
             pose = self._pose(item)
-            place = (
-                item.vehicle,
-                math.floor(pose.x / PLACE_SIDE),
-                math.floor(pose.y / PLACE_SIDE),
-                math.floor(pose.theta / math.tau * PLACE_SECTORS) % PLACE_SECTORS,
-            )
-            numbers = self._numbers.setdefault(place, deque())
-            numbers.append(number)
-            if len(numbers) > ITEMS_PER_PLACE:
-                self._items[numbers.popleft()] = None
+            there = self._places.setdefault(_place(item, pose), {})
+            if len(there) >= ITEMS_PER_PLACE:
+                nearest = min(there, key=lambda other: _distance(pose, there[other]))
+                del there[nearest]
+                self._items[nearest] = None
                 self._given_up += 1
-        self._thinned = max(self._thinned, self._drawn)
+            there[number] = pose
+        self._thinned = self._drawn
+
+    def _forget_places(self, start: int) -> None:
+        """Forget where the items from a number on were taken: the path has moved."""
+        if start >= self._thinned:
+            return
+        self._thinned = start
+        for place, there in list(self._places.items()):
+            kept = {number: pose for number, pose in there.items() if number < start}
+            if kept:
+                self._places[place] = kept
+            else:
+                del self._places[place]
 
     def _keep_snapshot(self) -> None:
         """Store the current drawing; drop old snapshots by position and by memory."""
@@ -283,3 +308,20 @@ class PathDrawing[I: Anchored, C: Canvas](ABC):
             self._snapshots[self._drawn] = self._canvas.copy()
         for oldest in sorted(self._snapshots)[: max(0, len(self._snapshots) - capacity)]:
             del self._snapshots[oldest]
+
+
+def _place(item: Anchored, pose: Pose2) -> Place:
+    """Return the place of an item that was taken at a pose."""
+    return Place(
+        item.vehicle,
+        item.sensor,
+        math.floor(pose.x / PLACE_SIDE),
+        math.floor(pose.y / PLACE_SIDE),
+        math.floor(pose.theta / math.tau * PLACE_SECTORS) % PLACE_SECTORS,
+    )
+
+
+def _distance(one: Pose2, other: Pose2) -> float:
+    """Return how far two poses are apart (m), turns included."""
+    turn = abs(wrap_angle(one.theta - other.theta))
+    return math.hypot(one.x - other.x, one.y - other.y) + _TURN_RANGE * turn

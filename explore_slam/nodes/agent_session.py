@@ -95,7 +95,7 @@ class AgentSession:
         self._inputs: dict[str, VehicleInputs] = {}
         self._diagnostics = publisher(node, GlobalTopic.DIAGNOSTICS)
         self._due = dict.fromkeys(_PERIODIC, -np.inf)
-        self._viewed: dict[str, ObstacleView] = {}
+        self._viewed: dict[tuple[str, str], ObstacleView] = {}
         self._posed = dict.fromkeys(config.vehicles, -np.inf)
         self._sweeps: dict[str, dict[str, Sweep]] = {name: {} for name in config.vehicles}
         self._reported = time.monotonic()
@@ -400,12 +400,13 @@ class AgentSession:
     def _publish_obstacles(self) -> None:
         """Publish new views of obstacles of vehicles whose images the agent has."""
         for vehicle, inputs in self._inputs.items():
-            view = self.agent.newest_view(vehicle)
-            if view is None or view is self._viewed.get(vehicle):
-                continue
-            self._viewed[vehicle] = view
-            if inputs.config.vision == 'agent':
-                self.outputs.obstacles(vehicle, view, inputs.mounts.base)
+            for view in self.agent.newest_views(vehicle):
+                key = vehicle, view.sensor
+                if view is self._viewed.get(key):
+                    continue
+                self._viewed[key] = view
+                if inputs.config.vision == 'agent':
+                    self.outputs.obstacles(vehicle, view, inputs.mounts.base)
 
     def _publish_newer_poses(self, idle: bool) -> None:
         """Publish each pose that is pose_period of odometry newer, or any newer one when idle.

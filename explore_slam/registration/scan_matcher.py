@@ -66,8 +66,12 @@ _MODES_APART = (0.5, math.radians(10.0))
 _OTHER_MODE = 0.92  # fraction of the best score at which another mode makes a match ambiguous
 # Mahalanobis distance from the odometry above which a match is searched in the widest window too
 _UNLIKELY = 5.0
-# Of a narrow view, a match is refused above this distance, or if it is this far (m, rad) from the
-# odometry's pose: by itself, a wall fits at many places.
+# Of a narrow view, a match is refused above this distance, or if it is farther than this (m, rad)
+# from the odometry's pose: by itself, a wall fits at many places. A right match is that unlikely
+# in one of four cases (chi-square with 3 degrees of freedom), which costs little, as wheels are
+# good for some frames; a wrong one turns the map. Of two drives in the simulated office, the worst
+# error of heading after 10 frames is 0.06 rad with 2 and 0.10 with 3, that after 100 frames 31 and
+# 38 mrad in the mean; exploring by camera alone (seed 4), a vehicle had 0.016 and 0.092 m.
 _NARROW_UNLIKELY, _NARROW_CORRECTION = 2.0, (0.15, 0.1)
 _REFUSALS_UNTIL_RESTART = 3  # scans in succession
 
@@ -335,6 +339,9 @@ class ScanMatcher:
         """Return a match, with what the pose has taken over of the error of the first scan."""
         drift = _window_drift(found, self._narrow_view) if self._window_moved else 0.0
         match = _scan_match(found, covariance, drift)
+        if self._narrow_view:
+            # its first scan leaves directions open, and its window is handed on before long
+            return match
         growth = first.step(found, covariance)
         return replace(match, drift=match.drift + growth, window=match.window + growth)
 

@@ -66,7 +66,8 @@ class Laser:
     rate: Hz. spinning: its beams are measured one after the other over the time between scans.
     backward: against the order of the message. last: stamped at the last beam by time.
     stated: the messages hold the true time_increment, and the settings direction and stamp;
-    otherwise nothing is known of them.
+    otherwise nothing is known of them. wrong_increment: what the messages state instead (s from
+    beam to beam).
     name: of its topic, below the vehicle's namespace; '' for the only one. mount: its pose on the
     vehicle. half: it looks ahead only, over 180°, from its right to its left.
     """
@@ -79,6 +80,7 @@ class Laser:
     name: str = ''
     mount: Pose2 = LASER
     half: bool = False
+    wrong_increment: float | None = None
 
     @property
     def angles(self) -> Array:
@@ -93,6 +95,13 @@ class Laser:
     def time_increment(self) -> float:
         """Time from beam to beam (s)."""
         return 1.0 / (self.rate * BEAMS) if self.spinning else 0.0
+
+    @property
+    def stated_increment(self) -> float:
+        """The time_increment of the messages (s)."""
+        if self.wrong_increment is not None:
+            return self.wrong_increment
+        return self.time_increment if self.stated else 0.0
 
     @property
     def shares(self) -> Array:
@@ -215,7 +224,7 @@ def scans(drive: Drive, laser: Laser, random: np.random.Generator) -> list[Laser
             LaserScan(
                 float(stamp), float(angles[0]), float(angles[1] - angles[0]),
                 ranges.astype(np.float32), 0.1, RANGE, mount,
-                time_increment=laser.time_increment if laser.stated else 0.0,
+                time_increment=laser.stated_increment,
                 scan_time=sweep,
                 timing=laser.timing,
                 sensor=laser.name,

@@ -50,6 +50,9 @@ VEHICLE = 'robot1'
 FRONT, REAR = Pose2(0.25, 0.0, 0.0), Pose2(-0.25, 0.0, math.pi)  # two lasers on a vehicle
 LASER_HEIGHT, CEILING = 0.5, 2.6  # m above the floor
 RINGS = np.radians(np.arange(-15.0, 16.0, 2.0))  # elevations of a VLP-16
+# s; time_increment of the TurtleBot3's LDS-01 at 5.5 Hz, as in a recording of its driver. A turn
+# of 360 beams takes one interval between scans in truth.
+LDS_INCREMENT = 2.98899994959e-05
 OFF_WALL = 0.10  # m; occupied cells whose centre is farther from the true walls are wrong
 SOURCES = ('live', 'bag', 'topic', 'cloud')
 
@@ -100,6 +103,9 @@ def _sweep_cases() -> Iterator[Case]:
         title = f'spinning, {rate:g} Hz, {"stated" if stated else "not stated"}, from a bag'
         yield Case(title, (Laser(rate, stated=stated),), source='bag')
     yield Case('spinning, 5.5 Hz, exact wheels', odometry_turn=1.0)
+    for turn_rate in (0.9, 0.45):
+        title = f'spinning, 5.5 Hz, {turn_rate:g} rad/s, increment of the LDS-01 driver'
+        yield Case(title, (Laser(stated=False, wrong_increment=LDS_INCREMENT),), turn_rate)
 
 
 def _laser_cases() -> Iterator[Case]:

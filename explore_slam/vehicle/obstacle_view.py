@@ -14,6 +14,8 @@ from explore_slam.vehicle.dead_reckoning import DeadReckoning
 
 # s for which an obstacle out of sight is remembered; plans keep clear of what is in the map
 _MEMORY = 10.0
+# s by which views of several cameras may arrive in another order than they were taken
+_DISORDER = 0.5
 _NEAR = 2.0  # m from the vehicle; it stops within much less
 _SAME = 0.1  # m from a return of the laser: one and the same wall, which the laser measures better
 _SPAN = 65536  # more than the cells of a view across
@@ -30,19 +32,33 @@ class CameraView:
         self._points: Array = np.empty((0, 2))  # in the odometry frame
         self._stamps: Array = np.empty(0)
         self._newest = -np.inf
+        self._recent: list[ObstacleView] = []
 
     def add(self, view: ObstacleView) -> None:
-        """Take a view; one that is not newer changes nothing, unless the clock has gone back."""
-        if self._newest - _MEMORY < view.stamp <= self._newest:
+        """Take a view; an old one, or one known, changes nothing, unless the clock has gone back.
+
+        Several cameras may have taken views at one moment.
+        """
+        if view.stamp <= self._newest - _MEMORY:
+            self._newest, self._recent = -np.inf, []
+            self._points, self._stamps = np.empty((0, 2)), np.empty(0)
+        if view.stamp < self._newest - _DISORDER or self._knows(view):
             return
-        self._newest = view.stamp
+        self._newest = max(self._newest, view.stamp)
+        self._recent = [one for one in self._recent if one.stamp >= self._newest - _DISORDER]
+        self._recent.append(view)
         pose = self._reckoning.odometry_at(view.stamp)
         free = view.cells[(view.free != 0) & (view.occupied == 0)]
-        age = view.stamp - self._stamps
-        kept = (age >= 0.0) & (age < _MEMORY) & ~_in_cells(pose, self._points, free)
+        kept = (self._newest - self._stamps < _MEMORY) & ~_in_cells(pose, self._points, free)
         new = to_world(pose, view.points[view.occupied != 0])
         self._points = np.concatenate([self._points[kept], new])
         self._stamps = np.append(self._stamps[kept], np.full(len(new), view.stamp))
+
+    def _knows(self, view: ObstacleView) -> bool:
+        return any(
+            one is view or (one.stamp == view.stamp and np.array_equal(one.cells, view.cells))
+            for one in self._recent
+        )
 
     def points(self, now: float, returns: Array) -> Array:
         """Return the obstacles nearby (N, 2) m, in the vehicle frame at a time (s).

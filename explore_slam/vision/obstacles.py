@@ -15,6 +15,7 @@ into cells of the floor and slices of height:
 
 import logging
 import math
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -35,8 +36,8 @@ from explore_slam.vision.camera_mount import CameraMount
 from explore_slam.vision.camera_scan import camera_scan
 from explore_slam.vision.config import VisionConfig
 from explore_slam.vision.depth import depth_in_metres
-from explore_slam.vision.floor import Floor, FloorEstimate
-from explore_slam.vision.level_rays import Band, Rays, level_rays
+from explore_slam.vision.floor import MISFITS, Floor, FloorEstimate
+from explore_slam.vision.level_rays import WIDEST, Band, Rays, level_rays
 from explore_slam.vision.sections import ObstacleConfig
 
 logger = logging.getLogger(__name__)
@@ -59,6 +60,13 @@ _HALF_LEVEL, _LEVEL_RANGE = 0.05, 5.0
 _FLAT = 1e-6  # slope of a ray that stays in its slice
 _FREE_EVERY = 2  # rows of samples of which the rays free space: neighbours pass the same cells
 _SLOPE = 0.01  # rad by which a levelled view may still be tilted: the floor rises with distance
+# Samples that a bin of bearings is wide at least, and the tangent that it is wide at most: 0.3 for
+# the coarsest depth sensors (8 x 8 zones over 45 degrees)
+_APART, _COARSEST = 2.5, 0.5
+_REMEMBERED = 4  # frames of a camera: between its scans and its view, a frame waits for odometry
+# frames in a row without a reading, which are reported: 1 s at 30 Hz, 3 s at 10 Hz; a vehicle that
+# turns before a wall nearer than the camera measures is blind for a moment
+_BLIND = 30
 
 
 class _View(NamedTuple):
@@ -83,17 +91,31 @@ class _Reading(NamedTuple):
 
 
 class _Look(NamedTuple):
-    """A frame: pose of the camera on the floor, its rays and their bins, depth (W, H) m, floor."""
+    """A frame: pose of the camera on the floor, its rays and their bins, depth (W, H) m, floor.
+
+    height (m): of the camera above the floor that it sees.
+    """
 
     stamp: float
     sensor: str
-    mount: CameraMount
     pose: Pose2
     rays: Rays
     view: _View
     bins: NDArray[np.int32]
     depth: NDArray[np.float32]
     floor: Floor
+    height: float
+
+
+class _Camera:
+    """What is kept of a camera: its floor, its rays, its last frames, and what was warned of."""
+
+    def __init__(self) -> None:
+        self.estimate = FloorEstimate()
+        self.geometry: tuple[object, Rays, _View, NDArray[np.int32]] | None = None
+        self.looks: deque[tuple[RgbdFrame, _Look]] = deque(maxlen=_REMEMBERED)
+        self.blind = 0  # frames in a row without a reading
+        self.warned: set[str] = set()
 
 
 class ObstacleDetector:
@@ -112,28 +134,21 @@ class ObstacleDetector:
         self.config = config or VisionConfig()
         self._mount = mount or CameraMount.from_config(self.config.mount)
         self._vehicle = vehicle
-        self._floors: dict[str, FloorEstimate] = {}
-        self._prepared: dict[str, tuple[object, Rays, _View, NDArray[np.int32]]] = {}
+        self._cameras: dict[str, _Camera] = {}
 
     def floor(self, camera: str = '') -> Floor:
         """Return the floor as a camera sees it, relative to where its mount has it."""
-        return self._floors[camera].floor if camera in self._floors else Floor()
+        return self._cameras[camera].estimate.floor if camera in self._cameras else Floor()
 
     def detect(self, frame: RgbdFrame) -> ObstacleView:
         """Return the obstacles and the free space in a frame, in the vehicle frame."""
         seen, band = self._look(frame), self.config.obstacles
-        estimate = self._floors.setdefault(frame.sensor, FloorEstimate())
-        rays = seen.rays
-        height = seen.mount.z
-        estimate.add(rays.ahead, rays.tangent, rays.slope, seen.depth, height, band.obstacle_range)
-        self._check(frame.sensor, estimate)
-        floor = estimate.floor
         occupied, free = _sort(
-            rays,
+            seen.rays,
             seen.bins,
             seen.depth,
-            (floor.along, floor.across),
-            height - floor.height,
+            (seen.floor.along, seen.floor.across),
+            seen.height,
             seen.view,
             Band(
                 band.obstacle_lowest,
@@ -144,7 +159,7 @@ class ObstacleDetector:
         )
         x, y, heading = seen.pose
         cells, hits, passes = _to_vehicle(occupied, free, seen.view, x, y, heading)
-        return ObstacleView(frame.stamp, cells, hits, passes)
+        return ObstacleView(frame.stamp, cells, hits, passes, frame.sensor)
 
     def scan(self, frame: RgbdFrame) -> LaserScan:
         """Return what a laser in the place of the camera would measure, for a vehicle without.
@@ -163,8 +178,8 @@ class ObstacleDetector:
         office, scans of 0.1 to 0.5 m led to errors of 50 mm after 10 frames, and these to 25 mm.
         """
         seen = self._look(frame)
-        height = seen.mount.z - seen.floor.height
-        return self._scan(seen, (height - _HALF_LEVEL, height + _HALF_LEVEL), _LEVEL_RANGE)
+        heights = seen.height - _HALF_LEVEL, seen.height + _HALF_LEVEL
+        return self._scan(seen, heights, _LEVEL_RANGE)
 
     def _scan(self, seen: _Look, heights: tuple[float, float], reach: float) -> LaserScan:
         """Return a scan of the readings between two heights (m), as far as reach (m)."""
@@ -174,7 +189,7 @@ class ObstacleDetector:
             seen.rays,
             seen.depth,
             (seen.floor.along, seen.floor.across),
-            seen.mount.z - seen.floor.height,
+            seen.height,
             Band(*heights, step, noise),
             reach,
             seen.pose,
@@ -182,23 +197,137 @@ class ObstacleDetector:
         )
 
     def _look(self, frame: RgbdFrame) -> _Look:
-        """Return a frame as the kernels take it."""
+        """Return a frame as the kernels take it, and let it improve the estimate of the floor.
+
+        This is done once for a frame: its scans and its view show it with the same floor.
+        """
+        if frame.sensor not in self._cameras:
+            self._cameras[frame.sensor] = _Camera()
+        camera = self._cameras[frame.sensor]
+        for known, seen in camera.looks:
+            if known is frame:
+                return seen
         mount = self._mount if frame.mount is None else CameraMount.from_optical(frame.mount)
         stride = max(1, round(frame.intrinsics.width / _SAMPLES))
         axis = mount.rotation[:, 2]
-        pose = Pose2(mount.x, mount.y, math.atan2(axis[1], axis[0]))
-        key = (frame.intrinsics, stride, mount)
-        if frame.sensor not in self._prepared or self._prepared[frame.sensor][0] != key:
-            rays = level_rays(frame.intrinsics, stride, mount.rotation, pose.theta)
-            view, bins = _view_of(rays, 2.5 * stride / frame.intrinsics.fx, self.config.obstacles)
-            self._prepared[frame.sensor] = (key, rays, view, bins)
-        _, rays, view, bins = self._prepared[frame.sensor]
+        pose = Pose2(float(mount.x), float(mount.y), math.atan2(axis[1], axis[0]))
+        rays, view, bins = self._geometry(camera, frame, stride, mount, pose.theta)
         depth = np.ascontiguousarray(depth_in_metres(frame.depth[::stride, ::stride].T))
-        floor = self.floor(frame.sensor)
-        return _Look(frame.stamp, frame.sensor, mount, pose, rays, view, bins, depth, floor)
+        self._check_readings(camera, frame.sensor, depth)
+        if mount.z > 0.0:
+            reach = self.config.obstacles.obstacle_range
+            camera.estimate.add(*rays, depth, mount.z, reach)
+            self._check_mount(frame.sensor, camera.estimate)
+        floor = camera.estimate.floor
+        height = mount.z - floor.height
+        if not height > 0.0:  # NaN as well
+            self._warn_of_height(camera, frame.sensor, mount.z, floor)
+            depth = np.zeros_like(depth)  # shows nothing
+        seen = _Look(
+            frame.stamp, frame.sensor, pose, rays, view, bins, depth, floor, float(height)
+        )
+        camera.looks.append((frame, seen))
+        return seen
 
-    def _check(self, camera: str, estimate: FloorEstimate) -> None:
-        """Warn once of a mount that the floor contradicts."""
+    def _geometry(
+        self, camera: _Camera, frame: RgbdFrame, stride: int, mount: CameraMount, heading: float
+    ) -> tuple[Rays, _View, NDArray[np.int32]]:
+        """Return the rays of every stride-th pixel, the cells of the view, and the bins of rays.
+
+        heading (rad): of the camera in the vehicle frame.
+        """
+        intrinsics, band = frame.intrinsics, self.config.obstacles
+        key = (intrinsics, stride, mount)
+        if camera.geometry is None or camera.geometry[0] != key:
+            apart = _APART * stride / intrinsics.fx
+            rays = level_rays(intrinsics, stride, mount.rotation, heading)
+            right = intrinsics.width - 1 - intrinsics.cx
+            widest = max(abs(intrinsics.cx), abs(right)) / intrinsics.fx
+            if widest > WIDEST or apart > _COARSEST:
+                self._warn_of_width(camera, frame, widest, apart)
+            if apart > _COARSEST:
+                rays = rays._replace(ahead=np.zeros_like(rays.ahead))
+            view, bins = _view_of(rays, min(apart, _COARSEST), band)
+            camera.geometry = key, rays, view, bins
+        return camera.geometry[1:]
+
+    def _check_readings(self, camera: _Camera, name: str, depth: NDArray[np.float32]) -> None:
+        """Warn of a camera that has had no reading for long; again when it has had some since."""
+        if depth.max(initial=0.0) > 0.0:
+            camera.blind = 0
+            return
+        camera.blind += 1
+        if camera.blind == _BLIND:
+            logger.warning(
+                '%s: %s: no pixel of the last %d depth images has a reading (all are 0 or NaN): '
+                'it shows neither obstacles nor free space; check its depth topic, and that its '
+                'view is not covered',
+                self._vehicle,
+                name or 'the camera',
+                camera.blind,
+            )
+
+    def _warn_of_height(self, camera: _Camera, name: str, z: float, floor: Floor) -> None:
+        """Warn, once, of a camera at or below the floor."""
+        if 'height' in camera.warned:
+            return
+        camera.warned.add('height')
+        logger.warning(
+            '%s: %s is mounted at z = %.3f m, but the floor is at %.3f m: its depth images are '
+            'not used for obstacles and scans, which need a camera above the floor; check '
+            'camera_z or its transform, and that the base frame is on the floor',
+            self._vehicle,
+            name or 'the camera',
+            z,
+            floor.height,
+        )
+
+    def _warn_of_width(
+        self, camera: _Camera, frame: RgbdFrame, widest: float, apart: float
+    ) -> None:
+        """Warn, once, of intrinsics that are those of no depth camera.
+
+        widest: tangent of the bearing at the edge of the image; apart: that a bin is wide.
+        """
+        if 'width' in camera.warned:
+            return
+        camera.warned.add('width')
+        intrinsics, limit = frame.intrinsics, math.degrees(math.atan(WIDEST))
+        used = f'what is within {limit:.0f} degrees'
+        if apart > _COARSEST:
+            used = f'none of them (fx is below {intrinsics.fx * apart / _COARSEST:.2g})'
+        logger.warning(
+            '%s: %s: with fx = %g and cx = %g, images of %d columns reach %.1f degrees to the '
+            'side, expected at most %.0f: obstacles and scans use %s; check the camera_info of '
+            'the depth images',
+            self._vehicle,
+            frame.sensor or 'the camera',
+            intrinsics.fx,
+            intrinsics.cx,
+            intrinsics.width,
+            math.degrees(math.atan(widest)),
+            limit,
+            used,
+        )
+
+    def _check_mount(self, camera: str, estimate: FloorEstimate) -> None:
+        """Warn once of a mount that the floor contradicts, and once of one that it cannot be."""
+        misfit = estimate.misfit()
+        if misfit is not None:
+            logger.warning(
+                '%s: %s sees no floor near where its mount has it. In %d frames, %.0f %% of the '
+                'readings lie on a plane that is tilted by %.1f degrees along and %.1f across '
+                'its view, and %+.3f m from there: it is taken for obstacles or holes. Unless it '
+                'is a step or a ramp, check the mount (camera_z, camera_pitch), and that the '
+                'base frame is on the floor',
+                self._vehicle,
+                camera or 'the camera',
+                MISFITS,
+                100.0 * misfit.share,
+                math.degrees(misfit.floor.along),
+                math.degrees(misfit.floor.across),
+                misfit.floor.height,
+            )
         if not estimate.contradicts_mount():
             return
         floor = estimate.floor
@@ -264,7 +393,10 @@ def _free_slices(
 
 @kernel
 def _kind_of(z: float, forward: float, band: Band) -> int:
-    """Return what a reading at a height (m) and a distance ahead (m) shows."""
+    """Return what a reading at a height (m) and a distance ahead (m) shows.
+
+    Whether a hole is one depends on the ray as well: it has to come down from above the floor.
+    """
     if z < -(band.step + _SLOPE * forward):
         return _HOLE
     if z < band.lowest + _SLOPE * forward:
@@ -320,13 +452,16 @@ def _sort(
             noise = band.noise * forward * forward
             kind, place = _kind_of(z, forward, band), forward
             if kind == _HOLE:
-                place = -height / slope  # where the ray should have met the floor
+                if height > 0.0 and slope < 0.0:
+                    place = -height / slope  # where the ray should have met the floor
+                else:
+                    kind = _NOTHING
             if row % _FREE_EVERY == 0:
                 end = min(min(forward - noise, place) - _MARGIN, reach)
                 if end > 0.0:
                     _free_slices(passes, at, height, slope, end, band.lowest)
             reading = _Reading(kind, place, z)
-            if kind != _NOTHING and place < reach:
+            if kind != _NOTHING and 0.0 <= place < reach:
                 same = _continues(before, reading, noise)
                 start = before.place if same else place
                 low = int(min(start, place) / _ROW)

@@ -167,6 +167,75 @@ def test_a_statement_that_the_scans_contradict_is_corrected():
     assert wrong_cells(agent) <= 0.01
 
 
+LDS_01 = 2.98899994959e-05 * 359  # s; what the driver of the TurtleBot3's LDS-01 states
+
+
+@pytest.mark.parametrize('scan_time', [0.0, 0.2])
+@pytest.mark.parametrize(
+    ('stated', 'words'),
+    [
+        (0.0, 'a: the scans show a sweep of 0.199 s'),
+        (LDS_01, 'a sweep of 0.0107 s, which is not the time between scans; the scans show'),
+        (0.00018, 'a sweep of 0.00018 s, which is not'),  # a wrong unit
+        (0.199 / 3.0, 'a sweep of 0.0663 s, which is not'),
+        (1.4 * 0.199, 'a sweep of 0.279 s, which is not'),
+    ],
+)
+def test_an_implausible_statement_gives_a_right_map(stated, words, scan_time, caplog):
+    caplog.set_level(logging.INFO)
+    increment = stated / (BEAMS - 1)
+    found = records(Sweep(0.199), until=9.0, time_increment=increment, scan_time=scan_time)
+    agent = run(found)
+    assert agent.track('a').sweeps.of('').judge.found == Sweep(pytest.approx(0.199, abs=1e-3))
+    assert wrong_cells(agent) <= 0.01
+    assert caplog.text.count('the scans show a sweep of 0.199 s, in the order of') == 1
+    assert words in caplog.text
+    assert (f'a: time_increment of the scans is {increment:.4g} s' in caplog.text) is (stated > 0)
+
+
+@pytest.mark.parametrize('stated', [LDS_01, 0.199 / 3.0, 0.8 * 0.199, 1.2 * 0.199, 1.4 * 0.199])
+@pytest.mark.parametrize('sweep', [Sweep(0.199, True, True), Sweep(0.199, last=True)])
+def test_direction_and_stamp_are_found_beside_an_implausible_statement(sweep, stated):
+    increment = stated / (BEAMS - 1)
+    agent = run(records(sweep, until=9.0, time_increment=increment))
+    found = agent.track('a').sweeps.of('').judge.found
+    assert found == sweep._replace(duration=pytest.approx(0.199, abs=1e-3))
+    assert wrong_cells(agent) <= 0.01
+
+
+@pytest.mark.parametrize('timing', [SweepTiming(), SweepTiming(None, 'forward', 'first')])
+def test_a_statement_is_doubted_although_direction_and_stamp_are_set(timing):
+    increment = LDS_01 / (BEAMS - 1)
+    agent = run(records(Sweep(0.199), until=9.0, time_increment=increment, timing=timing))
+    assert wrong_cells(agent) <= 0.01
+
+
+@pytest.mark.parametrize(
+    ('true', 'stated'),
+    [
+        (Sweep(0.0995), 0.0995),  # every second scan of a laser that turns twice as fast
+        (MOMENT, 0.00018),
+        (MOMENT, LDS_01),
+    ],
+)
+def test_a_statement_that_the_scans_confirm_stays(true, stated, caplog):
+    caplog.set_level(logging.INFO)
+    agent = run(records(true, until=9.0, time_increment=stated / (BEAMS - 1)))
+    assert agent.track('a').sweeps.of('').judge.found == Sweep(pytest.approx(stated))
+    assert wrong_cells(agent) <= 0.01
+    assert caplog.text.count('the scans show') == 1
+    assert not [record for record in caplog.records if record.levelno > logging.INFO]
+
+
+def test_a_short_sweep_of_a_scanner_that_does_not_look_all_around_is_believed():
+    """A mirror looks ahead for a part of the interval only."""
+    increment = 0.0133 / (BEAMS - 1)  # an LMS-200: half a turn at 37.5 Hz, the scans at 5 Hz
+    agent = run(records(Sweep(0.0133), span=math.pi, time_increment=increment))
+    queue = agent.track('a').sweeps.of('')
+    assert (queue.detector.comparisons, queue.judge.found) == (0, None)
+    assert agent.summary()['a']['deskewed_scans'] > 20
+
+
 @pytest.mark.parametrize('interval', [0.1, 0.2])
 def test_scans_of_one_moment_give_the_same_map_as_if_that_were_known(interval):
     unknown = run(records(MOMENT, interval))

@@ -1,6 +1,7 @@
 """The grid along a path: incremental drawing equals drawing from scratch, bit for bit."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -253,6 +254,54 @@ def test_scans_are_bounded_by_the_area_not_by_the_time(generator):
     near = np.s_[:, cells_of(laser_map.grid, 0.5) : cells_of(laser_map.grid, 5.5)]
     assert np.mean(again[near][drawn[near] == OCCUPIED] == OCCUPIED) > 0.9
     assert np.mean(again[near][drawn[near] == FREE] == FREE) > 0.99
+
+
+def room_scan():
+    """Return what a laser sees all around in the middle of a room of 4 m."""
+    bearings = np.linspace(-math.pi, math.pi, 361)
+    sides = np.maximum(np.abs(np.cos(bearings)), np.abs(np.sin(bearings)))
+    return LaserScan(
+        0.0, -math.pi, bearings[1] - bearings[0], (2.0 / sides).astype(np.float32), 0.1, 30.0
+    )
+
+
+def test_a_place_is_one_of_the_map_not_of_the_frame_that_a_vehicle_began_in():
+    """A room that was mapped in a frame of its own, and joined 20 m away, is not given up."""
+    laser_map, scan = LaserMap(), room_scan()
+    own = np.array([(0.1 + 0.15 * k, 0.5, 0.1) for k in range(5)])
+    for keyframe in range(17):
+        laser_map.add(keyframe, 'robot1', scan)
+    laser_map.redraw(own, np.zeros(5, np.bool_))
+    joined = own + (20.0, 0.0, 0.0)
+    laser_map.redraw(joined)
+    here = np.array([(0.1 + 0.05 * k, 0.5, 0.1) for k in range(12)])
+    path = np.vstack([joined, here])
+    laser_map.redraw(path)
+    laser_map.redraw(path + (0.0, 0.05, 0.0))
+    assert len(laser_map) == 5 + 10
+    ((row, column),) = laser_map.grid.to_cell([(20.5, 1.5)])
+    assert laser_map.grid.to_trinary()[row, column] == 0
+
+
+def test_a_vehicle_that_stands_still_replaces_its_own_scans():
+    laser_map, scan = LaserMap(), room_scan()
+    turning = [(0.5, 0.5, 0.05 + 0.08 * k) for k in range(9)]
+    path = np.array(turning + [turning[-1]] * 60)
+    for keyframe in range(len(path)):
+        laser_map.add(keyframe, 'robot1', scan)
+    laser_map.redraw(path)
+    kept = [item.keyframe for item in laser_map.scans]
+    assert kept[:8] == list(range(8))
+    assert kept[8:] == [67, 68]
+
+
+def test_lasers_of_one_vehicle_do_not_replace_one_another():
+    laser_map = LaserMap()
+    for keyframe in range(40):
+        for sensor in ('front', 'rear'):
+            laser_map.add(keyframe, 'robot1', replace(room_scan(), sensor=sensor))
+    laser_map.redraw(np.full((40, 3), 0.5))
+    assert len(laser_map) == 2 * 10
 
 
 def test_a_body_that_moved_redraws_the_scan_that_saw_it(generator):

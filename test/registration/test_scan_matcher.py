@@ -93,6 +93,20 @@ def test_a_narrow_view_is_matched_near_the_odometry_only():
     assert isinstance(wide.match_cloud(clouds[2], off, unknown), ScanMatch)
 
 
+@pytest.mark.parametrize(('deviations', 'accepted'), [(1.0, True), (3.0, False)])
+def test_a_narrow_view_is_refused_where_the_odometry_makes_it_unlikely(deviations, accepted):
+    matcher = ScanMatcher(ScanMatchingConfig(), narrow_view=True)
+    random = np.random.default_rng(5)
+    for true, off in ((IDENTITY, 0.0), (Pose2(0.1, 0.0, 0.0), deviations * 0.03)):
+        cloud = scan_cloud(scan_of(ROOM, true, 0.01, random))
+        cloud = cloud.only(np.abs(np.arctan2(*cloud.points.T[::-1])) < 0.5)
+        prior = true.compose(Pose2(off, 0.0, 0.0))
+        found = matcher.match_cloud(cloud, prior, np.diag([0.03, 0.03, 0.03]) ** 2)
+    assert isinstance(found, ScanMatch) is accepted
+    if accepted:
+        assert found.pose.x == pytest.approx(0.1, abs=0.01)
+
+
 def test_the_mount_of_the_laser_counts():
     laser, matcher = Pose2(0.2, 0.0, 0.3), ScanMatcher(ScanMatchingConfig())
     matcher.match(scan_of(ROOM, laser), laser, IDENTITY, WHEELS)

@@ -82,6 +82,17 @@ def test_nothing_is_said_of_a_laser_whose_sweeps_are_not_stated():
 
 
 @pytest.mark.usefixtures('short_tour')
+def test_an_increment_that_the_driver_states_wrongly_gives_a_right_map():
+    (case,) = SensorStudy(titles=['0.9 rad/s, increment of the LDS-01']).cases()
+    (laser,) = case.lasers
+    scan = sensor_rig.scans(Drive(0.9), laser, np.random.default_rng(0))[0]
+    assert (scan.time_increment, scan.timing) == (sensor_study.LDS_INCREMENT, SweepTiming())
+    run, _ = run_case(case, 0, AgentConfig())
+    assert run.position_rms <= 0.02
+    assert run.wrong_cells <= 0.01
+
+
+@pytest.mark.usefixtures('short_tour')
 def test_scans_arrive_when_their_last_beam_is_measured():
     drive = Drive(0.9)
     random = np.random.default_rng(0)

@@ -50,6 +50,19 @@ def test_obstacles_are_forgotten_when_the_camera_looks_through_them_and_after_a_
     assert len(seen.points(12.0, NO_RETURNS)) == 0
 
 
+def test_views_of_several_cameras_add_up_whatever_their_order():
+    seen = CameraView(standing(0.0, 0.1, 60.2))
+    for _ in range(2):  # known ones change nothing
+        seen.add(view(60.2, 30))
+        seen.add(view(60.2, -30))
+        seen.add(view(60.1, 20))
+    assert len(seen.points(60.2, NO_RETURNS)) == 30
+    seen.add(view(55.0, 10))  # old
+    assert len(seen.points(60.2, NO_RETURNS)) == 30
+    seen.add(view(0.1, 10))  # the clock has gone back
+    assert len(seen.points(0.1, NO_RETURNS)) == 10
+
+
 def test_walls_are_left_to_the_laser_and_far_obstacles_to_the_plan():
     seen = CameraView(standing(0.0, 0.1))
     seen.add(view(0.1, 30))

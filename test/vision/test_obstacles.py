@@ -2,15 +2,17 @@
 
 import logging
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from vision.depth_scenes import MOUNT, TABLE, cast, frame
+from vision.depth_scenes import CAMERA, MOUNT, TABLE, cast, frame
 
-from explore_slam.data import HOLE_BIT, OBSTACLE_CELL
+from explore_slam.data import HOLE_BIT, OBSTACLE_CELL, Intrinsics, RgbdFrame
 from explore_slam.geometry import rotation_matrix
 from explore_slam.settings import with_values
-from explore_slam.vision import CameraMount, VisionConfig
+from explore_slam.vision import CameraMount, VisionConfig, obstacles
+from explore_slam.vision.level_rays import Band, Rays
 from explore_slam.vision.obstacles import ObstacleDetector
 
 
@@ -141,6 +143,148 @@ def test_a_mount_that_is_right_is_not_complained_of(caplog):
     assert max(map(abs, found.floor())) < 0.02
 
 
+# -- mounts and images that cannot be right ------------------------------------------------------
+
+
+def warnings(caplog):
+    return [r.getMessage() for r in caplog.records if r.levelno == logging.WARNING]
+
+
+def shows_nothing(found, one):
+    """Return whether neither the view nor the scans of a frame contain anything."""
+    scans = found.scan(one), found.level_scan(one)
+    return len(found.detect(one)) == 0 and all(np.isnan(s.ranges).all() for s in scans)
+
+
+@pytest.mark.parametrize('z', [-0.3, 0.0])
+def test_a_camera_at_or_below_the_floor_shows_nothing_and_is_named_once(z, caplog):
+    found = ObstacleDetector(mount=CameraMount(0.1, 0.0, z, pitch=0.3), vehicle='robot1')
+    for stamp in range(3):
+        one = replace(frame(np.full((240, 320), 2.0, np.float32), stamp), sensor='front')
+        assert shows_nothing(found, one)
+    (warning,) = warnings(caplog)
+    assert warning.startswith(f'robot1: front is mounted at z = {z:.3f} m')
+
+
+@pytest.mark.parametrize('slope', [-1e-5, -0.5, 0.0, 0.5])
+def test_a_ray_from_below_the_floor_shows_no_hole(slope):
+    """Interpret the kernel: compiled, an index out of bounds is not an error, but a crash."""
+    flat = np.zeros((4, 6), np.float32)
+    rays = Rays(flat + 1, flat, flat + np.float32(slope))
+    view = obstacles._View(0, 0.02, 1, 40, 9)
+    band = Band(0.06, 0.9, 0.06, 0.003)
+    bins, depth = flat.astype(np.int32), flat + 0.5
+    occupied, _ = obstacles._sort.py_func(rays, bins, depth, (0.0, 0.0), -0.4, view, band)
+    assert not occupied.any()
+
+
+NO_READINGS = [
+    np.zeros((240, 320), np.float32),
+    np.full((240, 320), np.nan, np.float32),
+    np.zeros((240, 320), np.uint16),
+]
+
+
+@pytest.mark.parametrize('depth', NO_READINGS, ids=['zero', 'NaN', 'mm'])
+def test_a_camera_without_readings_for_long_is_named_once_each_time(depth, caplog):
+    found = detector()
+
+    def look(image, number):
+        for stamp in range(number):
+            one = replace(frame(image, stamp), sensor='front')
+            found.scan(one)
+            found.detect(one)
+        return len(warnings(caplog))
+
+    assert look(depth, 29) == 0
+    assert look(depth, 1) == 1
+    assert warnings(caplog)[0].startswith('robot1: front: no pixel of the last 30 depth images')
+    assert look(depth, 60) == 1
+    assert look(cast(), 1) == 1
+    assert look(depth, 29) == 1
+    assert look(depth, 31) == 2
+
+
+def test_a_camera_without_readings_does_not_count_those_of_another(caplog):
+    found = detector()
+    for stamp in range(30):
+        found.detect(replace(frame(cast(), stamp), sensor='front'))
+        found.detect(replace(frame(NO_READINGS[0], stamp), sensor='rear'))
+    (warning,) = warnings(caplog)
+    assert 'rear' in warning
+
+
+@pytest.mark.parametrize('fx', [1e-300, 0.001, 4.0])
+def test_a_focal_length_of_no_camera_shows_nothing_and_is_named_once(fx, caplog):
+    found = detector()
+    for stamp in range(3):
+        one = replace(frame(cast(), stamp), intrinsics=replace(CAMERA, fx=fx), sensor='front')
+        assert shows_nothing(found, one)
+    (warning,) = warnings(caplog)
+    assert warning.startswith(f'robot1: front: with fx = {fx:g} and cx = 159.5, images of 320')
+    assert 'none of them (fx is below 5)' in warning
+
+
+def test_a_focal_length_below_that_of_an_image_of_one_column_needs_no_memory(caplog):
+    tiny = Intrinsics(1, 1, 0.001, 1.0, 0.0, 0.0)
+    one = RgbdFrame(0.0, np.zeros((1, 1), np.uint8), np.ones((1, 1), np.float32), tiny)
+    assert shows_nothing(detector(), one)
+    assert len(warnings(caplog)) == 1
+
+
+def test_a_view_is_at_most_160_degrees_wide(caplog):
+    found = detector()
+    for stamp in range(3):
+        one = replace(frame(cast(), stamp), intrinsics=replace(CAMERA, fx=20.0))
+        view, scan = found.detect(one), found.scan(one)
+    bearings = np.arctan2(view.points[:, 1], view.points[:, 0] - MOUNT.x)
+    far = view.points[:, 0] - MOUNT.x > 5 * OBSTACLE_CELL  # a cell is narrow from there
+    assert math.radians(70.0) < np.abs(bearings[far]).max() < math.radians(81.0)
+    assert np.abs(scan.angles).max() < math.radians(81.0)
+    (warning,) = warnings(caplog)
+    assert 'reach 82.9 degrees to the side, expected at most 80' in warning
+
+
+@pytest.mark.parametrize(
+    ('said', 'expected'),
+    [
+        (CameraMount(0.1, 0.0, 0.47, pitch=0.2), ('tilted by 0.0 degrees', '-0.130 m')),
+        (CameraMount(0.1, 0.0, 0.6, pitch=0.2 - math.radians(15.0)), ('tilted by 15.4',)),
+        (CameraMount(0.1, 0.0, 0.6, pitch=0.2 + math.radians(20.0)), ('tilted by -20.9',)),
+    ],
+)
+@pytest.mark.parametrize('call', ['detect', 'scan'])
+def test_a_floor_far_from_where_the_mount_has_it_is_named_once(said, expected, call, caplog):
+    depth = cast(CameraMount(0.1, 0.0, 0.6, pitch=0.2), limit=5.0)
+    found = ObstacleDetector(mount=said, vehicle='robot1')
+    for stamp in range(60):
+        getattr(found, call)(replace(frame(depth, stamp), sensor='front'))
+        assert len(warnings(caplog)) == (stamp >= 19)
+    (warning,) = warnings(caplog)
+    assert warning.startswith('robot1: front sees no floor near where its mount has it')
+    assert '100 % of the readings' in warning
+    assert all(value in warning for value in expected)
+
+
+@pytest.mark.parametrize('wall', [0.8, 2.0])
+@pytest.mark.parametrize('yaw', [0.0, 0.5, 1.0])
+@pytest.mark.parametrize('z', [0.4, 1.2])  # from 1.2 m, no floor is in view
+def test_a_wall_is_no_floor(wall, yaw, z, caplog):
+    mount = CameraMount(0.1, 0.0, z, yaw=yaw)
+    found, depth = ObstacleDetector(mount=mount), cast(mount, wall=wall, noise=0.003, limit=5.0)
+    for stamp in range(25):
+        found.detect(frame(depth, stamp))
+    assert not warnings(caplog)
+
+
+def test_a_step_down_is_no_floor_once_the_floor_is_known(caplog):
+    found = detector()
+    for stamp in range(40):
+        found.detect(frame(cast(pit=(9.0 if stamp < 10 else 0.3, 0.18), limit=5.0), stamp))
+    assert not warnings(caplog)
+    assert found.floor().height == pytest.approx(0.0, abs=0.01)
+
+
 # -- scans of vehicles without a laser -----------------------------------------------------------
 
 
@@ -168,3 +312,35 @@ def test_a_scan_of_a_camera_passes_below_table_tops_and_ends_at_lower_things():
     low = detector().scan(frame(cast(tables=[(1.6, 2.6, -0.6, 0.6, 0.3)], limit=3.5))).ranges
     # a sheet without a front: the mean of the nearest 0.15 m of it
     assert np.nanmin(low) == pytest.approx(1.6 - MOUNT.x, abs=0.16)
+
+
+def test_scans_are_levelled_by_the_floor_from_the_first_frame_on(caplog):
+    depth = cast(TILTED, noise=0.003, limit=5.0)
+    for call in ('scan', 'level_scan'):
+        found = detector()
+        for stamp in range(6):
+            scan = getattr(found, call)(frame(depth, stamp))
+            assert not np.isfinite(scan.ranges).any()  # floor alone; without it, an obstacle
+        assert found.floor().along == pytest.approx(0.07, abs=0.008)
+    assert len(warnings(caplog)) == 2
+    assert all('camera_pitch +0.07' in warning for warning in warnings(caplog))
+
+
+def test_a_frame_is_prepared_once_for_its_scans_and_its_view(monkeypatch):
+    """A frame may wait for odometry while the scans of newer ones are made."""
+    prepared = []
+    convert = obstacles.depth_in_metres
+    monkeypatch.setattr(
+        obstacles, 'depth_in_metres', lambda depth: prepared.append(1) or convert(depth)
+    )
+    found = detector()
+    frames = [frame(cast(wall=1.5 + 0.1 * number), number) for number in range(3)]
+    scans = [(found.scan(one), found.level_scan(one)) for one in frames]
+    views = [found.detect(one) for one in frames]
+    assert len(prepared) == 3
+    alone = detector()
+    for one, (scan, level), view in zip(frames, scans, views, strict=True):
+        assert scan.stamp == level.stamp == view.stamp == one.stamp
+        assert view.cells.tobytes() == alone.detect(one).cells.tobytes()
+    found.detect(replace(frames[2]))  # equal, but another one
+    assert len(prepared) == 7

@@ -8,19 +8,19 @@ from explore_slam.geometry import moved_enough
 
 
 def process(team: Team, track: VehicleTrack, view: ObstacleView) -> None:
-    """Add a view to the layer if the vehicle has moved on since the last one."""
-    track.newest_view = view
+    """Add a view to the layer if the vehicle has moved on since the last one of this camera."""
+    track.newest_views[view.sensor] = view
     if track.keyframe is None or track.placement.displaced:
         track.count('unused_obstacle_views')
         return
     pose = track.odometry.at(view.stamp)
-    if track.last_view is not None:
-        stamp, before = track.last_view
+    if view.sensor in track.last_views:
+        stamp, before = track.last_views[view.sensor]
         scans = team.config.scans
         moved = moved_enough(before.between(pose), scans.map_scan_distance, scans.map_scan_heading)
         if not moved and view.stamp - stamp < scans.map_scan_period:
             return
-    track.last_view = (view.stamp, pose)
+    track.last_views[view.sensor] = (view.stamp, pose)
     track.count('obstacle_views')
     team.obstacle_map.add(
         track.keyframe.number,

@@ -67,11 +67,14 @@ def process(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
 def _close_loops(team: Team, track: VehicleTrack, scan: LaserScan, moved: Pose2) -> None:
     """Attach a scan to the newest keyframe, unless matching refused it, and search for loops.
 
-    moved: motion since the keyframe.
+    moved: motion since the keyframe. Matching refuses scans of cameras wherever they show little,
+    as those that look down; their wheels are right all the same.
     """
-    if team.config.scan_matching.scan_matching:
+    cloud = None
+    matching = team.config.scan_matching.scan_matching
+    if matching:
         cloud = track.cloud_of(scan.stamp)
-    else:
+    if cloud is None and (not matching or track.name in team.camera_scans):
         laser = team.laser_pose(scan)
         cloud = scan_cloud(scan, laser, team.config.scan_matching.matching_range)
         cloud = cloud.masked(team.discs(track, scan))
