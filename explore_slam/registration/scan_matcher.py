@@ -41,11 +41,6 @@ _MINIMUM_POINTS = 15  # returns; five times the unknowns
 # and 1.9 in the simulated office (f 0.8; mean of ten runs, 3.0 and 2.7 in the worst). A fraction
 # of 0.35 whatever f gave 3.1, 1.4 and 1.2.
 WINDOW_DRIFT = 0.7
-# The same for the narrow view of a depth camera, which shows few of the scans kept at a time,
-# often one wall: all of the error is handed on, and more, because what comes into view at the edge
-# of the image hangs on it by a short lever. In the simulated office the squared distances are 1.5
-# to 3.6 over 1 to 100 scans with 2, and 2 to 7 with 0.7 (1 - f).
-_NARROW_DRIFT = 2.0
 # rad; half a step moves a return at 6 m by 0.08 m, which the alignment corrects.
 _ANGLE_STEP = math.radians(1.5)
 _SIGMAS = 3.0  # the window covers the odometry's error
@@ -66,13 +61,6 @@ _MODES_APART = (0.5, math.radians(10.0))
 _OTHER_MODE = 0.92  # fraction of the best score at which another mode makes a match ambiguous
 # Mahalanobis distance from the odometry above which a match is searched in the widest window too
 _UNLIKELY = 5.0
-# Of a narrow view, a match is refused above this distance, or if it is farther than this (m, rad)
-# from the odometry's pose: by itself, a wall fits at many places. A right match is that unlikely
-# in one of four cases (chi-square with 3 degrees of freedom), which costs little, as wheels are
-# good for some frames; a wrong one turns the map. Of two drives in the simulated office, the worst
-# error of heading after 10 frames is 0.06 rad with 2 and 0.10 with 3, that after 100 frames 31 and
-# 38 mrad in the mean; exploring by camera alone (seed 4), a vehicle had 0.016 and 0.092 m.
-_NARROW_UNLIKELY, _NARROW_CORRECTION = 2.0, (0.15, 0.1)
 _REFUSALS_UNTIL_RESTART = 3  # scans in succession
 
 
@@ -157,16 +145,11 @@ class ScanMatcher:
 
     open_ended: the priors are so weak that what noise seems to measure along a corridor would
     outweigh them: in such a direction the prior alone counts.
-    narrow_view: the scans show too little for a place to be found by them alone, as those of a
-    depth camera: they are aligned near the odometry's pose, and refused where they do not fit.
     """
 
-    def __init__(
-        self, config: ScanMatchingConfig, *, open_ended: bool = False, narrow_view: bool = False
-    ) -> None:
+    def __init__(self, config: ScanMatchingConfig, *, open_ended: bool = False) -> None:
         self.config = config
         self._open_ended = open_ended
-        self._narrow_view = narrow_view
         self._kept: deque[PointCloud] = deque(maxlen=config.matching_window)  # placed
         self._last_kept = IDENTITY
         self._window_moved = False  # since the last match
@@ -244,9 +227,9 @@ class ScanMatcher:
     def probe(self, cloud: PointCloud, pose: Pose2) -> Alignment | None:
         """Return where a cloud fits best, in the widest window around a pose; nothing is kept.
 
-        None where there is no place that overlaps enough, or more than one, and for narrow views.
+        None where there is no place that overlaps enough, or more than one.
         """
-        if self._narrow_view or not self._kept or len(cloud) < _MINIMUM_POINTS:
+        if not self._kept or len(cloud) < _MINIMUM_POINTS:
             return None
         local_map, window = self._local_map(), SearchWindow(pose, *_MAXIMUM_WINDOW)
         slipped = np.diag([*_MAXIMUM_WINDOW[:1] * 2, _MAXIMUM_WINDOW[1]]) ** 2
@@ -294,8 +277,6 @@ class ScanMatcher:
         """Search near the odometry first, and in the widest window where nothing fits there."""
         covariance = covariance + np.diag(_MINIMUM_DEVIATIONS**2)
         near = self._register(local_map, cloud, prior, covariance, _window(prior, covariance))
-        if self._narrow_view:
-            return self._match_narrow(local_map, cloud, near, prior, covariance, first)
         likely = near is not None and _distance(near.pose, prior, covariance) < _UNLIKELY
         acceptable = near is not None and (likely or near.overlap >= _WIDE_OVERLAP)
         if near is not None and acceptable and near.overlap >= self.config.matching_overlap:
@@ -316,32 +297,9 @@ class ScanMatcher:
             return RefusedScan(Refusal.AMBIGUOUS, prior)
         return self._with_first(found, slipped, first)
 
-    def _match_narrow(
-        self,
-        local_map: LocalMap,
-        cloud: PointCloud,
-        found: Alignment | None,
-        prior: Pose2,
-        covariance: Array,
-        first: _FirstScan,
-    ) -> ScanMatch | RefusedScan:
-        """Return a match of a narrow view that was found near the odometry, if it may be used."""
-        if (
-            found is None
-            or found.overlap < self.config.matching_overlap
-            or _distance(found.pose, prior, covariance) > _NARROW_UNLIKELY
-            or moved_enough(prior.between(found.pose), *_NARROW_CORRECTION)
-        ):
-            return RefusedScan(Refusal.LITTLE_OVERLAP, prior)
-        return self._inflate_prior(local_map, cloud, found, prior, covariance, first)
-
     def _with_first(self, found: Alignment, covariance: Array, first: _FirstScan) -> ScanMatch:
         """Return a match, with what the pose has taken over of the error of the first scan."""
-        drift = _window_drift(found, self._narrow_view) if self._window_moved else 0.0
-        match = _scan_match(found, covariance, drift)
-        if self._narrow_view:
-            # its first scan leaves directions open, and its window is handed on before long
-            return match
+        match = _scan_match(found, covariance, self._window_moved)
         growth = first.step(found, covariance)
         return replace(match, drift=match.drift + growth, window=match.window + growth)
 
@@ -436,27 +394,23 @@ def _is_ambiguous(
     return other is not None
 
 
-def _window_drift(found: Alignment, narrow_view: bool) -> float:
-    """Return the variance of the window's step, as a fraction of the white variance of a match."""
-    return _NARROW_DRIFT if narrow_view else WINDOW_DRIFT * (1.0 - found.independent)
-
-
-def _scan_match(found: Alignment, covariance: Array, window_drift: float) -> ScanMatch:
+def _scan_match(found: Alignment, covariance: Array, window_moved: bool) -> ScanMatch:
     """Split the error of the pose into that of the scan and that of the odometry (Joseph form).
 
     With the scan's information A and the odometry's covariance P, the error after the match has
     covariance C = (A + P⁻¹)⁻¹ = C A C + C P⁻¹ C. The first term is the scan's own: white. The
     second is what is left of the odometry's: a random walk. So is the error of the window's
-    frame, which moves when a scan is kept: by window_drift of the white variance. A takes the
-    returns to be as noisy as their residuals: in the simulated office both parts then agree with
-    the true motion between scans 1 to 200 apart (benchmarks/scan_matching_noise.py).
+    frame, which moves when a scan is kept. A takes the returns to be as noisy as their residuals:
+    in the simulated office both parts then agree with the true motion between scans 1 to 200
+    apart (benchmarks/scan_matching_noise.py).
     """
     certainty = np.linalg.inv(covariance)
     information = found.information
     left = np.linalg.inv(information + certainty)
     white = _transformed(left, information)
     drift = _transformed(left, certainty)
-    window = window_drift * white
+    share = WINDOW_DRIFT * (1.0 - found.independent) if window_moved else 0.0
+    window = share * white
     return ScanMatch(
         found.pose, white, drift + window, window, information, found.overlap, found.rms
     )

@@ -54,9 +54,6 @@ _LEVEL, _ROUGH = 0.1, 0.005  # slope and m, up to which a surface counts as hori
 _NOTHING, _OBSTACLE, _FLOOR, _HOLE = 0, 1, 2, 3  # what a reading shows
 _OUTLIER = 2.5  # standard deviations of noise that two readings of a wall are not apart
 _MARGIN = 0.05  # m before a reading that its ray does not free
-# m, half the height of the plane of a scan to be matched, and its range, within which the noise of
-# a Kinect is below 0.08 m
-_HALF_LEVEL, _LEVEL_RANGE = 0.05, 5.0
 _FLAT = 1e-6  # slope of a ray that stays in its slice
 _FREE_EVERY = 2  # rows of samples of which the rays free space: neighbours pass the same cells
 _SLOPE = 0.01  # rad by which a levelled view may still be tilted: the floor rises with distance
@@ -166,32 +163,20 @@ class ObstacleDetector:
 
         It ends at the nearest obstacle of any height that a vehicle would meet.
         """
-        band = self.config.obstacles
-        heights = band.camera_scan_lowest, band.camera_scan_highest
-        return self._scan(self._look(frame), heights, band.obstacle_range)
-
-    def level_scan(self, frame: RgbdFrame) -> LaserScan:
-        """Return a scan in the plane of the camera, to be matched with others.
-
-        This plane stays in view wherever the vehicle goes, and cuts furniture alike from
-        everywhere. What is nearest between the floor and a height does not: in the simulated
-        office, scans of 0.1 to 0.5 m led to errors of 50 mm after 10 frames, and these to 25 mm.
-        """
-        seen = self._look(frame)
-        heights = seen.height - _HALF_LEVEL, seen.height + _HALF_LEVEL
-        return self._scan(seen, heights, _LEVEL_RANGE)
-
-    def _scan(self, seen: _Look, heights: tuple[float, float], reach: float) -> LaserScan:
-        """Return a scan of the readings between two heights (m), as far as reach (m)."""
-        step, noise = self.config.obstacles.step_depth, self.config.depth.depth_noise
+        seen, band = self._look(frame), self.config.obstacles
         return camera_scan(
             seen.stamp,
             seen.rays,
             seen.depth,
             (seen.floor.along, seen.floor.across),
             seen.height,
-            Band(*heights, step, noise),
-            reach,
+            Band(
+                band.camera_scan_lowest,
+                band.camera_scan_highest,
+                band.step_depth,
+                self.config.depth.depth_noise,
+            ),
+            band.obstacle_range,
             seen.pose,
             seen.sensor,
         )

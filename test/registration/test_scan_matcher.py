@@ -15,10 +15,9 @@ from explore_slam.registration import (
     ScanMatch,
     ScanMatcher,
     ScanMatchingConfig,
-    scan_cloud,
 )
 from explore_slam.registration.alignment import Alignment
-from explore_slam.registration.scan_matcher import _scan_match, _window, _window_drift
+from explore_slam.registration.scan_matcher import _scan_match, _window
 from explore_slam.slam.checks import check_motion_covariance
 
 ROOM = np.vstack(
@@ -70,41 +69,6 @@ def test_wheels_that_are_off_by_half_a_metre_and_ten_degrees_are_put_right(shift
         assert off[2] < 0.01
         assert match.overlap > 0.8
         assert np.sqrt(np.diag(match.covariance)).max() < 0.05
-
-
-def test_a_narrow_view_is_matched_near_the_odometry_only():
-    """It shows a wall or a corner, which fits at many places."""
-    random, true = np.random.default_rng(5), Pose2(0.3, -0.2, 0.2)
-    matcher = ScanMatcher(ScanMatchingConfig(), narrow_view=True)
-    clouds = [scan_cloud(scan_of(ROOM, pose, 0.01, random)) for pose in (IDENTITY, true, true)]
-    first, near, far = (
-        cloud.only(np.abs(np.arctan2(*cloud.points.T[::-1])) < 0.5) for cloud in clouds
-    )
-    assert isinstance(matcher.match_cloud(first, IDENTITY, WHEELS), RefusedScan)
-    match = matcher.match_cloud(near, true.compose(Pose2(0.04, 0.03, 0.04)), WHEELS)
-    assert isinstance(match, ScanMatch)
-    off = true.between(match.pose)
-    assert (off.x, off.theta) == pytest.approx((0.0, 0.0), abs=0.01)
-    assert off.y == pytest.approx(0.03, abs=0.01)  # along the wall ahead
-    off, unknown = true.compose(Pose2(0.3, 0.0, 0.0)), np.eye(3)
-    assert matcher.match_cloud(far, off, unknown) == RefusedScan(Refusal.LITTLE_OVERLAP, off)
-    assert matcher.probe(far, off) is None
-    wide = started(ROOM)
-    assert isinstance(wide.match_cloud(clouds[2], off, unknown), ScanMatch)
-
-
-@pytest.mark.parametrize(('deviations', 'accepted'), [(1.0, True), (3.0, False)])
-def test_a_narrow_view_is_refused_where_the_odometry_makes_it_unlikely(deviations, accepted):
-    matcher = ScanMatcher(ScanMatchingConfig(), narrow_view=True)
-    random = np.random.default_rng(5)
-    for true, off in ((IDENTITY, 0.0), (Pose2(0.1, 0.0, 0.0), deviations * 0.03)):
-        cloud = scan_cloud(scan_of(ROOM, true, 0.01, random))
-        cloud = cloud.only(np.abs(np.arctan2(*cloud.points.T[::-1])) < 0.5)
-        prior = true.compose(Pose2(off, 0.0, 0.0))
-        found = matcher.match_cloud(cloud, prior, np.diag([0.03, 0.03, 0.03]) ** 2)
-    assert isinstance(found, ScanMatch) is accepted
-    if accepted:
-        assert found.pose.x == pytest.approx(0.1, abs=0.01)
 
 
 def test_the_mount_of_the_laser_counts():
@@ -223,7 +187,7 @@ def test_errors_of_a_match_are_covariances_whatever_the_rounding():
         turn = planar_rotation(random.uniform(0.0, math.tau))
         information = turn @ jacobian.T @ jacobian @ turn.T
         odometry = np.diag(10.0 ** random.uniform(-7.0, -2.0, 3))
-        match = _scan_match(Alignment(IDENTITY, information, 1.0, 0.0, 360, 1.0), odometry, 0.0)
+        match = _scan_match(Alignment(IDENTITY, information, 1.0, 0.0, 360, 1.0), odometry, False)
         for covariance in (match.white, match.drift):
             check_motion_covariance('error', covariance)
         total = np.linalg.inv(information + np.linalg.inv(odometry))
@@ -257,17 +221,14 @@ def test_all_poses_share_the_error_of_the_first_scan_and_their_drift_covers_it()
     assert 1.0 < np.mean(squares) < 4.5  # 3 in the mean, by the noise of a mean of 40
 
 
-@pytest.mark.parametrize('narrow_view', [False, True])
 @pytest.mark.parametrize('independent', [1.0, 0.6, 0.05])
-def test_the_window_drifts_by_errors_that_scans_share(independent, narrow_view):
+def test_the_window_drifts_by_errors_that_scans_share(independent):
     information = np.diag([4e5, 1e5, 1e6])
     found = Alignment(IDENTITY, information, 1.0, 0.0, 360, independent)
     odometry = np.diag([0.02, 0.02, 0.02]) ** 2
-    drift = _window_drift(found, narrow_view)
-    still, moved = (_scan_match(found, odometry, fraction) for fraction in (0.0, drift))
+    still, moved = (_scan_match(found, odometry, window_moved) for window_moved in (False, True))
     assert not still.window.any()
-    fraction = 2.0 if narrow_view else 0.7 * (1.0 - independent)
-    np.testing.assert_allclose(moved.window, fraction * moved.white)
+    np.testing.assert_allclose(moved.window, 0.7 * (1.0 - independent) * moved.white)
     np.testing.assert_allclose(moved.drift - moved.window, still.drift, atol=1e-12)
     np.testing.assert_allclose(moved.white, still.white)
 

@@ -12,10 +12,9 @@ from explore_slam.data import RgbdFrame
 
 
 def enqueue_frame(team: Team, track: VehicleTrack, frame: RgbdFrame) -> None:
-    """Queue a frame, and before it the scans that it shows of a vehicle without a laser."""
+    """Queue a frame, and of a vehicle without a laser the scan that it shows before it."""
     if track.name in team.camera_scans:
-        detector = team.detectors[track.name]
-        enqueue_scan_of_one_moment(team, track, detector.scan(frame), detector.level_scan(frame))
+        enqueue_scan_of_one_moment(team, track, team.detectors[track.name].scan(frame))
     enqueue(team, track, frame)
 
 

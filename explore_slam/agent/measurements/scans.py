@@ -27,15 +27,10 @@ def release_sweeps(team: Team, track: VehicleTrack) -> None:
             enqueue_scan_of_one_moment(team, track, scan)
 
 
-def enqueue_scan_of_one_moment(
-    team: Team, track: VehicleTrack, scan: LaserScan, level: LaserScan | None = None
-) -> None:
-    """Queue a scan for the map and, if scans are matched, for matching.
-
-    level: the scan to be matched in its place.
-    """
-    if team.config.scan_matching.scan_matching:
-        track.unmatched.push(level or scan, team.config.inputs.measurement_queue_length)
+def enqueue_scan_of_one_moment(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
+    """Queue a scan for the map and, if the vehicle's scans are matched, for matching."""
+    if team.matches_scans(track):
+        track.unmatched.push(scan, team.config.inputs.measurement_queue_length)
     if track.unmapped:
         track.count('ignored_while_paused')
     else:
@@ -67,14 +62,11 @@ def process(team: Team, track: VehicleTrack, scan: LaserScan) -> None:
 def _close_loops(team: Team, track: VehicleTrack, scan: LaserScan, moved: Pose2) -> None:
     """Attach a scan to the newest keyframe, unless matching refused it, and search for loops.
 
-    moved: motion since the keyframe. Matching refuses scans of cameras wherever they show little,
-    as those that look down; their wheels are right all the same.
+    moved: motion since the keyframe.
     """
-    cloud = None
-    matching = team.config.scan_matching.scan_matching
-    if matching:
+    if team.matches_scans(track):
         cloud = track.cloud_of(scan.stamp)
-    if cloud is None and (not matching or track.name in team.camera_scans):
+    else:
         laser = team.laser_pose(scan)
         cloud = scan_cloud(scan, laser, team.config.scan_matching.matching_range)
         cloud = cloud.masked(team.discs(track, scan))
