@@ -4,7 +4,8 @@ Items (scans, views of depth cameras) are stored with the keyframe at which they
 redraw compares the new path with the one drawn last: the drawing returns to the newest snapshot
 before the first item whose keyframe moved noticeably, and the items from there on are drawn again
 in their order. Cells are clamped, so that order matters; because it is preserved, the result
-equals a drawing from scratch along the path that `PathDrawing.path` returns, bit for bit.
+equals a drawing of all items from scratch along the path that `PathDrawing.path` returns, bit for
+bit, until items are given up:
 
 Memory is bounded by the area: of the items that one sensor has taken at one place in the map,
 ITEMS_PER_PLACE are kept. A new one takes the place of the one taken nearest to its pose: a vehicle
