@@ -276,9 +276,11 @@ class Agent:
         """All mapped views of obstacles, and the layer as it was drawn last."""
         return self._team.obstacle_map
 
-    def newest_views(self, vehicle: str) -> tuple[ObstacleView, ...]:
-        """Return the newest view of obstacles that was processed, of each camera of a vehicle."""
-        return tuple(self.track(vehicle).newest_views.values())
+    def take_views(self, vehicle: str) -> list[ObstacleView]:
+        """Return the newest view of obstacles of each camera of a vehicle, each once."""
+        track = self.track(vehicle)
+        taken, track.new_views = track.new_views, {}
+        return list(taken.values())
 
     @property
     def grid(self) -> OccupancyGrid:
@@ -423,7 +425,7 @@ class Agent:
 
     def load_state(self, path: Path) -> None:
         """Continue from a saved state of the same vehicles; AgentError changes nothing."""
-        saved = checkpoint.load(path, self.config)
+        saved = checkpoint.load(path, self.config, self.camera_scans)
         belief = saved.belief
         if set(belief.vehicles) != set(self.start_poses):
             raise AgentError(
@@ -436,7 +438,6 @@ class Agent:
         self.reset()
         self._team.belief, self._team.loops, self._team.tags = belief, saved.loops, saved.tags
         self._team.laser_map, self._team.obstacle_map = saved.laser_map, saved.obstacle_map
-        saved.laser_map.known_free = self.camera_scans
         self._merged = None
         for vehicle in self.tracks:
             belief.restart_clock(vehicle)

@@ -4,6 +4,7 @@ One npz file, written atomically, without pickled objects. Odometry is not store
 does not survive a restart of the bases: after loading, each vehicle continues from its pose.
 """
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -50,8 +51,11 @@ def save(path: Path, saved: Saved) -> None:
         raise AgentError(f'state cannot be saved: {error}') from error
 
 
-def load(path: Path, config: AgentConfig) -> Saved:
-    """Read filter, scans, views, closures and tags; AgentError for a missing or different file."""
+def load(path: Path, config: AgentConfig, camera_scans: Collection[str] = ()) -> Saved:
+    """Read filter, scans, views, closures and tags; AgentError for a missing or different file.
+
+    camera_scans: vehicles whose scans are made of depth images.
+    """
     try:
         state = checkpoint.read(path)
         version = int(state.get('agent_version', np.array(-1)))
@@ -63,7 +67,8 @@ def load(path: Path, config: AgentConfig) -> Saved:
         tags = TagMapping(config.vision.tags, table_of(config.vision.tags).poses)
         tags.restore(checkpoint.part('tags', state))
         vehicles, views = list(belief.vehicles), checkpoint.part('views', state)
-        laser_map = _laser_map(scans, vehicles, config.mapping)
+        laser_map = LaserMap(config.mapping, known_free=camera_scans)
+        _add_scans(laser_map, scans, vehicles)
         obstacle_map = _obstacle_map(views, vehicles, config.mapping)
         return Saved(belief, laser_map, obstacle_map, loops, tags)
     except AgentError:
@@ -98,9 +103,8 @@ def _scans_state(laser_map: LaserMap, vehicles: list[str]) -> State:
     }
 
 
-def _laser_map(state: State, vehicles: list[str], config: GridConfig) -> LaserMap:
-    """Return the laser map of the arrays that _scans_state made."""
-    laser_map = LaserMap(config)
+def _add_scans(laser_map: LaserMap, state: State, vehicles: list[str]) -> None:
+    """Add the scans of the arrays that _scans_state made to a laser map."""
     bodies = _bodies_by_row(state['bodies'])
     first, first_bearing = 0, 0
     deskewed = set(state['deskewed'].tolist())
@@ -125,7 +129,6 @@ def _laser_map(state: State, vehicles: list[str], config: GridConfig) -> LaserMa
             sensor=sensors[row],
         )
         laser_map.add(keyframe, vehicles[vehicle], scan, Pose2(x, y, theta), bodies.get(row, []))
-    return laser_map
 
 
 def _views_state(obstacle_map: ObstacleMap, vehicles: list[str]) -> State:

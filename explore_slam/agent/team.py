@@ -85,9 +85,8 @@ class Team:
         self.start_poses = dict(start_poses)
         self.camera_scans = frozenset(camera_scans)
         self.belief = TeamBelief(self.start_poses, config.slam, seed)
-        self.laser_map = LaserMap(config.mapping)
         # in a depth image the floor is seen where a beam has no return
-        self.laser_map.known_free = self.camera_scans
+        self.laser_map = LaserMap(config.mapping, known_free=self.camera_scans)
         self.obstacle_map = ObstacleMap(config.mapping)
         self.loops = LoopClosing(config.closures)
         self.tags = TagMapping(config.vision.tags, table_of(config.vision.tags).poses)

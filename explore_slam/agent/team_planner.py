@@ -196,7 +196,7 @@ class TeamPlanner:
             self._agent.track(vehicle).body,
             battery=self.batteries[vehicle].level,
             known_places=self._known_places(vehicle),
-            has_camera=bool(self._agent.newest_views(vehicle)),
+            has_camera=self._agent.track(vehicle).has_camera,
         )
 
     def _known_places(self, vehicle: str) -> tuple[KnownPlace, ...]:

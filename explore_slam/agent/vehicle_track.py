@@ -50,7 +50,8 @@ class VehicleTrack:
     body: its size and speed.
     last_scans: stamp (s) and odometry pose of the newest scan of each laser in the map.
     last_views: the same of the newest view of obstacles of each camera.
-    newest_views: of obstacles by each camera, whether or not they are in the map.
+    new_views: the newest of obstacles by each camera that nobody has taken yet.
+    has_camera: whether there have been views of obstacles.
     matched_until: stamp (s) up to which scan matching has refined the odometry.
     sweeps: scans whose beams were measured one after the other, until odometry covers them.
     sets: clouds of several lasers, until they can be matched together.
@@ -75,7 +76,8 @@ class VehicleTrack:
     keyframe: Keyframe | None = None
     last_scans: dict[str, tuple[float, Pose2]] = field(default_factory=dict)
     last_views: dict[str, tuple[float, Pose2]] = field(default_factory=dict)
-    newest_views: dict[str, ObstacleView] = field(default_factory=dict)
+    new_views: dict[str, ObstacleView] = field(default_factory=dict)
+    has_camera: bool = False
     matched_until: float = -np.inf
     last_match_attempt: float = -np.inf
     scan_period: float = np.inf

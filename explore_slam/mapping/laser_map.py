@@ -1,7 +1,7 @@
 """Occupancy grid along the most likely path; see explore_slam.mapping.path_drawing."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 from explore_slam.data import LaserScan
@@ -30,13 +30,15 @@ class KeyframeScan(NamedTuple):
 
 
 class LaserMap(PathDrawing[KeyframeScan, OccupancyGrid]):
-    """Scans with their keyframes, and the occupancy grid along the most likely path."""
+    """Scans with their keyframes, and the occupancy grid along the most likely path.
 
-    def __init__(self, config: GridConfig | None = None) -> None:
+    known_free: vehicles of whose beams it is known that those without return are free.
+    """
+
+    def __init__(self, config: GridConfig | None = None, known_free: Collection[str] = ()) -> None:
         self.config = config or GridConfig()
         super().__init__(self.config.snapshot_memory)
-        # vehicles of whose beams it is known that those without return are free
-        self.known_free: frozenset[str] = frozenset()
+        self._known_free = frozenset(known_free)
         self._judges: dict[str, NoReturnJudge] = {}
         self._not_free: set[str] = set()  # vehicles whose no returns the drawn scans did not free
 
@@ -56,7 +58,7 @@ class LaserMap(PathDrawing[KeyframeScan, OccupancyGrid]):
     def _is_free(self, vehicle: str) -> bool:
         meaning = self.config.no_return_meaning
         if meaning == 'auto':
-            return vehicle in self.known_free or self._judges[vehicle].is_free
+            return vehicle in self._known_free or self._judges[vehicle].is_free
         return meaning == 'free'
 
     @property

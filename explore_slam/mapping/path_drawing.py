@@ -129,7 +129,6 @@ class PathDrawing[I: Anchored, C: Canvas](ABC):
         self._items: list[I | None] = []  # None: given up
         self._drawn = 0
         self._places: dict[Place, dict[int, Pose2]] = {}  # poses of items there by number
-        self._thinned = 0  # items that have been counted at their places
         self._given_up = 0
         self._path: Array = np.empty((0, 3))
         self._in_map: NDArray[np.bool_] = np.empty(0, np.bool_)  # which of these keyframes
@@ -207,7 +206,7 @@ class PathDrawing[I: Anchored, C: Canvas](ABC):
             if stop % SNAPSHOT_SPACING == 0 and stop > start:
                 self._keep_snapshot()
         self.revision += restored or drawn > 0
-        self._thin_out()
+        self._thin_out(start)
         return RedrawSummary(start, drawn, len(self._items) - self._drawn, refused)
 
     @property
@@ -271,9 +270,9 @@ class PathDrawing[I: Anchored, C: Canvas](ABC):
             ignore = np.array(rows).reshape(-1, 3)
         return ignore
 
-    def _thin_out(self) -> None:
-        """Give up items at places where the same sensor has taken enough of them."""
-        for number in range(self._thinned, self._drawn):
+    def _thin_out(self, start: int) -> None:
+        """Note the places of the items drawn from a number on; give up others taken there."""
+        for number in range(start, self._drawn):
             item = self._items[number]
             if item is None or not self._in_map[item.keyframe]:
                 continue
@@ -285,13 +284,9 @@ class PathDrawing[I: Anchored, C: Canvas](ABC):
                 self._items[nearest] = None
                 self._given_up += 1
             there[number] = pose
-        self._thinned = self._drawn
 
     def _forget_places(self, start: int) -> None:
         """Forget where the items from a number on were taken: the path has moved."""
-        if start >= self._thinned:
-            return
-        self._thinned = start
         for place, there in list(self._places.items()):
             kept = {number: pose for number, pose in there.items() if number < start}
             if kept:

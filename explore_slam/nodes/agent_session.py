@@ -21,7 +21,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
 from explore_slam.agent import Agent, TeamPlanner, explicit_mounts
-from explore_slam.data import BatteryReading, FollowerReport, ObstacleView, OdometryReading
+from explore_slam.data import BatteryReading, FollowerReport, OdometryReading
 from explore_slam.errors import DataError, ExploreSlamError
 from explore_slam.exploration import PlanningMode
 from explore_slam.geometry import Pose2
@@ -95,7 +95,6 @@ class AgentSession:
         self._inputs: dict[str, VehicleInputs] = {}
         self._diagnostics = publisher(node, GlobalTopic.DIAGNOSTICS)
         self._due = dict.fromkeys(_PERIODIC, -np.inf)
-        self._viewed: dict[tuple[str, str], ObstacleView] = {}
         self._posed = dict.fromkeys(config.vehicles, -np.inf)
         self._sweeps: dict[str, dict[str, Sweep]] = {name: {} for name in config.vehicles}
         self._reported = time.monotonic()
@@ -400,11 +399,7 @@ class AgentSession:
     def _publish_obstacles(self) -> None:
         """Publish new views of obstacles of vehicles whose images the agent has."""
         for vehicle, inputs in self._inputs.items():
-            for view in self.agent.newest_views(vehicle):
-                key = vehicle, view.sensor
-                if view is self._viewed.get(key):
-                    continue
-                self._viewed[key] = view
+            for view in self.agent.take_views(vehicle):
                 if inputs.config.vision == 'agent':
                     self.outputs.obstacles(vehicle, view, inputs.mounts.base)
 

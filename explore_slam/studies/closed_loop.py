@@ -195,7 +195,7 @@ class ClosedLoop:
             self.recorder.add_odometry(name, record)
             follower.set_odometry(record)
             follower.set_pose(record.stamp, self.agent.map_pose(name))
-            for view in self.agent.newest_views(name):
+            for view in self.agent.take_views(name):
                 follower.set_obstacles(view)
         elif isinstance(record, LaserScan):
             follower.set_scan(record)

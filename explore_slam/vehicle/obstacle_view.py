@@ -56,7 +56,9 @@ class CameraView:
 
     def _knows(self, view: ObstacleView) -> bool:
         return any(
-            one is view or (one.stamp == view.stamp and np.array_equal(one.cells, view.cells))
+            one.stamp == view.stamp
+            and np.array_equal(one.cells, view.cells)
+            and np.array_equal(one.occupied, view.occupied)
             for one in self._recent
         )
 

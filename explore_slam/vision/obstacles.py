@@ -15,6 +15,7 @@ into cells of the floor and slices of height:
 
 import logging
 import math
+import weakref
 from collections import deque
 from typing import NamedTuple
 
@@ -93,8 +94,6 @@ class _Look(NamedTuple):
     height (m): of the camera above the floor that it sees.
     """
 
-    stamp: float
-    sensor: str
     pose: Pose2
     rays: Rays
     view: _View
@@ -110,7 +109,7 @@ class _Camera:
     def __init__(self) -> None:
         self.estimate = FloorEstimate()
         self.geometry: tuple[object, Rays, _View, NDArray[np.int32]] | None = None
-        self.looks: deque[tuple[RgbdFrame, _Look]] = deque(maxlen=_REMEMBERED)
+        self.looks: deque[tuple[weakref.ref[RgbdFrame], _Look]] = deque(maxlen=_REMEMBERED)
         self.blind = 0  # frames in a row without a reading
         self.warned: set[str] = set()
 
@@ -165,7 +164,7 @@ class ObstacleDetector:
         """
         seen, band = self._look(frame), self.config.obstacles
         return camera_scan(
-            seen.stamp,
+            frame.stamp,
             seen.rays,
             seen.depth,
             (seen.floor.along, seen.floor.across),
@@ -178,7 +177,7 @@ class ObstacleDetector:
             ),
             band.obstacle_range,
             seen.pose,
-            seen.sensor,
+            frame.sensor,
         )
 
     def _look(self, frame: RgbdFrame) -> _Look:
@@ -190,7 +189,7 @@ class ObstacleDetector:
             self._cameras[frame.sensor] = _Camera()
         camera = self._cameras[frame.sensor]
         for known, seen in camera.looks:
-            if known is frame:
+            if known() is frame:
                 return seen
         mount = self._mount if frame.mount is None else CameraMount.from_optical(frame.mount)
         stride = max(1, round(frame.intrinsics.width / _SAMPLES))
@@ -208,10 +207,8 @@ class ObstacleDetector:
         if not height > 0.0:  # NaN as well
             self._warn_of_height(camera, frame.sensor, mount.z, floor)
             depth = np.zeros_like(depth)  # shows nothing
-        seen = _Look(
-            frame.stamp, frame.sensor, pose, rays, view, bins, depth, floor, float(height)
-        )
-        camera.looks.append((frame, seen))
+        seen = _Look(pose, rays, view, bins, depth, floor, float(height))
+        camera.looks.append((weakref.ref(frame), seen))
         return seen
 
     def _geometry(

@@ -218,7 +218,7 @@ def corridor_scan(pose, generator):
 UNKNOWN, FREE, OCCUPIED = 0, 1, 3
 
 
-def cells_of(grid, x):
+def column_at(grid, x):
     """Return the column of a grid at x (m)."""
     return round((x - grid.origin[0]) / grid.resolution)
 
@@ -251,7 +251,7 @@ def test_scans_are_bounded_by_the_area_not_by_the_time(generator):
     assert same_grid(laser_map.grid, from_scratch(laser_map, everywhere))
     laser_map.redraw(np.array(poses))
     again = classes(laser_map.grid)
-    near = np.s_[:, cells_of(laser_map.grid, 0.5) : cells_of(laser_map.grid, 5.5)]
+    near = np.s_[:, column_at(laser_map.grid, 0.5) : column_at(laser_map.grid, 5.5)]
     assert np.mean(again[near][drawn[near] == OCCUPIED] == OCCUPIED) > 0.9
     assert np.mean(again[near][drawn[near] == FREE] == FREE) > 0.99
 

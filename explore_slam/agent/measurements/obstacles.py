@@ -9,7 +9,7 @@ from explore_slam.geometry import moved_enough
 
 def process(team: Team, track: VehicleTrack, view: ObstacleView) -> None:
     """Add a view to the layer if the vehicle has moved on since the last one of this camera."""
-    track.newest_views[view.sensor] = view
+    track.new_views[view.sensor], track.has_camera = view, True
     if track.keyframe is None or track.placement.displaced:
         track.count('unused_obstacle_views')
         return

@@ -58,7 +58,7 @@ def test_a_table_is_in_the_map_though_the_laser_looks_below_it(record):
     grid = agent.laser_map.grid
     ((row, column),) = grid.to_cell([START.compose(Pose2(2.1, 0.3, 0.0))[:2]])
     assert grid.to_trinary()[row, column] == 0
-    (view,) = agent.newest_views('robot1')
+    (view,) = agent.take_views('robot1')
     assert view.stamp == pytest.approx(1.08)
 
 
@@ -71,7 +71,7 @@ def test_without_the_setting_and_without_images_the_map_is_that_of_the_laser():
 
 
 @pytest.mark.parametrize('later', [0.0, 0.01, -0.01])
-def test_each_of_two_cameras_shows_its_obstacles(later):
+def test_each_of_two_cameras_shows_its_obstacles(later, tmp_path):
     """Also where both take their images at one moment."""
     left = CameraMount(0.1, 0.0, 0.4, 0.0, 0.0, math.pi / 2.0)
 
@@ -88,7 +88,15 @@ def test_each_of_two_cameras_shows_its_obstacles(later):
         if tick % 2 == 1:
             both(agent, 0.1 * tick - 0.02)
     assert is_occupied(agent, 0.3, 2.0)
-    assert {view.sensor for view in agent.newest_views('robot1')} == {'front', 'left'}
+    assert {view.sensor for view in agent.take_views('robot1')} == {'front', 'left'}
+    assert not agent.take_views('robot1')
+    path = agent.save_state(tmp_path / 'state.npz')
+    other = Agent(agent.config, {'robot1': START}, seed=1)
+    other.load_state(path)
+    assert [item.sensor for item in other.obstacle_map.views] == [
+        item.sensor for item in agent.obstacle_map.views
+    ]
+    assert is_occupied(other, 0.3, 2.0)
 
 
 def test_obstacles_are_saved_and_loaded(tmp_path):
@@ -130,7 +138,7 @@ def test_the_vehicle_without_a_laser_maps_with_the_scans_of_its_camera(matching)
     assert all(item.scan.ranges.size == 181 for item in other.laser_map.scans)
 
 
-def test_beams_without_return_of_a_camera_are_free():
+def test_beams_without_return_of_a_camera_are_free(tmp_path):
     """The floor is seen there, however few other beams are long."""
     mount = CameraMount(0.1, 0.0, 0.4, 0.0, 0.1, 0.0)
     agent = Agent(
@@ -144,14 +152,17 @@ def test_beams_without_return_of_a_camera_are_free():
         depth[:, :40] = 1.0 + 0.002 * (tick % 7)  # something near, in an eighth of the view
         agent.add('robot1', OdometryReading(0.1 * tick, Pose2(0.05 * tick, 0.0, 0.0)))
         agent.add('robot1', replace(frame(depth, 0.1 * tick), mount=mount.optical_pose))
-    merged = agent.grid
-    share, free = agent.no_returns['robot1']
-    assert share > 0.5
-    assert free
-    grid = agent.laser_map.grid
-    assert merged.known().any()
-    ((row, column),) = grid.to_cell([START.compose(Pose2(4.0, -0.5, 0.0))[:2]])
-    assert grid.to_trinary()[row, column] == 0
+    path = agent.save_state(tmp_path / 'state.npz')
+    other = Agent(agent.config, {'robot1': START}, seed=1, camera_scans=['robot1'])
+    other.load_state(path)
+    for one in (agent, other):
+        assert one.grid.known().any()  # drawn
+        share, free = one.no_returns['robot1']
+        assert share > 0.5
+        assert free
+        grid = one.laser_map.grid
+        ((row, column),) = grid.to_cell([START.compose(Pose2(4.0, -0.5, 0.0))[:2]])
+        assert grid.to_trinary()[row, column] == 0
 
 
 def test_motion_is_not_measured_by_scans_of_a_camera_alone():
